@@ -1,0 +1,364 @@
+"""Lane departures as eight parameters, and as the signals y(t), v(t), c(t): both ways, for all events at once.
+
+Everything here is in the *outward* frame: y >= 0 is beyond the line on the departed side, and curvature is positive
+when the lane bends towards that side. For a left departure this is the road frame of ISO 8855; a right departure is
+its mirror image. Source: Zhao, Wang, LeBlanc (2017), section III.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+LEFT: Final = 1
+RIGHT: Final = -1
+
+PARAMETER_NAMES: Final = ("T", "d_y", "sigma_y", "v_mean", "a_mean", "sigma_v", "c_0", "dc")
+"""The eight parameters, in the order of the paper's vector xi."""
+
+PARAMETER_UNITS: Final = ("s", "m", "m", "m/s", "m/s^2", "m/s", "1/m", "1/m")
+
+
+@dataclasses.dataclass(frozen=True)
+class DepartureParameters:
+    """The eight parameters of n departures and the side each went to.
+
+    Attributes
+    ----------
+    side : (n,) int
+        ``LEFT`` (+1) or ``RIGHT`` (-1).
+    T : (n,) [s]
+        Duration.
+    d_y : (n,) [m]
+        Peak lateral departure of the fitted parabola.
+    sigma_y : (n,) [m]
+        Standard deviation of y about the parabola.
+    v_mean : (n,) [m/s]
+        Mean speed.
+    a_mean : (n,) [m/s^2]
+        Mean acceleration.
+    sigma_v : (n,) [m/s]
+        Standard deviation of v about its straight line.
+    c_0 : (n,) [1/m]
+        Lane curvature at the start, outward frame.
+    dc : (n,) [1/m]
+        Change of curvature from start to end, outward frame.
+    """
+
+    side: IntArray
+    T: FloatArray
+    d_y: FloatArray
+    sigma_y: FloatArray
+    v_mean: FloatArray
+    a_mean: FloatArray
+    sigma_v: FloatArray
+    c_0: FloatArray
+    dc: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of departures."""
+        return int(self.side.shape[0])
+
+    def __len__(self) -> int:
+        return self.n
+
+    def matrix(self) -> FloatArray:
+        """Columns side by side, (n, 8), in the order of `PARAMETER_NAMES`."""
+        return np.column_stack([getattr(self, name) for name in PARAMETER_NAMES])
+
+    def take(self, rows: npt.ArrayLike) -> Self:
+        """The chosen departures: an index array, a mask or a slice, applied to every column."""
+        index = rows if isinstance(rows, slice) else np.asarray(rows)
+        return dataclasses.replace(self, **{f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)})
+
+
+@dataclasses.dataclass(frozen=True)
+class Departures(DepartureParameters):
+    """Departures found in recordings: the parameters and where each came from.
+
+    Attributes
+    ----------
+    recording : (n,) str
+        Identifier of the recording.
+    start_time : (n,) [s]
+        Interpolated time of the crossing outwards, on the recording's own clock.
+    samples : (n,) int
+        Recorded samples inside the event (the two interpolated crossings are not counted).
+    """
+
+    recording: npt.NDArray[np.str_]
+    start_time: FloatArray
+    samples: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class DepartureSignals:
+    """Signals of n departures, one after the other in flat arrays (events differ in length).
+
+    Attributes
+    ----------
+    offsets : (n + 1,) int
+        Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y = 0), the
+        last the crossing back (t = T, y = 0), the ones between are samples.
+    t : (m,) [s]
+        Time since the event's start.
+    y : (m,) [m]
+        Distance of the vehicle's edge beyond the line, outward.
+    v : (m,) [m/s]
+        Speed.
+    c : (m,) [1/m]
+        Lane curvature, outward frame.
+    """
+
+    offsets: IntArray
+    t: FloatArray
+    y: FloatArray
+    v: FloatArray
+    c: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of departures."""
+        return int(self.offsets.shape[0]) - 1
+
+    @property
+    def samples(self) -> IntArray:
+        """Samples between the two crossings, (n,)."""
+        return np.diff(self.offsets) - 2
+
+
+def _event_sum(values: FloatArray, starts: IntArray) -> FloatArray:
+    return np.add.reduceat(values, starts) if starts.size else np.empty(0)
+
+
+def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureParameters:
+    """Reduce signals to the eight parameters.
+
+    Parameters
+    ----------
+    signals : DepartureSignals
+        n events of at least three samples each between the crossings.
+    side : (n,) int
+        `LEFT` or `RIGHT`; carried along, the signals are outward already.
+
+    Returns
+    -------
+    DepartureParameters
+        n rows.
+
+    Raises
+    ------
+    InputError
+        If an event has fewer than three samples or a duration that is not positive.
+
+    Notes
+    -----
+    Distance d_x is the trapezoid rule over v(t) with both crossings. d_y is the least-squares amplitude of the parabola
+    through y = 0 at both ends, sigma_y and sigma_v are sample standard deviations (L - 1) over the L samples; the
+    two crossings are interpolated, not measured, and stay out of the regressions and the residuals.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ldctoolkit.scenarios import Scenarios
+    >>> one = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0], a_mean=[0.1], c_0=[1e-3], dc=[5e-4])
+    >>> back = reduce_signals(rebuild_signals(one, dt=0.01), one.side)
+    >>> bool(abs(back.d_y[0] - 0.3) < 1e-6)
+    True
+    """
+    starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
+    sides = np.asarray(side, dtype=np.int64)
+    if signals.n == 0:
+        empty = np.empty(0)
+        return DepartureParameters(sides, *([empty] * len(PARAMETER_NAMES)))
+    count = signals.samples
+    duration = signals.t[last]
+    if np.any(count < 3):
+        i = int(np.argmax(count < 3))
+        raise InputError(f"signals: event {i} has {count[i]} samples between its crossings; at least 3 are needed")
+    if not np.all(duration > 0):
+        raise InputError(f"signals: event {int(np.argmax(~(duration > 0)))} does not last: its last t is not positive")
+
+    event = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
+    x = _distance(signals, starts)
+    d_x = x[last]
+    sampled = np.ones(signals.t.size)
+    sampled[starts] = sampled[last] = 0.0
+
+    share = x / d_x[event]
+    parabola = 4.0 * share * (1.0 - share) * sampled
+    d_y = _event_sum(signals.y * parabola, starts) / _event_sum(parabola**2, starts)
+    v_mean = d_x / duration
+    tau = signals.t - 0.5 * duration[event]
+    a_mean, _ = _regress(tau, signals.v, sampled, event, starts, count)
+    slope_c, c_middle = _regress(tau, signals.c, sampled, event, starts, count)
+
+    residual_y = (signals.y - d_y[event] * parabola) * sampled
+    residual_v = (signals.v - a_mean[event] * tau - v_mean[event]) * sampled
+    return DepartureParameters(
+        side=sides,
+        T=duration,
+        d_y=d_y,
+        sigma_y=_sample_deviation(residual_y, sampled, event, starts, count),
+        v_mean=v_mean,
+        a_mean=a_mean,
+        sigma_v=_sample_deviation(residual_v, sampled, event, starts, count),
+        c_0=c_middle - 0.5 * slope_c * duration,
+        dc=slope_c * duration,
+    )
+
+
+def _distance(signals: DepartureSignals, starts: IntArray) -> FloatArray:
+    """Distance since each event's start, trapezoid rule, restarted at every event."""
+    step = np.zeros_like(signals.t)
+    step[1:] = 0.5 * (signals.v[1:] + signals.v[:-1]) * np.diff(signals.t)
+    step[starts] = 0.0
+    # a cumulative sum per event: one over everything would carry the first event's rounding into the last
+    out = np.empty_like(step)
+    width = int(np.max(np.diff(signals.offsets)))
+    column = np.arange(step.size) - np.repeat(starts, np.diff(signals.offsets))
+    row = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
+    for first in range(0, signals.n, 65536):  # blocks bound the padded table's memory
+        inside = (row >= first) & (row < first + 65536)
+        padded = np.zeros((min(65536, signals.n - first), width))
+        padded[row[inside] - first, column[inside]] = step[inside]
+        out[inside] = np.cumsum(padded, axis=1)[row[inside] - first, column[inside]]
+    return out
+
+
+def _regress(
+    tau: FloatArray, value: FloatArray, sampled: FloatArray, event: IntArray, starts: IntArray, count: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Slope over tau, and the line's value at tau = 0, per event."""
+    mean_tau = _event_sum(tau * sampled, starts) / count
+    mean_value = _event_sum(value * sampled, starts) / count
+    centred = (tau - mean_tau[event]) * sampled
+    slope = _event_sum(centred * (value - mean_value[event]), starts) / _event_sum(centred**2, starts)
+    return slope, mean_value - slope * mean_tau
+
+
+def _sample_deviation(
+    residual: FloatArray, sampled: FloatArray, event: IntArray, starts: IntArray, count: IntArray
+) -> FloatArray:
+    mean = _event_sum(residual, starts) / count
+    deviation: FloatArray = np.sqrt(_event_sum(((residual - mean[event]) * sampled) ** 2, starts) / (count - 1))
+    return deviation
+
+
+def speed(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Speed v(t) = v_mean + a_mean (t - T/2) [m/s]; `t` broadcasts against (n,)."""
+    return p.v_mean + p.a_mean * (t - 0.5 * p.T)
+
+
+def position(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Distance x(t) = v_mean t + a_mean (t^2 - T t)/2 [m] since the start; x(T) = v_mean T."""
+    return p.v_mean * t + 0.5 * p.a_mean * (t - p.T) * t
+
+
+def lateral(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Distance y(x(t)) [m] of the edge beyond the line on the fitted parabola."""
+    share = position(p, t) / (p.v_mean * p.T)
+    return 4.0 * p.d_y * share * (1.0 - share)
+
+
+def lateral_rate(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Lateral speed dy/dt [m/s] along the parabola."""
+    d_x = p.v_mean * p.T
+    return 4.0 * p.d_y / d_x * (1.0 - 2.0 * position(p, t) / d_x) * speed(p, t)
+
+
+def lateral_acceleration(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Second derivative d2y/dt2 [m/s^2] along the parabola, relative to the lane."""
+    d_x = p.v_mean * p.T
+    bend = -8.0 * p.d_y / d_x**2 * speed(p, t) ** 2
+    return bend + 4.0 * p.d_y / d_x * (1.0 - 2.0 * position(p, t) / d_x) * p.a_mean
+
+
+def lateral_integral(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Integral of y from 0 to t [m s], in closed form (y is a quartic in t)."""
+    d_x = p.v_mean * p.T
+    alpha = (p.v_mean - 0.5 * p.a_mean * p.T) / d_x
+    beta = 0.5 * p.a_mean / d_x
+    first = alpha / 2.0 + beta / 3.0 * t
+    second = alpha**2 / 3.0 + t * (alpha * beta / 2.0 + beta**2 / 5.0 * t)
+    return 4.0 * p.d_y * t**2 * (first - t * second)
+
+
+def curvature(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Lane curvature c(t) = c_0 + dc t/T [1/m], outward; held at its last value beyond T, where nothing was seen."""
+    return p.c_0 + p.dc * np.minimum(t / p.T, 1.0)
+
+
+def curvature_integral(p: DepartureParameters, t: FloatArray) -> FloatArray:
+    """Integral of c from 0 to t [s/m], in closed form, with c held beyond T."""
+    inside = np.minimum(t, p.T)
+    return p.c_0 * t + p.dc * (0.5 * inside**2 / p.T + np.maximum(t - p.T, 0.0))
+
+
+def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
+    """First time at which y(t) exceeds y_s [s]; infinite where the departure never gets that far.
+
+    Parameters
+    ----------
+    p : DepartureParameters
+        n departures.
+    y_s : float [m]
+        Trigger threshold, >= 0.
+
+    Returns
+    -------
+    (n,) [s]
+        0 for y_s = 0.
+
+    Notes
+    -----
+    y(x) = y_s gives x_s = d_x/2 (1 - sqrt(1 - y_s/d_y)); x(t) = x_s is a quadratic in t, solved in the form that
+    does not cancel for small a_mean.
+    """
+    triggered = p.d_y > y_s
+    ratio = np.divide(y_s, p.d_y, out=np.ones_like(p.d_y), where=triggered)
+    # 1 - sqrt(1 - r) = r / (1 + sqrt(1 - r)): exact for small thresholds too
+    x_s = 0.5 * p.v_mean * p.T * ratio / (1.0 + np.sqrt(1.0 - ratio))
+    v_0 = p.v_mean - 0.5 * p.a_mean * p.T
+    root = np.sqrt(np.maximum(v_0**2 + 2.0 * p.a_mean * x_s, 0.0))
+    return np.where(triggered, 2.0 * x_s / (v_0 + root), np.inf)
+
+
+def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
+    """Rebuild the signals of every departure from its parameters, without the residuals.
+
+    Parameters
+    ----------
+    p : DepartureParameters
+        n departures.
+    dt : float [s]
+        Time step; each event also ends exactly at T.
+
+    Returns
+    -------
+    DepartureSignals
+        Samples at 0, dt, 2 dt, ... below T, and at T.
+
+    Raises
+    ------
+    InputError
+        If dt is not positive.
+    """
+    if not dt > 0:
+        raise InputError(f"dt: {dt!r} s; allowed: > 0")
+    count = np.maximum(np.ceil(p.T / dt - 1e-9).astype(np.int64), 1) + 1
+    offsets = np.concatenate([[0], np.cumsum(count)])
+    event = np.repeat(np.arange(p.n), count)
+    every = p.take(event)
+    t = np.minimum((np.arange(event.size) - offsets[:-1][event]) * dt, every.T)
+    t[offsets[1:] - 1] = p.T
+    return DepartureSignals(offsets, t, lateral(every, t), speed(every, t), curvature(every, t))

@@ -1,0 +1,71 @@
+"""The one family of errors that the toolkit raises on purpose.
+
+Every leaf also derives from the builtin that a caller would expect, so ``except ValueError`` keeps working.
+A message names the field (or the file and line), the value, what is allowed and the nearest valid name.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class LdcError(Exception):
+    """Base of every error that the toolkit raises on purpose."""
+
+
+class InputError(LdcError, ValueError):
+    """An argument, an array or a gain is outside what is allowed."""
+
+
+class RecordingError(LdcError, ValueError):
+    """A driving recording or a departures table cannot be used; the message names file, column and row."""
+
+
+class ModelError(LdcError, ValueError):
+    """A scenario model file is broken, of another schema, or does not fit its own bounds."""
+
+
+class StudyError(LdcError, ValueError):
+    """A study file is wrong; the message names the key path."""
+
+
+class StoreError(LdcError, RuntimeError):
+    """Stored results are missing, broken, or belong to another study."""
+
+
+class UnknownNameError(LdcError, KeyError):
+    """A name (law, gain, model, catalog study) is not known; the message lists what is."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # KeyError would print the repr
+
+
+class ShadowedPackageError(LdcError, ImportError):
+    """A user's own folder hides one of the toolkit's packages."""
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """Half a sentence that helps someone who mistyped a name.
+
+    Parameters
+    ----------
+    name : str
+        The name that was given.
+    allowed : iterable of str
+        The names that exist.
+
+    Returns
+    -------
+    str
+        ``"did you mean 'lqr'? (allowed: lqr, none)"``, or only the allowed names when none is near.
+
+    Examples
+    --------
+    >>> nearest("lqq", ["lqr", "none"])
+    "did you mean 'lqr'? (allowed: lqr, none)"
+    """
+    names = sorted(allowed)
+    listing = f"allowed: {', '.join(names)}"
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'? ({listing})" if close else listing
