@@ -1,0 +1,174 @@
+"""The shared interface: what a controller is, what it turns into, and how it is found by name.
+
+A controller design is a frozen dataclass with declared gains. ``prepare(plant)`` does all per-scenario work and returns
+a law whose type says what it can do:
+
+- `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev, arrays of n;
+- `SteeringLaw`: any other law, one call a time step for all n scenarios at once, with explicit state;
+- `RecordedPath`: nobody intervenes, the departure runs as it was recorded.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import enum
+from typing import Any, ClassVar, final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.gains import Gain, declared_gains
+from ldctoolkit.vehicle import Plant
+
+FloatArray = npt.NDArray[np.float64]
+StatusArray = npt.NDArray[np.int8]
+
+
+class EventStatus(enum.IntEnum):
+    """What became of one scenario under one design."""
+
+    OK = 0
+    """Triggered and driven to the end."""
+    NEVER_TRIGGERED = 1
+    """Never deeper than y_s: the recorded path counts."""
+    SOLVER_FAILED = 2
+    """At least one command came from the stated fallback because a solver did not solve, or gave a non-finite value."""
+    DIVERGED = 3
+    """|e_y| left the bound of the simulation; from there on the bound counts."""
+    TIMED_OUT = 4
+    """A time limit ended the scenario."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Preview:
+    """The lane ahead, at the lookahead times that a law asked for.
+
+    Attributes
+    ----------
+    yaw_rate : (n, p) [rad/s]
+        psi_l' = v c at each lookahead time.
+    heading : (n, p) [rad]
+        Change of the lane's heading from now to each lookahead time, the integral of psi_l'.
+    """
+
+    yaw_rate: FloatArray
+    heading: FloatArray
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class LinearLaw:
+    """A law that is linear in what it sees; runs without a call back into Python code of the controller.
+
+    Attributes
+    ----------
+    F : (n, 4) [rad per unit of state]
+        Feedback on (e_y, de_y/dt, e_psi, de_psi/dt).
+    preview_times : (p,) [s]
+        Lookahead times, 0 is now.
+    G_yaw_rate : (n, p) [rad per rad/s]
+        Weights of the lane's yaw rate there.
+    G_heading : (n, p) [rad/rad]
+        Weights of the lane's heading change until there.
+    f_u : (n,) [rad/rad]
+        Weight of the previous command.
+    """
+
+    F: FloatArray
+    preview_times: FloatArray
+    G_yaw_rate: FloatArray
+    G_heading: FloatArray
+    f_u: FloatArray
+
+
+class SteeringLaw(abc.ABC):
+    """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept."""
+
+    @property
+    @abc.abstractmethod
+    def preview_times(self) -> FloatArray:
+        """Lookahead times (p,) [s] of the preview that `step` receives; empty for none."""
+
+    @abc.abstractmethod
+    def init(self, n: int) -> Any:
+        """State before the first step of n scenarios."""
+
+    @abc.abstractmethod
+    def step(
+        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: Any
+    ) -> tuple[FloatArray, Any, StatusArray]:
+        """One command for each scenario.
+
+        Parameters
+        ----------
+        t : (n,) [s]
+            Time since each departure's start.
+        x : (n, 4)
+            State (e_y, de_y/dt, e_psi, de_psi/dt). Scenarios that have ended are passed as zeros and ignored after.
+        preview : Preview
+            The lane ahead at `preview_times`.
+        delta_prev : (n,) [rad]
+            Command of the step before; at the trigger the steering angle of the recorded path.
+        state : object
+            What `init` or the step before returned. It must not be changed in place where a change could be seen
+            by another run.
+
+        Returns
+        -------
+        delta : (n,) [rad]
+        state : object
+        status : (n,) int8
+            `EventStatus.OK` or `EventStatus.SOLVER_FAILED`.
+        """
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class RecordedPath:
+    """No intervention: the scenario keeps its uncorrected path."""
+
+
+Law = LinearLaw | SteeringLaw | RecordedPath
+
+
+class Controller(abc.ABC):
+    """A controller design: a frozen dataclass whose fields are made with `gain` and `option`.
+
+    Every declared value is checked when the design is made, so that a wrong one is named where it was written.
+
+    Raises
+    ------
+    InputError
+        From the constructor, for a value outside its declaration.
+    """
+
+    name: ClassVar[str]
+    """Registry key, equal to the file name of the law."""
+
+    title: ClassVar[str]
+    """Name for people: tables and legends."""
+
+    def __post_init__(self) -> None:
+        for declared in self.gains():
+            checked = declared.check(getattr(self, declared.name), self.name)
+            object.__setattr__(self, declared.name, checked)
+
+    @classmethod
+    def gains(cls) -> tuple[Gain, ...]:
+        """Declared gains and options, in field order."""
+        return declared_gains(cls)
+
+    @abc.abstractmethod
+    def prepare(self, plant: Plant) -> Law:
+        """Do all per-scenario work (gain scheduling over speed, condensing) and return the law.
+
+        Parameters
+        ----------
+        plant : Plant
+            Model, speeds (n,) and sample time.
+
+        Returns
+        -------
+        LinearLaw, SteeringLaw or RecordedPath
+        """

@@ -1,0 +1,164 @@
+"""What a simulation returns: raw runs, and outcomes scored over a window."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import metrics
+from ldctoolkit.control import EventStatus
+from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.simulation.takeover import Takeover
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Window = Literal["departure", "control"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectories:
+    """Paths under control at the controller's samples, NaN after each departure's end.
+
+    Attributes
+    ----------
+    t : (n, k) [s]
+        Time since the departure's start; the first column is the trigger, the last used one the end T.
+    x : (n, k, 4)
+        State (e_y, de_y/dt, e_psi, de_psi/dt).
+    delta : (n, k) [rad]
+        Command from that time on; NaN at the end.
+    """
+
+    t: FloatArray
+    x: FloatArray
+    delta: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Scores of one design on n scenarios.
+
+    Attributes
+    ----------
+    window : {"departure", "control"}
+        Over which S is integrated: [0, T], or from the trigger to T.
+    S : (n,) [m s]
+        Integral of |e_y| under the design.
+    S_uncorrected : (n,) [m s]
+        The same of the recorded path.
+    triggered : (n,) bool
+    status : (n,) int8
+        `EventStatus`.
+    t_s : (n,) [s]
+        Trigger time, infinite where never triggered.
+    deepest : (n,) [m]
+        Deepest position of the edge beyond the line, at the controller's samples.
+    failed_solves : (n,) int
+        Commands that came from the fallback law.
+    trajectories : Trajectories or None
+        On request.
+    """
+
+    window: Window
+    S: FloatArray
+    S_uncorrected: FloatArray
+    triggered: npt.NDArray[np.bool_]
+    status: npt.NDArray[np.int8]
+    t_s: FloatArray
+    deepest: FloatArray
+    failed_solves: IntArray
+    trajectories: Trajectories | None
+
+    @property
+    def reduction(self) -> FloatArray:
+        """1 - S/S_uncorrected per scenario, 0 where there was nothing to reduce."""
+        return metrics.reduction(self.S, self.S_uncorrected)
+
+    @property
+    def mean_reduction(self) -> float:
+        """1 - mean S / mean S_uncorrected over all scenarios, as the paper reports it."""
+        total = float(np.sum(self.S_uncorrected))
+        return 1.0 - float(np.sum(self.S)) / total if total > 0 else 0.0
+
+    def count(self, status: EventStatus) -> int:
+        """Number of scenarios with that status."""
+        return int(np.sum(self.status == status))
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One design driven from the trigger on: m triggered scenarios in the takeover's order.
+
+    Attributes
+    ----------
+    takeover : Takeover
+    area : (m,) [m s] or None
+        Integral of |e_y| from the trigger to T; None where nobody intervened.
+    status : (m,) int8
+    failed_solves : (m,) int
+    deepest : (m,) [m]
+        Deepest position of the edge beyond the line under control.
+    trajectories : Trajectories or None
+        Of the m scenarios.
+    """
+
+    takeover: Takeover
+    area: FloatArray | None
+    status: npt.NDArray[np.int8]
+    failed_solves: IntArray
+    deepest: FloatArray
+    trajectories: Trajectories | None
+
+    def outcome(self, window: Window) -> Outcome:
+        """Score the run over a window and put the scenarios back into their own order.
+
+        Parameters
+        ----------
+        window : {"departure", "control"}
+
+        Returns
+        -------
+        Outcome
+
+        Raises
+        ------
+        InputError
+            For an unknown window.
+        """
+        if window not in get_args(Window):
+            raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
+        over, rows = self.takeover, self.takeover.rows
+        triggered = np.isfinite(over.t_s)
+        uncorrected = over.S_uncorrected if window == "departure" else over.S_uncorrected - over.S_before
+        S = uncorrected.copy()
+        if self.area is not None:
+            S[rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
+        status = np.full(over.scenarios.n, EventStatus.NEVER_TRIGGERED, dtype=np.int8)
+        status[rows] = self.status
+        failed = np.zeros(over.scenarios.n, dtype=np.int64)
+        failed[rows] = self.failed_solves
+        deepest = over.scenarios.d_y.copy()
+        deepest[rows] = self.deepest
+        return Outcome(
+            window=window,
+            S=S,
+            S_uncorrected=uncorrected,
+            triggered=triggered,
+            status=status,
+            t_s=over.t_s,
+            deepest=deepest,
+            failed_solves=failed,
+            trajectories=None if self.trajectories is None else _in_order(self.trajectories, rows, over.scenarios.n),
+        )
+
+
+def _in_order(trajectories: Trajectories, rows: IntArray, n: int) -> Trajectories:
+    def spread(values: FloatArray) -> FloatArray:
+        out = np.full((n, *values.shape[1:]), np.nan)
+        out[rows] = values
+        return out
+
+    return Trajectories(spread(trajectories.t), spread(trajectories.x), spread(trajectories.delta))

@@ -1,0 +1,150 @@
+"""Linear bicycle model in lane-error coordinates (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., eq. 2.45).
+
+State x = (e_y, de_y/dt, e_psi, de_psi/dt), input delta (front steering angle), disturbance psi_l' (yaw rate of the
+lane seen by the vehicle, v times curvature): dx/dt = A(v) x + B delta + E(v) psi_l'. Signs after ISO 8855.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.vehicle.discretization import Discretization, discretize
+from ldctoolkit.vehicle.parameters import VehicleParameters
+
+Convention = Literal["consistent", "as_printed"]
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadyState:
+    """Steady cornering per unit of lane yaw rate, at each of n speeds.
+
+    Attributes
+    ----------
+    delta : (n,) [rad per rad/s]
+        Steering angle that holds the bend with e_y = 0.
+    e_psi : (n,) [rad per rad/s]
+        Heading error that belongs to it (the vehicle's side slip, with its sign turned).
+    """
+
+    delta: FloatArray
+    e_psi: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class BicycleModel:
+    """Error dynamics of one vehicle, for any speeds at once.
+
+    Parameters
+    ----------
+    parameters : VehicleParameters
+        Vehicle and lane.
+    convention : {"consistent", "as_printed"}
+        ``"as_printed"`` takes the paper's A[1, 3] with its sign slip; the default is Rajamani's.
+
+    Raises
+    ------
+    InputError
+        For an unknown convention.
+
+    Examples
+    --------
+    >>> A, B, E = BicycleModel(VehicleParameters()).matrices([20.0, 30.0])
+    >>> A.shape, B.shape, E.shape
+    ((2, 4, 4), (2, 4), (2, 4))
+    """
+
+    parameters: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
+    convention: Convention = "consistent"
+
+    def __post_init__(self) -> None:
+        if self.convention not in get_args(Convention):
+            raise InputError(f"convention: {self.convention!r}; {nearest(str(self.convention), get_args(Convention))}")
+
+    def matrices(self, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Continuous-time A, B, E of Rajamani's eq. 2.45.
+
+        Parameters
+        ----------
+        v : (n,) [m/s]
+            Longitudinal speeds, > 0.
+
+        Returns
+        -------
+        A : (n, 4, 4)
+        B : (n, 4)
+        E : (n, 4)
+
+        Raises
+        ------
+        InputError
+            For a speed that is not a finite number > 0.
+        """
+        speed = np.atleast_1d(np.asarray(v, dtype=float))
+        bad = ~(np.isfinite(speed) & (speed > 0))
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise InputError(f"v[{i}] = {speed[i]!r} m/s; allowed: finite speeds > 0")
+        p = self.parameters
+        stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
+        moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r
+        damping = 2.0 * p.C_af * p.l_f**2 + 2.0 * p.C_ar * p.l_r**2
+        # the printed matrix adds the rear moment here, and only here (paper, eq. of A; see the consistent reading)
+        coupling = moment if self.convention == "consistent" else 2.0 * p.C_af * p.l_f + 2.0 * p.C_ar * p.l_r
+
+        A = np.zeros((speed.size, 4, 4))
+        A[:, 0, 1] = A[:, 2, 3] = 1.0
+        A[:, 1, 1] = -stiffness / (p.m * speed)
+        A[:, 1, 2] = stiffness / p.m
+        A[:, 1, 3] = -coupling / (p.m * speed)
+        A[:, 3, 1] = -moment / (p.I_z * speed)
+        A[:, 3, 2] = moment / p.I_z
+        A[:, 3, 3] = -damping / (p.I_z * speed)
+        B = np.zeros((speed.size, 4))
+        B[:, 1] = 2.0 * p.C_af / p.m
+        B[:, 3] = 2.0 * p.C_af * p.l_f / p.I_z
+        E = np.zeros((speed.size, 4))
+        E[:, 1] = -moment / (p.m * speed) - speed
+        E[:, 3] = -damping / (p.I_z * speed)
+        return A, B, E
+
+    def discretize(self, v: npt.ArrayLike, dt: npt.ArrayLike) -> Discretization:
+        """Exact discretisation at n speeds: zero-order hold on delta, first-order hold on psi_l'.
+
+        Parameters
+        ----------
+        v : (n,) [m/s]
+            Speeds, > 0.
+        dt : float or (n,) [s]
+            Step, one for all or one each, >= 0.
+
+        Returns
+        -------
+        Discretization
+            Arrays of n.
+        """
+        return discretize(*self.matrices(v), dt)
+
+    def steady_state(self, v: npt.ArrayLike) -> SteadyState:
+        """Steering angle and heading error that hold a bend without lateral offset (Rajamani, section 3.2).
+
+        Parameters
+        ----------
+        v : (n,) [m/s]
+            Speeds, > 0.
+
+        Returns
+        -------
+        SteadyState
+            Per unit of lane yaw rate.
+        """
+        A, B, E = self.matrices(v)
+        # 0 = A[:, 2] e_psi + B delta + E on the two force balances; e_y and both rates are zero
+        system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
+        solution = np.linalg.solve(system, -E[:, (1, 3), None])[..., 0]
+        return SteadyState(delta=solution[:, 1], e_psi=solution[:, 0])
