@@ -1,0 +1,214 @@
+"""The departures table: one row a departure in Parquet, with its provenance in the file's own metadata."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from ldctoolkit.departures import LEFT, RIGHT, Departures
+from ldctoolkit.errors import InputError, RecordingError, nearest
+from ldctoolkit.recordings.read import SourceFile
+from ldctoolkit.recordings.result import Criteria, Provenance, Refused
+
+if TYPE_CHECKING:
+    import polars as pl
+
+FORMAT_VERSION: Final = 1
+METADATA_KEY: Final = "ldctoolkit.departures"
+
+COLUMNS: Final = {
+    "recording": "recording",
+    "side": "side",
+    "start_time_s": "start_time",
+    "samples": "samples",
+    "T_s": "T",
+    "d_y_m": "d_y",
+    "sigma_y_m": "sigma_y",
+    "v_mean_m_s": "v_mean",
+    "a_mean_m_s2": "a_mean",
+    "sigma_v_m_s": "sigma_v",
+    "c_0_1_m": "c_0",
+    "dc_1_m": "dc",
+}
+"""Column of the table -> field of `Departures`; the unit is the end of the column's name."""
+
+_SIDES: Final = {"left": LEFT, "right": RIGHT}
+
+
+def write_departures(path: str | os.PathLike[str], departures: Departures, provenance: Provenance) -> None:
+    """Write a departures table, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        A name that ends in .parquet; an existing file is replaced.
+    departures : Departures
+        n departures.
+    provenance : Provenance
+        Kept as JSON in the file's metadata.
+
+    Raises
+    ------
+    RecordingError
+        If the suffix differs, a value is outside what `read_departures` accepts, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from ldctoolkit.recordings import Provenance
+    >>> one = Departures(*[np.array([x]) for x in (1, 2.0, 0.2, 0.05, 25.0, 0.0, 0.04, 0.0, 0.0, "a", 10.0, 19)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_departures(pathlib.Path(folder, "d.parquet"), one, Provenance())
+    ...     back, _ = read_departures(pathlib.Path(folder, "d.parquet"))
+    >>> float(back.d_y[0])
+    0.2
+    """
+    import polars as pl
+
+    target = Path(path)
+    if target.suffix.lower() != ".parquet":
+        raise RecordingError(f"{target.name}: the suffix of a departures table is .parquet")
+    sides = np.where(departures.side == LEFT, "left", np.where(departures.side == RIGHT, "right", "?"))
+    table = pl.DataFrame(
+        [
+            pl.Series("recording", departures.recording.tolist(), dtype=pl.String),
+            pl.Series("side", sides.tolist(), dtype=pl.String),
+            *(
+                pl.Series(column, getattr(departures, field), dtype=pl.Int64 if field == "samples" else pl.Float64)
+                for column, field in COLUMNS.items()
+                if field not in ("recording", "side")
+            ),
+        ]
+    )
+    _check(target.name, table)
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        # a handle of our own: a folder that is missing is then an OSError like any other
+        with part.open("wb") as stream:
+            table.write_parquet(stream, metadata={METADATA_KEY: provenance_to_json(provenance)})
+        part.replace(target)
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:
+    """Read and check a departures table.
+
+    Parameters
+    ----------
+    path : path
+        A file written by `write_departures`.
+
+    Returns
+    -------
+    departures : Departures
+        n departures, perhaps none.
+    provenance : Provenance
+        Where they come from.
+
+    Raises
+    ------
+    RecordingError
+        Naming file, column and row (the first row is 1).
+
+    Examples
+    --------
+    >>> read_departures("nowhere.parquet")
+    Traceback (most recent call last):
+    ldctoolkit.errors.RecordingError: nowhere.parquet: does not exist; a departures table is needed
+    """
+    import polars as pl
+
+    source = Path(path)
+    if not source.is_file():
+        state = "is a folder" if source.is_dir() else "does not exist"
+        raise RecordingError(f"{source}: {state}; a departures table is needed")
+    try:
+        with source.open("rb") as stream:
+            content = stream.read()
+        metadata = pl.read_parquet_metadata(content)
+        table = pl.read_parquet(content)
+    except OSError as error:
+        raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
+    except pl.exceptions.PolarsError as error:
+        raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+    for column in COLUMNS:
+        if column not in table.columns:
+            others = [name for name in table.columns if name not in COLUMNS]
+            hint = f"; {nearest(column, others)}".replace("allowed:", "columns not known here:") if others else ""
+            raise RecordingError(f"{source.name}: column '{column}' is missing{hint}")
+    if METADATA_KEY not in metadata:
+        raise RecordingError(
+            f"{source.name}: no metadata '{METADATA_KEY}': not a departures table; write it with write_departures"
+        )
+    provenance = provenance_from_json(source.name, metadata[METADATA_KEY])
+    _check(source.name, table)
+    numbers = {
+        field: table[column].cast(pl.Int64 if field == "samples" else pl.Float64).to_numpy().copy()
+        for column, field in COLUMNS.items()
+        if field not in ("recording", "side")
+    }
+    departures = Departures(
+        side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT).astype(np.int64),
+        recording=np.array(table["recording"].to_list(), dtype=np.str_),
+        **numbers,
+    )
+    return departures, provenance
+
+
+def _check(name: str, table: pl.DataFrame) -> None:
+    import polars as pl
+
+    def refuse(column: str, bad: pl.Series, allowed: str) -> None:
+        bad = bad.fill_null(True)
+        if bad.any():
+            row = bad.arg_max() or 0
+            more = f" ({bad.sum()} rows in all)" if (bad.sum() or 0) > 1 else ""
+            value = table[column][row]
+            raise RecordingError(f"{name}, row {row + 1}: column '{column}' holds {value!r}; allowed: {allowed}{more}")
+
+    for column in COLUMNS:
+        kind = table[column].dtype
+        text = column in ("recording", "side")
+        whole = column == "samples"
+        if kind != pl.String if text else not (kind.is_integer() if whole else kind.is_numeric()):
+            allowed = "text" if text else "integers" if whole else "numbers"
+            raise RecordingError(f"{name}: column '{column}' is of type {kind}; allowed: {allowed}")
+        refuse(column, table[column].is_null() if text else ~table[column].is_finite(), "no missing value")
+    refuse("side", ~table["side"].is_in(list(_SIDES)), "left, right")
+    refuse("samples", table["samples"] < 3, "3 or more")
+    for column in ("T_s", "v_mean_m_s"):
+        refuse(column, table[column] <= 0, "> 0")
+    for column in ("d_y_m", "sigma_y_m", "sigma_v_m_s"):
+        refuse(column, table[column] < 0, ">= 0")
+
+
+def provenance_to_json(provenance: Provenance) -> str:
+    """Provenance as JSON, with the versions of the format and of the toolkit."""
+    from importlib.metadata import version
+
+    content = {"format_version": FORMAT_VERSION, "ldctoolkit": version("ldctoolkit")}
+    return json.dumps(content | dataclasses.asdict(provenance), ensure_ascii=False, allow_nan=False)
+
+
+def provenance_from_json(name: str, text: str) -> Provenance:
+    """Provenance from JSON; `name` is the file, for messages. Raises RecordingError."""
+    try:
+        content: dict[str, Any] = json.loads(text)
+        found = content.pop("format_version")
+        if found != FORMAT_VERSION:
+            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+        content.pop("ldctoolkit", None)
+        criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
+        sources = tuple(SourceFile(**source) for source in content.pop("sources"))
+        warnings = tuple(content.pop("warnings"))
+        return Provenance(criteria=criteria, refused=refused, sources=sources, warnings=warnings, **content)
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError, InputError) as error:
+        raise RecordingError(f"{name}: its metadata '{METADATA_KEY}' cannot be understood: {error}") from None

@@ -1,0 +1,286 @@
+"""Recording files as blocks of typed columns; CSV, CSV.gz and Parquet. Imports polars, so it is imported late."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import hashlib
+import io
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, Final
+
+import polars as pl
+
+from ldctoolkit.errors import RecordingError, nearest
+
+NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
+COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")
+
+ROW: Final = "(row)"
+"""Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
+
+_MISSING: Final = ("", "nan", "na", "n/a", "null", "none")
+_VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
+_SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
+_SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
+
+
+class Meter:
+    """Counts the bytes read from a file and hashes them."""
+
+    def __init__(self, tick: Callable[[int], None]) -> None:
+        self.bytes = 0
+        self._sha256 = hashlib.sha256()
+        self._tick = tick
+
+    def update(self, data: bytes | memoryview) -> None:
+        """Take more bytes into account."""
+        self.bytes += len(data)
+        self._sha256.update(data)
+        self._tick(len(data))
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the bytes so far, hexadecimal."""
+        return self._sha256.hexdigest()
+
+
+class _Metered(io.RawIOBase):
+    """A raw stream whose bytes pass a meter."""
+
+    def __init__(self, stream: IO[bytes], meter: Meter) -> None:
+        self._stream = stream
+        self._meter = meter
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
+        data = self._stream.read(len(buffer))
+        buffer[: len(data)] = data
+        self._meter.update(data)
+        return len(data)
+
+
+def frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+    """Blocks of a recording file: the known columns, typed, and `ROW`.
+
+    Parameters
+    ----------
+    path : Path
+        A file that ends in .csv, .csv.gz or .parquet.
+    block_bytes : int
+        About how many bytes of text are taken at once.
+    meter : Meter
+        Sees every byte of the file.
+
+    Yields
+    ------
+    polars.DataFrame
+        Blocks in the order of the file. Missing numbers are NaN.
+
+    Raises
+    ------
+    RecordingError
+        Naming file, column and place.
+    """
+    blocks = parquet_frames(path, block_bytes, meter) if is_parquet(path) else csv_frames(path, block_bytes, meter)
+    seen: set[str] = set()
+    present: list[str] = []
+    rows = 0
+    for block in blocks:
+        rows += block.height
+        present = block.columns
+        # a column that holds nothing at all is a mistake, not a series of invalid samples
+        for name in set(present) - seen:
+            values = block[name]
+            if name in NUMBERS:
+                seen |= {name} if values.is_finite().any() else set()
+            elif name != "lane" or values.null_count() < values.len():
+                seen.add(name)
+        yield block
+    if rows == 0:
+        raise RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
+    empty = [name for name in COLUMNS if name in present and name not in seen]
+    if empty:
+        advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
+        raise RecordingError(f"{path.name}: column '{empty[0]}' holds no number in any of {rows} rows{advice}")
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether the name is that of a Parquet file."""
+    return path.name.lower().endswith(".parquet")
+
+
+def csv_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+    """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
+    zipped = path.name.lower().endswith(".gz")
+    with path.open("rb") as raw:
+        metered = io.BufferedReader(_Metered(raw, meter), 1 << 18)
+        stream = gzip.GzipFile(fileobj=metered) if zipped else metered
+        try:
+            first = stream.readline()
+            if first[:2] == b"\x1f\x8b":
+                raise RecordingError(f"{path.name}: the content is gzip; give it a name that ends in .csv.gz")
+            header = _csv_header(path, first)
+            line = 2
+            rest = b""
+            while block := stream.read(block_bytes):
+                block = rest + block
+                cut = block.rfind(b"\n") + 1
+                block, rest = block[:cut], block[cut:]
+                if block:
+                    yield _parse(path, header, block, line)
+                    line += block.count(b"\n")
+            if rest:
+                yield _parse(path, header, rest, line)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise RecordingError(f"{path.name}: broken gzip ({error}); is the file cut short or not gzip?") from None
+
+
+def _csv_header(path: Path, first: bytes) -> list[str]:
+    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise RecordingError(f"{path.name}: the text is UTF-16; save it as UTF-8")
+    try:
+        text = first.decode("utf-8-sig").strip("\r\n")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path.name}, line 1: the text is not UTF-8 ({error.reason})") from None
+    if not text.strip():
+        state = "the file is empty" if not first else "line 1 is blank"
+        raise RecordingError(f"{path.name}: {state}; a header is needed: {', '.join(REQUIRED)}, ...")
+    names = [name.strip() for name in next(csv.reader([text]))]
+    if len(names) == 1 and any(mark in text for mark in ";\t|"):
+        raise RecordingError(f"{path.name}, line 1: columns are not separated by commas: {text[:60]!r}")
+    _check_columns(path, names)
+    return names
+
+
+def _check_columns(path: Path, names: Sequence[str]) -> None:
+    for name in COLUMNS:
+        if names.count(name) > 1:
+            raise RecordingError(f"{path.name}: column '{name}' appears {names.count(name)} times")
+    for name in REQUIRED:
+        if name not in names:
+            # the nearest name is looked for among the file's own, which is what its author has to rename
+            unknown = [given for given in names if given and given not in COLUMNS]
+            hint = nearest(name, unknown) if unknown else "the file has no other column"
+            hint = hint.replace("allowed:", "columns not known here:")
+            raise RecordingError(f"{path.name}: column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
+
+
+def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFrame:
+    """Lines as typed columns; `line` is the number of the first."""
+    # positional names: a file may repeat or leave blank the names of columns that nobody needs
+    position = [f"c{i}" for i in range(len(header))]
+    wanted = {name: position[header.index(name)] for name in COLUMNS if name in header}
+    text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
+
+    def read(numbers: type[pl.DataType]) -> pl.DataFrame:
+        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
+        kinds |= {place: numbers for name, place in wanted.items() if name in NUMBERS}
+        frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
+        return frame.select(pl.col(place).alias(name) for name, place in wanted.items())
+
+    try:
+        frame = read(pl.Float64)
+    except pl.exceptions.PolarsError:
+        # slower, but tolerates blanks and words for "missing", and can say where the fault lies
+        try:
+            frame = read(pl.String)
+        except pl.exceptions.PolarsError as error:
+            raise _line_fault(path, len(header), block, line, str(error)) from None
+    if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
+        raise _line_fault(path, len(header), block, line, "a quoted field holds a line break")
+    frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
+    return _typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
+
+
+def _line_fault(path: Path, fields: int, block: bytes, line: int, reason: str) -> RecordingError:
+    """What is wrong with a block that cannot be split into columns; looked for line by line, only after a failure."""
+    for number, raw in enumerate(block.split(b"\n"), line):
+        try:
+            text = raw.decode("utf-8").rstrip("\r")
+        except UnicodeDecodeError as error:
+            return RecordingError(f"{path.name}, line {number}: the text is not UTF-8 ({error.reason})")
+        if text.count('"') % 2:
+            return RecordingError(f"{path.name}, line {number}: a quotation mark is not closed on its line")
+        found = len(next(csv.reader([text]), []))
+        if found > fields:
+            return RecordingError(f"{path.name}, line {number}: {found} fields; the header has {fields} columns")
+    return RecordingError(f"{path.name}, after line {line - 1}: cannot be read as CSV: {reason.splitlines()[0]}")
+
+
+def parquet_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+    """Blocks of rows of a Parquet file."""
+    with path.open("rb") as raw:
+        while data := raw.read(1 << 20):
+            meter.update(data)
+    rows = max(block_bytes // 64, 1)
+    try:
+        # missing files, directories and patterns were refused before, so a fault here lies in the content
+        schema = pl.read_parquet_schema(path)
+        _check_columns(path, list(schema))
+        lazy = pl.scan_parquet(path, glob=False).select(name for name in COLUMNS if name in schema)
+        first = 0
+        while True:
+            frame = lazy.slice(first, rows).collect()
+            if frame.height == 0:
+                return
+            numbered = frame.with_columns(pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW))
+            yield _typed(path, numbered, "row")
+            first += frame.height
+    except pl.exceptions.PolarsError as error:
+        raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+
+
+def _typed(path: Path, frame: pl.DataFrame, word: str) -> pl.DataFrame:
+    """Columns in their final types; the first value that does not fit is named."""
+
+    def refuse(name: str, bad: pl.Series, allowed: str) -> None:
+        if bad.any():
+            i = bad.arg_max() or 0
+            more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
+            value = frame[name][i]
+            raise RecordingError(
+                f"{path.name}, {word} {frame[ROW][i]}: column '{name}' holds {value!r}; allowed: {allowed}{more}"
+            )
+
+    columns: list[pl.Series] = [frame[ROW]]
+    for name in frame.columns:
+        values = frame[name]
+        if name == ROW:
+            continue
+        if name in NUMBERS:
+            if values.dtype == pl.String:
+                words = values.str.strip_chars()
+                values = words.cast(pl.Float64, strict=False)
+                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(_MISSING).fill_null(True), "numbers")
+            elif not values.dtype.is_numeric() and values.dtype != pl.Null:
+                raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: numbers")
+            columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
+            continue
+        if values.dtype.is_nested() or values.dtype == pl.Binary:
+            raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: text or numbers")
+        words = values.cast(pl.String).str.strip_chars()
+        lower = words.str.to_lowercase()
+        if name == "recording":
+            refuse(name, words.is_null() | (words == ""), "an identifier of the recording")
+            columns.append(words)
+        elif name == "lane":
+            # "3" and "3.0" are one lane whatever the rest of the column holds
+            label = words.str.replace(r"^(-?\d+)\.0+$", "$1")
+            columns.append(pl.select(pl.when(~lower.is_in(_MISSING)).then(label)).to_series().alias(name))
+        elif name == "valid":
+            known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
+            refuse(name, known.is_null() & ~lower.is_in(_MISSING).fill_null(True), "0, 1, false, true")
+            columns.append(known.fill_null(False))
+        else:
+            known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)
+            off = lower.is_in(_SIGNAL_OFF).fill_null(True)
+            refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
+            columns.append(known.fill_null(0).alias(name))
+    return pl.DataFrame(columns)
