@@ -5,9 +5,17 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from typing import Any, Final
 
 from ldctoolkit import Controller, controller_class
 from ldctoolkit.gains import GainValue
+from ldctoolkit.vehicle import Convention
+
+CONVENTION_GAIN: Final = "convention"
+"""Name of the option through which a law declares that it knows the two readings of the paper."""
+
+FOLLOWS_CASE: Final = "case"
+"""Value of that option in a design that leaves the reading to the study's case."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +29,12 @@ class Design:
     y_s : float [m]
         Trigger threshold.
     gains : tuple of (name, value)
-        Every declared gain and option in the law's own order, defaults included.
+        Every declared gain and option in the law's own order, defaults included. The option `convention` holds
+        `FOLLOWS_CASE` where the study's case decides it.
+
+    Notes
+    -----
+    A run is identified by the design's `id` and the case's convention; together they name one set of numbers.
     """
 
     law: str
@@ -29,13 +42,49 @@ class Design:
     gains: tuple[tuple[str, GainValue], ...]
 
     @classmethod
-    def of(cls, controller: Controller, y_s: float) -> Design:
-        """The design that a controller and a threshold make."""
-        return cls(controller.name, float(y_s), tuple((g.name, getattr(controller, g.name)) for g in controller.gains()))
+    def of(cls, controller: Controller, y_s: float, *, follow_case: bool = False) -> Design:
+        """The design that a controller and a threshold make.
 
-    def controller(self) -> Controller:
-        """Build the controller anew from plain data (workers receive designs, not controllers)."""
-        return controller_class(self.law)(**dict(self.gains))
+        Parameters
+        ----------
+        controller : Controller
+        y_s : float [m]
+        follow_case : bool
+            Leave the option `convention`, where the law has one, to the case.
+        """
+        gains = tuple(
+            (g.name, FOLLOWS_CASE if follow_case and g.name == CONVENTION_GAIN else getattr(controller, g.name))
+            for g in controller.gains()
+        )
+        return cls(controller.name, float(y_s), gains)
+
+    @classmethod
+    def from_gains(cls, law: str, y_s: float, given: dict[str, Any]) -> Design:
+        """The design of a law by name with some gains given; the rest keep their defaults.
+
+        Raises
+        ------
+        UnknownNameError
+            For an unknown law.
+        InputError
+            For a gain outside its declaration.
+        """
+        return cls.of(controller_class(law)(**given), y_s, follow_case=CONVENTION_GAIN not in given)
+
+    def controller(self, convention: Convention = "consistent") -> Controller:
+        """Build the controller anew from plain data (workers receive designs, not controllers).
+
+        Parameters
+        ----------
+        convention : {"consistent", "as_printed"}
+            Reading of the case, for a law that follows it.
+        """
+        gains = {name: convention if self._follows(name, value) else value for name, value in self.gains}
+        return controller_class(self.law)(**gains)
+
+    @staticmethod
+    def _follows(name: str, value: GainValue) -> bool:
+        return name == CONVENTION_GAIN and value == FOLLOWS_CASE
 
     @property
     def id(self) -> str:
@@ -44,9 +93,21 @@ class Design:
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property
+    def changed(self) -> tuple[tuple[str, GainValue], ...]:
+        """The gains that differ from their defaults."""
+        declared = controller_class(self.law).gains()
+        return tuple(
+            (name, value)
+            for g, (name, value) in zip(declared, self.gains, strict=True)
+            if value != g.default and not self._follows(name, value)
+        )
+
+    @property
     def label(self) -> str:
         """Short text for tables and legends: the law's title, y_s, and the gains that differ from their defaults."""
-        kind = controller_class(self.law)
-        changed = [f"{g.name}={value:g}" if isinstance(value, float) else f"{g.name}={value}"
-                   for g, (_, value) in zip(kind.gains(), self.gains, strict=True) if value != g.default]  # fmt: skip
-        return ", ".join([kind.title, f"y_s={self.y_s:g} m", *changed])
+        gains = [f"{name}={_short(value)}" for name, value in self.changed]
+        return ", ".join([controller_class(self.law).title, f"y_s={self.y_s:g} m", *gains])
+
+
+def _short(value: GainValue) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

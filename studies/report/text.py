@@ -1,0 +1,109 @@
+"""Numbers, symbols and units as text, for the page and for its figures."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+from ldctoolkit.gains import GainValue
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+_GREEK = {
+    "alpha": "α", "beta": "β", "delta": "δ", "kappa": "κ", "lambda": "λ",
+    "mu": "μ", "omega": "ω", "phi": "φ", "psi": "ψ", "rho": "ρ", "sigma": "σ", "theta": "θ",
+}  # fmt: skip
+SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-z]|sigma|delta|psi|rho|lambda)_([A-Za-z0-9]{1,5}(?:_[A-Za-z0-9]{1,4})?)(?![A-Za-z0-9_])")
+"""A symbol with an index, as the code writes it: ``y_s``, ``K_psi``."""
+
+MINUS = "−"
+
+
+def printable(text: str) -> str:
+    """The text without characters that XML forbids."""
+    return "".join(c if c in "\t\n\r" or (ord(c) >= 32 and not 0xD800 <= ord(c) < 0xE000 and ord(c) not in (0xFFFE, 0xFFFF)) else "�" for c in text)
+
+
+def symbol_parts(match: re.Match[str]) -> tuple[str, str]:
+    """Base and index of a `SYMBOL`, Greek names as letters."""
+    base, index = match.groups()
+    shown = ", ".join(_GREEK.get(part, part) for part in index.split("_"))
+    return _GREEK.get(base, base), shown
+
+
+def symbols(text: str) -> Markup:
+    """Escaped HTML in which ``K_psi`` is set as a letter with an index.
+
+    Examples
+    --------
+    >>> print(symbols("K_psi <= 0"))
+    K<sub>ψ</sub> &lt;= 0
+    """
+    from markupsafe import Markup, escape
+
+    def index(match: re.Match[str]) -> str:
+        base, sub = symbol_parts(match)
+        return f"{base}<sub>{sub}</sub>"
+
+    return Markup(SYMBOL.sub(index, str(escape(printable(text)))))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with that many decimals and a true minus sign; a dash where there is none.
+
+    Examples
+    --------
+    >>> number(-1.23456), number(float("nan"))
+    ('−1.235', '–')
+    """
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else ("∞" if value > 0 else f"{MINUS}∞")
+    shown = f"{value:.{digits}f}"
+    if float(shown) == 0.0:
+        shown = shown.lstrip("-")
+    return shown.replace("-", MINUS)
+
+
+def signed(value: float, digits: int = 3) -> str:
+    """Like `number`, with a plus sign for what is greater than zero."""
+    shown = number(value, digits)
+    return f"+{shown}" if math.isfinite(value) and value > 0 and float(f"{value:.{digits}f}") != 0 else shown
+
+
+def percent(value: float, digits: int = 1) -> str:
+    """A share as per cent, with a no-break space before the sign.
+
+    Examples
+    --------
+    >>> percent(0.2647)
+    '26.5\\xa0%'
+    """
+    return f"{number(100.0 * value, digits)}\u00a0%"
+
+
+def compact(value: GainValue) -> str:
+    """The value of a gain as it is written in a study file.
+
+    Examples
+    --------
+    >>> compact(-0.005), compact(True), compact("osqp")
+    ('−0.005', 'true', 'osqp')
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:g}".replace("-", MINUS) if isinstance(value, float) else str(value).replace("-", MINUS if isinstance(value, int) else "-")
+
+
+def unit_text(unit: str) -> str:
+    """A unit with raised powers and middle dots: ``kg m^2`` becomes ``kg·m²``; empty for a pure number."""
+    if unit == "1":
+        return ""
+    raised = re.sub(r"\^(-?\d)", lambda m: m[1].replace("-", "⁻").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")), unit)
+    return raised.replace(" ", "·")
+
+
+def plural(count: int, one: str, many: str | None = None) -> str:
+    """``1 design``, ``1,200 designs``."""
+    return f"{count:,} {one if count == 1 else many or one + 's'}"

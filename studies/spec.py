@@ -1,0 +1,370 @@
+"""The study file: scenarios, simulation, vehicle, designs, ranking; checked as a whole before anything runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import itertools
+import json
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from ldctoolkit import LdcError, VehicleParameters, controller_class
+from ldctoolkit.errors import InputError, StudyError, nearest
+from ldctoolkit.gains import Gain, find_gain
+from ldctoolkit.simulation import InitialYawRate, Window
+from ldctoolkit.vehicle import Convention
+from studies._messages import study_error
+from studies.design import CONVENTION_GAIN, Design
+from studies.grid import EntryError, expand
+from studies.results import Case
+
+MOST_DESIGNS = 100_000
+"""Largest grid of one study; more is a slip of the pen."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def _fail(path: str, message: str) -> PydanticCustomError:
+    return PydanticCustomError("study", "{message}", {"path": path, "message": message})
+
+
+def _one_or_many(entry: Any) -> Any:
+    values = (entry,) if isinstance(entry, str) else entry
+    if not isinstance(values, list | tuple):
+        return entry
+    if not values or len(set(map(str, values))) != len(values):
+        raise _fail("", f"{entry!r}; allowed: a name, or a list of different names")
+    return tuple(values)
+
+
+def _file_name(name: str) -> str:
+    # it names a folder by default
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", name):
+        raise _fail("", f"{name!r}; allowed: up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
+    return name
+
+
+class ScenarioSettings(_Part):
+    """``[scenarios]``: the model that generates them and how many of each side.
+
+    Attributes
+    ----------
+    model : str
+        Bundled model, or the path of a model file relative to the study file.
+    left, right : int
+        Number of departures to each side.
+    """
+
+    model: str = "reference"
+    left: int = Field(default=500, ge=0, le=10_000_000)
+    right: int = Field(default=500, ge=0, le=10_000_000)
+
+    @model_validator(mode="after")
+    def _some(self) -> Self:
+        if self.left + self.right == 0:
+            raise _fail("", "left and right are both 0; allowed: at least one scenario")
+        return self
+
+
+class SimulationSettings(_Part):
+    """``[simulation]``: how designs are driven and scored; the cases are windows x conventions.
+
+    Attributes
+    ----------
+    dt : float [s]
+        Sample time of the controller.
+    window : tuple of {"departure", "control"}
+        Windows of S; the first is the primary one.
+    convention : tuple of {"consistent", "as_printed"}
+        Readings of the paper; the first is the primary one.
+    initial_yaw_rate : {"path", "zero"}
+        de_psi/dt at the trigger.
+    """
+
+    dt: float = Field(default=0.05, gt=0, le=1.0)
+    window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
+    convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
+    initial_yaw_rate: InitialYawRate = "path"
+
+
+class ReportSettings(_Part):
+    """``[report]``.
+
+    Attributes
+    ----------
+    D_y : float [m]
+        The report counts departures deeper than this (paper, Table I).
+    """
+
+    D_y: float = Field(default=0.5, gt=0)
+
+
+class RankingSettings(_Part):
+    """``[ranking]``.
+
+    Attributes
+    ----------
+    bootstrap : int
+        Resamples of the scenarios behind every interval.
+    confidence : float
+        Of the intervals.
+    """
+
+    bootstrap: int = Field(default=2000, ge=100, le=1_000_000)
+    confidence: float = Field(default=0.95, gt=0, lt=1)
+
+
+class DesignBlock(_Part):
+    """``[[design]]``: a law and a grid over its trigger threshold and gains.
+
+    Attributes
+    ----------
+    law : str
+        Registry name.
+    y_s : tuple of float [m]
+        Trigger thresholds.
+    gains : dict of str to tuple
+        Values of every gain that is set; the others keep their defaults.
+    """
+
+    law: str
+    y_s: tuple[float, ...] = (0.2,)
+    gains: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check(cls, block: Any) -> Any:
+        if not isinstance(block, dict) or not isinstance(block.get("law"), str):
+            return block  # the field's own message says what is missing
+        checked = dict(block)
+        try:
+            kind = controller_class(block["law"])
+        except LdcError as error:
+            raise _fail("law", str(error).removeprefix("law ")) from None
+        if "y_s" in block:
+            checked["y_s"] = tuple(_threshold(value) for value in _expand("y_s", block["y_s"]))
+        gains = block.get("gains", {})
+        if isinstance(gains, dict):
+            checked["gains"] = {name: _gain_values(kind, name, entry) for name, entry in gains.items()}
+        return checked
+
+    def designs(self) -> list[Design]:
+        """The full grid, thresholds slowest, in the order written."""
+        names = list(self.gains)
+        return [
+            Design.from_gains(self.law, y_s, dict(zip(names, values, strict=True)))
+            for y_s in self.y_s
+            for values in itertools.product(*(self.gains[name] for name in names))
+        ]
+
+
+def _expand(path: str, entry: Any, declared: Gain | None = None) -> tuple[Any, ...]:
+    try:
+        if declared is None:
+            return expand(entry)
+        whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
+        return expand(entry, declared.scale, whole=whole)
+    except EntryError as error:
+        raise _fail(path + error.path, str(error)) from None
+
+
+def _threshold(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
+        raise _fail("y_s", f"{value!r}; allowed: a finite number >= 0 [m]")
+    return float(value) + 0.0
+
+
+def _gain_values(kind: Any, name: str, entry: Any) -> tuple[Any, ...]:
+    path = f"gains.{name}"
+    try:
+        declared = find_gain(kind, name, kind.name)
+        return tuple(declared.check(value, kind.name) for value in _expand(path, entry, declared))
+    except LdcError as error:
+        # the path in the study file says more than the law's own prefix
+        raise _fail(path, str(error).removeprefix(f"{kind.name}.{name}: ")) from None
+
+
+def _vehicle(entry: Any) -> Any:
+    if not isinstance(entry, dict):
+        return entry
+    allowed = {field.name for field in dataclasses.fields(VehicleParameters)}
+    for key in entry:
+        if key not in allowed:
+            raise _fail(key, f"no such key; {nearest(str(key), allowed)}")
+    try:
+        parameters = VehicleParameters(**entry)
+        return VehicleParameters(**{name: float(value) for name, value in dataclasses.asdict(parameters).items()})
+    except InputError as error:
+        path, _, message = str(error).removeprefix("vehicle.").partition(": ")
+        raise _fail(path, message) from None
+
+
+class Study(_Part):
+    """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
+
+    Attributes
+    ----------
+    name : str
+        Short name; letters, digits, ``-``, ``_`` and ``.``.
+    title : str
+        For people; the name by default.
+    seed : int
+        Of the scenarios and of the bootstrap.
+    scenarios : ScenarioSettings
+    simulation : SimulationSettings
+    vehicle : VehicleParameters
+    report : ReportSettings
+    ranking : RankingSettings
+    design : tuple of DesignBlock
+
+    Raises
+    ------
+    pydantic.ValidationError
+        From the constructor; `from_toml` and `from_dict` turn it into a `StudyError`.
+
+    Examples
+    --------
+    >>> from studies import Study
+    >>> study = Study.from_dict({"name": "small", "design": [{"law": "none", "y_s": [0.1, 0.2]}]})
+    >>> len(study.designs)
+    2
+    """
+
+    name: Annotated[str, AfterValidator(_file_name)]
+    title: str = ""
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    scenarios: ScenarioSettings = Field(default_factory=ScenarioSettings)
+    simulation: SimulationSettings = Field(default_factory=SimulationSettings)
+    vehicle: Annotated[VehicleParameters, BeforeValidator(_vehicle)] = Field(default_factory=VehicleParameters)
+    report: ReportSettings = Field(default_factory=ReportSettings)
+    ranking: RankingSettings = Field(default_factory=RankingSettings)
+    design: tuple[DesignBlock, ...]
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+
+    @model_validator(mode="after")
+    def _grid_size(self) -> Self:
+        if not self.design:
+            raise _fail("design", "no designs; allowed: one [[design]] table or more")
+        size = sum(len(b.y_s) * math.prod(len(values) for values in b.gains.values()) for b in self.design)
+        if size > MOST_DESIGNS:
+            raise _fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Study:
+        """Read a study file.
+
+        Parameters
+        ----------
+        path : path
+            TOML file.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        StudyError
+            Naming the file, the key path, the value, what is allowed and the nearest valid name.
+        """
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_bytes().decode())
+        except OSError as error:
+            raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise StudyError(f"{path}: not a TOML file: {error}") from None
+        return cls.from_dict(content, source=str(path), folder=path.parent)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any], *, source: str = "study", folder: str | Path = ".") -> Study:
+        """Make a study from what a study file holds.
+
+        Parameters
+        ----------
+        content : dict
+            Keys as in the file.
+        source : str
+            What messages name first.
+        folder : path
+            Where a relative model path starts.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        StudyError
+            As in `from_toml`.
+        """
+        try:
+            study = cls.model_validate(_tuples(content))
+        except ValidationError as error:
+            raise study_error(error, content, source, cls) from None
+        study._folder = Path(folder)
+        return study
+
+    @functools.cached_property
+    def designs(self) -> tuple[Design, ...]:
+        """All designs in the order written, each once."""
+        every = (design for block in self.design for design in block.designs())
+        return tuple({design.id: design for design in every}.values())
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """Windows x conventions; the first is the primary case."""
+        return tuple(Case(w, c) for w in self.simulation.window for c in self.simulation.convention)
+
+    @property
+    def model_path(self) -> Path:
+        """Where the model lies if it is a file and not a bundled name."""
+        return self._folder / self.scenarios.model
+
+    def content(self) -> dict[str, Any]:
+        """Everything in plain JSON types; `from_dict` reads it back."""
+        return self.model_dump(mode="json")
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the stored numbers: not the title, the report or the ranking."""
+        content = self.content()
+        same = {key: content[key] for key in ("seed", "simulation", "vehicle")}
+        same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
+        same["designs"] = [design.id for design in self.designs]
+        return same
+
+    @property
+    def hash(self) -> str:
+        """Sixteen hexadecimal digits of `identity`."""
+        text = json.dumps(self.identity(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _tuples(value: Any) -> Any:
+    """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+__all__ = [
+    "CONVENTION_GAIN",
+    "DesignBlock",
+    "RankingSettings",
+    "ReportSettings",
+    "ScenarioSettings",
+    "SimulationSettings",
+    "Study",
+]
