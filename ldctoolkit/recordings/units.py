@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ldctoolkit.recordings.table import BoolArray, FloatArray, RecordingTable
@@ -35,28 +33,28 @@ class UnitCheck:
         offset, width = np.abs(table.lane_offset[usable]), table.lane_width[usable]
         speed = table.speed[usable]
         steps = median_step[np.isfinite(median_step)]
-        counts: dict[str, int | np.integer[Any]] = {
+        counts: dict[str, int] = {
             "samples": speed.size,
-            "speed > 60": np.sum(speed > 60.0),
-            "speed > 1000": np.sum(speed > 1000.0),
-            "speed < 0": np.sum(speed < 0.0),
-            "width > 1000": np.sum(width > 1000.0),
-            "width > 100": np.sum(width > 100.0),
-            "width > 6": np.sum(width > 6.0),
-            "width < 2": np.sum(width < 2.0),
-            "width <= vehicle": np.sum(width <= self._vehicle_width),
-            "offset > 10": np.sum(offset > 10.0),
-            "offset > width": np.sum(offset > width),
+            "speed > 60": _count(speed > 60.0),
+            "speed > 1000": _count(speed > 1000.0),
+            "speed < 0": _count(speed < 0.0),
+            "width > 1000": _count(width > 1000.0),
+            "width > 100": _count(width > 100.0),
+            "width > 6": _count(width > 6.0),
+            "width < 2": _count(width < 2.0),
+            "width <= vehicle": _count(width <= self._vehicle_width),
+            "offset > 10": _count(offset > 10.0),
+            "offset > width": _count(offset > width),
             "recordings": steps.size,
-            "step > 2": np.sum(steps > 2.0),
-            "step < 0.002": np.sum(steps < 0.002),
+            "step > 2": _count(steps > 2.0),
+            "step < 0.002": _count(steps < 0.002),
         }
         if table.curvature is not None:
-            counts["curvature > 0.2"] = np.sum(np.abs(table.curvature[usable]) > 0.2)
+            counts["curvature > 0.2"] = _count(np.abs(table.curvature[usable]) > 0.2)
         elif table.yaw_rate is not None:
-            counts["yaw rate > 1.5"] = np.sum(np.abs(table.yaw_rate[usable]) > 1.5)
+            counts["yaw rate > 1.5"] = _count(np.abs(table.yaw_rate[usable]) > 1.5)
         for name, count in counts.items():
-            self._count[name] = self._count.get(name, 0) + int(count)
+            self._count[name] = self._count.get(name, 0) + count
 
     def _share(self, name: str, of: str = "samples") -> float:
         return self._count.get(name, 0) / max(self._count.get(of, 0), 1)
@@ -107,3 +105,7 @@ class UnitCheck:
                 "looks like deg/s, rad/s is needed"
             )
         return tuple(found)
+
+
+def _count(mask: BoolArray) -> int:
+    return int(np.count_nonzero(mask))

@@ -1,0 +1,63 @@
+"""Linear quadratic regulator, scheduled over speed, with curvature feedforward.
+
+delta = -K(v) (x - x_ss psi_l') + delta_ss(v) psi_l', where (x_ss, delta_ss) is steady cornering with e_y = 0 per unit of
+lane yaw rate, so that a bend of constant curvature leaves no bias (Rajamani, section 3.2). K minimises the sum of
+q_y e_y^2 + q_y_rate (de_y/dt)^2 + q_psi e_psi^2 + q_psi_rate (de_psi/dt)^2 + r_delta delta^2 over the sampled plant
+(`control.dlqr`). Positive to the left (ISO 8855), radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar, final
+
+import numpy as np
+
+from controllers.riccati import regulator
+from ldctoolkit import Controller, LinearLaw, Plant, gain
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class LQR(Controller):
+    """Linear quadratic regulator on the full error state.
+
+    Parameters
+    ----------
+    q_y : float [1/m^2]
+        Weight on e_y^2.
+    q_y_rate : float [s^2/m^2]
+        Weight on (de_y/dt)^2.
+    q_psi : float [1/rad^2]
+        Weight on e_psi^2.
+    q_psi_rate : float [s^2/rad^2]
+        Weight on (de_psi/dt)^2.
+    r_delta : float [1/rad^2]
+        Weight on delta^2.
+
+    Examples
+    --------
+    >>> LQR(r_delta=200.0).q_y
+    1.0
+    """
+
+    name: ClassVar[str] = "lqr"
+    title: ClassVar[str] = "LQR"
+
+    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
+    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
+    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
+    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
+    r_delta: float = gain(100.0, unit="1/rad^2", lower=1e-3, upper=1e9, scale="log", description="weight on delta^2")
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        """Schedule the gain and the feedforward over the scenarios' speeds."""
+        K = regulator(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta).K
+        steady = plant.steady_state()
+        return LinearLaw(
+            F=-K,
+            preview_times=np.zeros(1),
+            G_yaw_rate=(steady.delta + K[:, 2] * steady.e_psi)[:, None],
+            G_heading=np.zeros((plant.n, 1)),
+            f_u=np.zeros(plant.n),
+        )

@@ -1,0 +1,27 @@
+"""No control: the departure runs as it was recorded. The baseline of every study."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar, final
+
+from ldctoolkit import Controller, Plant, RecordedPath
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class NoControl(Controller):
+    """Nobody intervenes; S equals S_uncorrected to the bit.
+
+    Examples
+    --------
+    >>> NoControl().gains()
+    ()
+    """
+
+    name: ClassVar[str] = "none"
+    title: ClassVar[str] = "No control"
+
+    def prepare(self, plant: Plant) -> RecordedPath:  # noqa: ARG002 - the interface
+        """Return the law that leaves the recorded path alone."""
+        return RecordedPath()
