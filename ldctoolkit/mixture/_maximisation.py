@@ -1,0 +1,228 @@
+"""M-step of the truncated EM: new means and covariances from the weighted statistics of an E-step.
+
+Per component the objective is Q = N [E_data ln g(x) - ln P] + prior, where ``prior = -n0/2 [ln|Sigma| + tr(Sigma^-1 S0)]``
+stands for n0 pseudo-events with covariance S0 about the component's own mean. Two steps are offered:
+
+- ``lee_scott``: mu' = mu + (xbar - E x), Sigma' = Sigma + (C - V), with E x and V the moments inside the box
+  (Lee and Scott 2012: weighted mean minus m, weighted scatter about the new mean plus H);
+- ``newton``: a Newton step with the Fisher matrix on the bounded dimensions, exact regression on the open ones.
+
+Either is shortened until Q does not fall, so the penalised log-likelihood never falls.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.mixture._expectation import Statistics
+from ldctoolkit.mixture._separation import IntArray
+from ldctoolkit.mixture.truncated_normal import TruncatedNormal
+
+FloatArray = npt.NDArray[np.float64]
+Step = Literal["newton", "lee_scott"]
+
+_HALVINGS: Final = 10
+_LEAST_EIGENVALUE: Final = 0.1
+"""A step may shrink a whitened variance to this share at most; the next pass may go further."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Prior:
+    """Pseudo-events per component.
+
+    Attributes
+    ----------
+    strength : float
+        n0, their number.
+    covariance : (K, d, d)
+        S0.
+    """
+
+    strength: float
+    covariance: FloatArray
+
+    def value(self, Sigma: FloatArray) -> FloatArray:
+        """Log penalty per component, (K,), at most zero: zero at Sigma = S0."""
+        if self.strength == 0.0:
+            return np.zeros(Sigma.shape[0])
+        ratio = np.linalg.solve(Sigma, self.covariance)
+        _, log_det = np.linalg.slogdet(ratio)
+        trace = np.trace(ratio, axis1=1, axis2=2)
+        out: FloatArray = 0.5 * self.strength * (log_det - trace + Sigma.shape[1])
+        return out
+
+
+def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray:
+    """Q per component, (K,)."""
+    gap = stats.mean - t.mu
+    scatter = stats.scatter + gap[:, :, None] * gap[:, None, :]
+    _, log_det = np.linalg.slogdet(t.Sigma)
+    trace = np.trace(np.linalg.solve(t.Sigma, scatter), axis1=1, axis2=2)
+    out: FloatArray = stats.counts * (-0.5 * (log_det + trace) - t.log_probability) + prior.value(t.Sigma)
+    return out
+
+
+def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, points: int) -> TruncatedNormal:
+    """New components; those whose objective cannot be raised stay as they are.
+
+    Parameters
+    ----------
+    stats : Statistics
+        Of the E-step at `now`.
+    prior : Prior
+        Pseudo-events.
+    now : TruncatedNormal
+        K components; its order of integration is kept.
+    step : {"newton", "lee_scott"}
+        See the module.
+    points : int
+        Lattice points.
+
+    Returns
+    -------
+    TruncatedNormal
+        K components.
+    """
+    K = now.mu.shape[0]
+    before = objective(stats, prior, now)
+    order = now.box.order if now.box is not None else None
+    path = _newton_path(stats, prior, now) if step == "newton" else _LeeScottPath(stats, prior, now)
+    mu, Sigma = now.mu.copy(), now.Sigma.copy()
+    t = np.ones(K)
+    waiting = np.ones(K, dtype=bool)
+    trial = now
+    for _ in range(_HALVINGS):
+        mu_t, Sigma_t, valid = path.at(t)
+        trial_mu = np.where((waiting & valid)[:, None], mu_t, mu)
+        trial_Sigma = np.where((waiting & valid)[:, None, None], Sigma_t, Sigma)
+        trial = TruncatedNormal(trial_mu, trial_Sigma, now.lower, now.upper, points=points, order=order)
+        after = objective(stats, prior, trial)
+        better = waiting & valid & np.isfinite(after) & (after >= before)
+        mu[better], Sigma[better] = mu_t[better], Sigma_t[better]
+        waiting &= ~better
+        if not waiting.any():
+            return trial
+        t[waiting] *= 0.5
+    return TruncatedNormal(mu, Sigma, now.lower, now.upper, points=points, order=order)
+
+
+@dataclasses.dataclass(frozen=True)
+class _LeeScottPath:
+    stats: Statistics
+    prior: Prior
+    now: TruncatedNormal
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        n = self.stats.counts[:, None, None]
+        n0 = self.prior.strength
+        mu = self.now.mu + t[:, None] * (self.stats.mean - self.now.mean)
+        plain = n * (self.now.Sigma + self.stats.scatter - self.now.covariance)
+        full = (plain + n0 * self.prior.covariance) / np.maximum(n + n0, 1e-300)
+        Sigma = self.now.Sigma + t[:, None, None] * (full - self.now.Sigma)
+        return mu, Sigma, _positive(Sigma)
+
+
+@dataclasses.dataclass(frozen=True)
+class _NewtonPath:
+    """Bounded block: whitened mean t a, whitened second moment I + t M; open block: regression on the bounded one."""
+
+    now: TruncatedNormal
+    bounded: IntArray
+    free: IntArray
+    factor: FloatArray
+    a: FloatArray
+    M: FloatArray
+    data_mean: FloatArray
+    slope: FloatArray
+    rest: FloatArray
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        b, f = self.bounded, self.free
+        mu, Sigma = self.now.mu.copy(), self.now.Sigma.copy()
+        valid = np.ones(mu.shape[0], dtype=bool)
+        if b.size:
+            a = t[:, None] * self.a
+            white = np.eye(b.size) + t[:, None, None] * self.M - a[:, :, None] * a[:, None, :]
+            valid = np.linalg.eigvalsh(white)[:, 0] > _LEAST_EIGENVALUE
+            G = self.factor
+            mu[:, b] += (G @ a[:, :, None])[:, :, 0]
+            Sigma[:, b[:, None], b] = _symmetric(G @ white @ G.transpose(0, 2, 1))
+        if f.size:
+            A = self.slope
+            S_b = Sigma[:, b[:, None], b]
+            cross = A @ S_b
+            mu[:, f] = self.data_mean[:, f] + (A @ (mu[:, b] - self.data_mean[:, b])[:, :, None])[:, :, 0]
+            Sigma[:, f[:, None], b] = cross
+            Sigma[:, b[:, None], f] = cross.transpose(0, 2, 1)
+            Sigma[:, f[:, None], f] = _symmetric(self.rest + cross @ A.transpose(0, 2, 1))
+        return mu, Sigma, valid & _positive(Sigma)
+
+
+def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _NewtonPath:
+    b = now.bounded
+    f = np.setdiff1d(np.arange(now.mu.shape[1]), b)
+    n, n0 = stats.counts, prior.strength
+    # open dimensions given the bounded ones: weighted least squares with the pseudo-events' cross products added
+    total = np.maximum(n + n0, 1e-300)[:, None, None]
+    C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
+    slope = np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1)
+    rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
+    factor, a, M = _newton_direction(stats, prior, now)
+    return _NewtonPath(now, b, f, factor, a, M, stats.mean, slope, rest)
+
+
+def _newton_direction(
+    stats: Statistics, prior: Prior, now: TruncatedNormal
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Solve Fisher x direction = gradient in whitened natural parameters (a, M): density times exp(a u + u M u/2)."""
+    K = now.mu.shape[0]
+    if now.box is None or now.whitened is None:
+        empty = np.empty((K, 0, 0))
+        return empty, np.empty((K, 0)), empty
+    b, G, w = now.bounded, now.box.factor, now.whitened
+    p = b.size
+    i, j = np.triu_indices(p)
+    half = np.where(i == j, 0.5, 1.0)
+    gap = stats.mean[:, b] - now.mu[:, b]
+    u = np.linalg.solve(G, gap[:, :, None])[:, :, 0]
+    second = _sandwich(G, stats.scatter[:, b[:, None], b]) + u[:, :, None] * u[:, None, :]
+    n = stats.counts[:, None]
+    gradient = n * np.concatenate([u - w.mean, half * (second - w.second)[:, i, j]], axis=1)
+    features = np.concatenate([w.points, half[:, None] * w.points[:, i] * w.points[:, j]], axis=1)
+    centre = np.einsum("kfn,kn->kf", features, w.weights)
+    features = features - centre[:, :, None]
+    fisher = (features * w.weights[:, None, :]) @ features.transpose(0, 2, 1)
+    # the prior's part: its gradient and its Hessian n0/2 tr(M^2) at the present Sigma (= I when whitened)
+    local = _sandwich(G, prior.covariance[:, b[:, None], b]) - np.eye(p)
+    gradient[:, p:] += prior.strength * half * local[:, i, j]
+    ridge = np.concatenate([np.zeros(p), prior.strength * half]) + 1e-10
+    hessian = n[:, :, None] * fisher + (np.eye(p + i.size) * ridge)
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
+    scaled = hessian * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(p + i.size)
+    direction = scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0]
+    M = np.empty((K, p, p))
+    M[:, i, j] = M[:, j, i] = direction[:, p:]
+    return G, direction[:, :p], M
+
+
+def _sandwich(G: FloatArray, S: FloatArray) -> FloatArray:
+    """G^-1 S G^-T."""
+    half = np.linalg.solve(G, S)
+    return np.linalg.solve(G, half.transpose(0, 2, 1))
+
+
+def _symmetric(S: FloatArray) -> FloatArray:
+    out: FloatArray = 0.5 * (S + S.transpose(0, 2, 1))
+    return out
+
+
+def _positive(Sigma: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether each Sigma is safely positive definite: correlations bounded away from one by rounding."""
+    deviation = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 1e-300))
+    least = np.linalg.eigvalsh(Sigma / (deviation[:, :, None] * deviation[:, None, :]))[:, 0]
+    out: npt.NDArray[np.bool_] = least > 1e-11
+    return out
