@@ -7,23 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from studies.design import Design
+    from studies.manifest import Manifest, read_manifest
     from studies.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
     from studies.runner import run_study
     from studies.spec import Study
-    from studies.store import Manifest, read_manifest, read_results
+    from studies.store import read_results
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
     "Case": "results",
     "CaseResults": "results",
     "Design": "design",
-    "Manifest": "store",
+    "Manifest": "manifest",
     "Ranking": "ranking",
     "Study": "spec",
     "StudyResults": "results",
     "rank_study": "ranking",
-    "read_manifest": "store",
+    "read_manifest": "manifest",
     "read_results": "store",
     "run_study": "runner",
 }
