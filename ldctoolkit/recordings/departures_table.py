@@ -137,7 +137,7 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
         table = pl.read_parquet(content)
     except OSError as error:
         raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
-    except pl.exceptions.PolarsError as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
     for column in COLUMNS:
         if column not in table.columns:

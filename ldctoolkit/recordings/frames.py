@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Final
 
+import numpy as np
 import polars as pl
 
 from ldctoolkit.errors import RecordingError, nearest
@@ -152,11 +153,19 @@ def _csv_header(path: Path, first: bytes) -> list[str]:
     if not text.strip():
         state = "the file is empty" if not first else "line 1 is blank"
         raise RecordingError(f"{path.name}: {state}; a header is needed: {', '.join(REQUIRED)}, ...")
-    names = [name.strip() for name in next(csv.reader([text]))]
+    names = [name.strip() for name in _fields(path, text, 1)]
     if len(names) == 1 and any(mark in text for mark in ";\t|"):
         raise RecordingError(f"{path.name}, line 1: columns are not separated by commas: {text[:60]!r}")
     _check_columns(path, names)
     return names
+
+
+def _fields(path: Path, text: str, line: int) -> list[str]:
+    try:
+        return next(csv.reader([text]), [])
+    except csv.Error as error:
+        fault = "a carriage return stands inside the line" if "\r" in text else str(error)
+        raise RecordingError(f"{path.name}, line {line}: {fault}; allowed: lines that end in LF or CR LF") from None
 
 
 def _check_columns(path: Path, names: Sequence[str]) -> None:
@@ -179,6 +188,9 @@ def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFra
     wanted = {name: position[header.index(name)] for name in COLUMNS if name in header}
     text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
 
+    if b'"' in text and _open_quote(text):
+        raise _line_fault(path, len(header), block, line, "a quotation mark is not closed")
+
     def read(numbers: type[pl.DataType]) -> pl.DataFrame:
         kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
         kinds |= {place: numbers for name, place in wanted.items() if name in NUMBERS}
@@ -187,16 +199,24 @@ def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFra
 
     try:
         frame = read(pl.Float64)
-    except pl.exceptions.PolarsError:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
         # slower, but tolerates blanks and words for "missing", and can say where the fault lies
         try:
             frame = read(pl.String)
-        except pl.exceptions.PolarsError as error:
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
             raise _line_fault(path, len(header), block, line, str(error)) from None
     if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
         raise _line_fault(path, len(header), block, line, "a quoted field holds a line break")
     frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
     return _typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
+
+
+def _open_quote(text: bytes) -> bool:
+    """Whether any line has an odd number of quotation marks; the CSV parser must not see such a line."""
+    marks = np.frombuffer(text, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(marks == ord("\n")), marks.size)
+    quotes = np.searchsorted(np.flatnonzero(marks == ord('"')), ends)
+    return bool((quotes % 2).any())
 
 
 def _line_fault(path: Path, fields: int, block: bytes, line: int, reason: str) -> RecordingError:
@@ -208,7 +228,7 @@ def _line_fault(path: Path, fields: int, block: bytes, line: int, reason: str) -
             return RecordingError(f"{path.name}, line {number}: the text is not UTF-8 ({error.reason})")
         if text.count('"') % 2:
             return RecordingError(f"{path.name}, line {number}: a quotation mark is not closed on its line")
-        found = len(next(csv.reader([text]), []))
+        found = len(_fields(path, text, number))
         if found > fields:
             return RecordingError(f"{path.name}, line {number}: {found} fields; the header has {fields} columns")
     return RecordingError(f"{path.name}, after line {line - 1}: cannot be read as CSV: {reason.splitlines()[0]}")
@@ -233,7 +253,7 @@ def parquet_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.Da
             numbered = frame.with_columns(pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW))
             yield _typed(path, numbered, "row")
             first += frame.height
-    except pl.exceptions.PolarsError as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 

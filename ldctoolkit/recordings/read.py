@@ -17,8 +17,6 @@ from ldctoolkit.recordings.table import RecordingTable, check_times
 if TYPE_CHECKING:
     import polars as pl
 
-    from ldctoolkit.recordings.frames import Meter
-
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
 BLOCK_BYTES: Final = 16 << 20
 
@@ -63,8 +61,7 @@ class Recordings:
         from ldctoolkit.recordings.frames import Meter, frames
 
         self._sources = ()
-        total = sum(path.stat().st_size for path in self._paths)
-        done = 0
+        done, total = 0, sum(_size(path) for path in self._paths)
 
         def tick(count: int) -> None:
             nonlocal done
@@ -79,11 +76,14 @@ class Recordings:
                 yield from _tables(path.name, frames(path, self._block_bytes, meter), owner)
             except OSError as error:
                 raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
-            self._sources += (_source(path, meter),)
+            self._sources += (SourceFile(path.name, meter.bytes, meter.sha256),)
 
 
-def _source(path: Path, meter: Meter) -> SourceFile:
-    return SourceFile(path.name, meter.bytes, meter.sha256)
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
 
 
 def read_recordings(

@@ -178,7 +178,7 @@ class RecordingTable:
         unique, count = np.unique(table.names, return_counts=True)
         if (count > 1).any():
             raise RecordingError(
-                f"recording {unique[count > 1][0]!r} comes in {count[count > 1][0]} separate pieces; "
+                f"recording {str(unique[count > 1][0])!r} comes in {count[count > 1][0]} separate pieces; "
                 "allowed: consecutive samples"
             )
         check_times(table, "row", np.arange(labels.size))

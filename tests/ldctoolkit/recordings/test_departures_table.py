@@ -1,0 +1,152 @@
+"""The departures table: what comes back, and how a bad one is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from importlib.metadata import version
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ldctoolkit.departures import Departures
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings import (
+    Criteria,
+    Provenance,
+    Refused,
+    extract_departures,
+    read_departures,
+    read_recordings,
+    write_departures,
+)
+from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
+
+
+@pytest.fixture
+def found(bump, to_frame, tmp_path):
+    frame = pl.concat(
+        [
+            to_frame(bump(recording=["left"] * 100)),
+            to_frame(bump(recording=["rechts, ä"] * 100)).with_columns(-pl.col("lane_offset")),
+        ]
+    )
+    frame.write_csv(tmp_path / "drive.csv")
+    return extract_departures(read_recordings(tmp_path / "drive.csv"), vehicle_width=1.8)
+
+
+@pytest.fixture
+def written(found, tmp_path):
+    path = tmp_path / "d.parquet"
+    write_departures(path, found.departures, found.provenance)
+    return path
+
+
+def rewrite(path, frame, **metadata):
+    frame.write_parquet(path, metadata=pl.read_parquet_metadata(path) | metadata)
+
+
+def test_round_trip(found, written):
+    departures, provenance = read_departures(written)
+    assert provenance == found.provenance
+    assert departures.recording.tolist() == ["left", "rechts, ä"]
+    for field in dataclasses.fields(Departures):
+        given, back = getattr(found.departures, field.name), getattr(departures, field.name)
+        np.testing.assert_array_equal(back, given)
+        assert back.dtype.kind == given.dtype.kind
+
+
+def test_what_the_file_holds(found, written, tmp_path):
+    frame = pl.read_parquet(written)
+    assert frame.columns == list(COLUMNS)
+    assert frame["side"].to_list() == ["left", "right"]
+    content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
+    assert content["format_version"] == 1
+    assert content["ldctoolkit"] == version("ldctoolkit")
+    assert content["criteria"]["vehicle_width"] == 1.8
+    assert content["refused"]["too_short"] == 0
+    assert content["sources"] == [dataclasses.asdict(found.provenance.sources[0])]
+    assert content["sources"][0]["name"] == "drive.csv"
+    assert str(tmp_path) not in json.dumps(content)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "drive.csv"]
+
+
+def test_no_departures_is_a_table_too(found, tmp_path):
+    write_departures(tmp_path / "none.parquet", found.departures.take(slice(0, 0)), Provenance())
+    departures, provenance = read_departures(tmp_path / "none.parquet")
+    assert len(departures) == 0
+    assert provenance == Provenance(criteria=Criteria(), refused=Refused())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            pl.col("T_s").alias("d_y_m") * float("nan"),
+            "row 1: column 'd_y_m' holds nan; allowed: no missing value (2 rows",
+        ),
+        (pl.lit(0.0).alias("T_s"), "row 1: column 'T_s' holds 0.0; allowed: > 0"),
+        (pl.when(pl.int_range(pl.len()) == 0).then(0.1).alias("c_0_1_m"), "row 2: column 'c_0_1_m' holds None"),
+        (pl.lit(-0.1).alias("sigma_y_m"), "column 'sigma_y_m' holds -0.1; allowed: >= 0"),
+        (pl.lit("up").alias("side"), "row 1: column 'side' holds 'up'; allowed: left, right"),
+        (pl.lit("x").alias("dc_1_m"), "column 'dc_1_m' is of type String; allowed: numbers"),
+        (pl.lit(4.5).alias("samples"), "column 'samples' is of type Float64; allowed: integers"),
+        (pl.lit(2).alias("samples"), "column 'samples' holds 2; allowed: 3 or more"),
+        (pl.lit(7).alias("recording"), "column 'recording' is of type Int32; allowed: text"),
+    ],
+)
+def test_bad_values(written, change, message):
+    rewrite(written, pl.read_parquet(written).with_columns(change))
+    with pytest.raises(RecordingError, match=rf"^d\.parquet.*{re.escape(message)}"):
+        read_departures(written)
+
+
+def test_bad_columns_and_metadata(written):
+    frame = pl.read_parquet(written)
+    content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
+    rewrite(written, frame.rename({"sigma_y_m": "sigma_y"}))
+    with pytest.raises(RecordingError, match=r"column 'sigma_y_m' is missing; did you mean 'sigma_y'\?"):
+        read_departures(written)
+    frame.write_parquet(written)
+    with pytest.raises(RecordingError, match=r"no metadata 'ldctoolkit\.departures': not a departures table"):
+        read_departures(written)
+    for bad, message in [
+        ("{", "cannot be understood"),
+        ("[]", "cannot be understood"),
+        (json.dumps(content | {"format_version": 2}), "departures table of format 2; this version reads 1"),
+        (json.dumps(content | {"surprise": 1}), "cannot be understood: .*surprise"),
+        (json.dumps(content | {"criteria": {"vehicle_width": -1}}), "cannot be understood: vehicle_width: -1"),
+        (json.dumps({k: v for k, v in content.items() if k != "refused"}), "cannot be understood: 'refused'"),
+    ]:
+        frame.write_parquet(written, metadata={METADATA_KEY: bad})
+        with pytest.raises(RecordingError, match=rf"^d\.parquet: .*{message}"):
+            read_departures(written)
+
+
+def test_bad_files(written, tmp_path):
+    with pytest.raises(RecordingError, match=r"nowhere\.parquet: does not exist"):
+        read_departures(tmp_path / "nowhere.parquet")
+    with pytest.raises(RecordingError, match="is a folder"):
+        read_departures(tmp_path)
+    for content in (b"", b"PAR1", written.read_bytes()[:-7]):
+        written.write_bytes(content)
+        with pytest.raises(RecordingError, match=r"d\.parquet: cannot be read as Parquet"):
+            read_departures(written)
+
+
+def test_nothing_half_written(found, written, tmp_path):
+    before = written.read_bytes()
+    bad = dataclasses.replace(found.departures, T=np.array([np.nan, 1.0]))
+    with pytest.raises(RecordingError, match=r"d\.parquet, row 1: column 'T_s' holds nan"):
+        write_departures(written, bad, found.provenance)
+    assert written.read_bytes() == before
+    with pytest.raises(RecordingError, match=r"the suffix of a departures table is \.parquet"):
+        write_departures(tmp_path / "d.csv", found.departures, found.provenance)
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_departures(tmp_path / "nofolder" / "d.parquet", found.departures, found.provenance)
+    (tmp_path / "taken.parquet").mkdir()
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_departures(tmp_path / "taken.parquet", found.departures, found.provenance)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "drive.csv", "taken.parquet"]
