@@ -25,9 +25,11 @@ from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 FloatArray = npt.NDArray[np.float64]
 Step = Literal["newton", "lee_scott"]
 
-_HALVINGS: Final = 10
+_HALVINGS: Final = 8
+_NEWTON_TRIALS: Final = 4
 _LEAST_EIGENVALUE: Final = 0.1
-"""A step may shrink a whitened variance to this share at most; the next pass may go further."""
+_LARGEST_GROWTH: Final = 3.0
+"""A Newton step may shrink a whitened variance to the one share, and grow it by the other; the next goes further."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,24 +92,32 @@ def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, 
     K = now.mu.shape[0]
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
-    path = _newton_path(stats, prior, now) if step == "newton" else _LeeScottPath(stats, prior, now)
-    mu, Sigma = now.mu.copy(), now.Sigma.copy()
-    t = np.ones(K)
+    fixed_point = _LeeScottPath(stats, prior, now)
+    newton = _newton_path(stats, prior, now) if step == "newton" else None
+    path: _NewtonPath | _LeeScottPath = fixed_point if newton is None else newton
+    t = np.ones(K) if newton is None else newton.trusted()
+    result = now
     waiting = np.ones(K, dtype=bool)
-    trial = now
-    for _ in range(_HALVINGS):
+    for trial_number in range(_HALVINGS):
+        if trial_number == _NEWTON_TRIALS and newton is not None:
+            path, t = fixed_point, np.ones(K)  # far from the optimum the fixed-point step may be the safer one
         mu_t, Sigma_t, valid = path.at(t)
-        trial_mu = np.where((waiting & valid)[:, None], mu_t, mu)
-        trial_Sigma = np.where((waiting & valid)[:, None, None], Sigma_t, Sigma)
-        trial = TruncatedNormal(trial_mu, trial_Sigma, now.lower, now.upper, points=points, order=order)
-        after = objective(stats, prior, trial)
-        better = waiting & valid & np.isfinite(after) & (after >= before)
-        mu[better], Sigma[better] = mu_t[better], Sigma_t[better]
-        waiting &= ~better
+        rows = np.flatnonzero(waiting & valid)
+        if rows.size:
+            rows_order = order[rows] if order is not None else None
+            trial = TruncatedNormal(mu_t[rows], Sigma_t[rows], now.lower, now.upper, points=points, order=rows_order)
+            after = objective(_rows(stats, rows), Prior(prior.strength, prior.covariance[rows]), trial)
+            which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]))
+            result = result.with_components(rows[which], trial, which)
+            waiting[rows[which]] = False
         if not waiting.any():
-            return trial
+            break
         t[waiting] *= 0.5
-    return TruncatedNormal(mu, Sigma, now.lower, now.upper, points=points, order=order)
+    return result
+
+
+def _rows(stats: Statistics, rows: IntArray) -> Statistics:
+    return Statistics(stats.log_likelihood, stats.counts[rows], stats.mean[rows], stats.scatter[rows])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,6 +149,17 @@ class _NewtonPath:
     data_mean: FloatArray
     slope: FloatArray
     rest: FloatArray
+
+    def trusted(self) -> FloatArray:
+        """Longest step, (K,), that keeps the whitened mean and variances within the trusted range."""
+        K, p = self.a.shape
+        if p == 0:
+            return np.ones(K)
+        values = np.linalg.eigvalsh(self.M)
+        shrink = (1.0 - _LEAST_EIGENVALUE) / np.maximum(-values[:, 0], 1e-12)
+        grow = _LARGEST_GROWTH / np.maximum(values[:, -1], 1e-12)
+        shift = _LARGEST_GROWTH / np.maximum(np.linalg.norm(self.a, axis=1), 1e-12)
+        return np.minimum(1.0, np.minimum(0.9 * shrink, np.minimum(grow, shift)))
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
         b, f = self.bounded, self.free

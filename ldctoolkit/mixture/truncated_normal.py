@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+import copy
+import dataclasses
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,9 @@ import numpy.typing as npt
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._separation import IntArray, Separation, WhitenedMoments, integrate, separate
 from ldctoolkit.mixture._univariate import FloatArray, mass_and_quantile
+
+Array = npt.NDArray[Any]
+Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
 MOMENT_POINTS: Final = 4093
 """Lattice points: ln P to about 1e-6, whitened covariance to about 1e-4 in eight correlated dimensions."""
@@ -110,6 +115,17 @@ class TruncatedNormal:
         covariance = self.Sigma + spread @ (V - np.eye(b.size)) @ spread.transpose(0, 2, 1)
         covariance[:, b[:, None], b] = G @ V @ G.transpose(0, 2, 1)  # without the cancellation of Sigma
         self.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+
+    def with_components(self, rows: IntArray, other: TruncatedNormal, which: IntArray) -> TruncatedNormal:
+        """A copy whose components `rows` are the components `which` of another one on the same box."""
+        out = copy.copy(self)
+        for name in ("mu", "Sigma", "log_probability", "mean", "covariance"):
+            setattr(out, name, _put(getattr(self, name), rows, getattr(other, name), which))
+        if self.box is not None and other.box is not None:
+            out.box = _put_fields(self.box, rows, other.box, which)
+        if self.whitened is not None and other.whitened is not None:
+            out.whitened = _put_fields(self.whitened, rows, other.whitened, which)
+        return out
 
     def _check(self) -> None:
         K, d = self.mu.shape if self.mu.ndim == 2 else (-1, -1)
@@ -212,6 +228,17 @@ class TruncatedNormal:
         # rounding may set a point on its bound: the density knows no such points
         inside: FloatArray = np.clip(x, np.nextafter(self.lower, np.inf), np.nextafter(self.upper, -np.inf))
         return inside
+
+
+def _put(mine: Array, rows: IntArray, theirs: Array, which: IntArray) -> Array:
+    out = mine.copy()
+    out[rows] = theirs[which]
+    return out
+
+
+def _put_fields(mine: Fields, rows: IntArray, theirs: Fields, which: IntArray) -> Fields:
+    names = [field.name for field in dataclasses.fields(mine)]
+    return dataclasses.replace(mine, **{n: _put(getattr(mine, n), rows, getattr(theirs, n), which) for n in names})
 
 
 def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
