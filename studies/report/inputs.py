@@ -1,0 +1,62 @@
+"""What a report is made from."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+from ldctoolkit.simulation import InitialYawRate
+from ldctoolkit.vehicle import VehicleParameters
+from studies.results import StudyResults
+
+if TYPE_CHECKING:
+    from studies.ranking import Ranking
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportInput:
+    """Everything that one report shows. Strings are plain text; the report escapes them.
+
+    Attributes
+    ----------
+    title : str
+        For people.
+    study_name : str
+        The study's short name.
+    results : StudyResults
+        Scores of all designs.
+    rankings : tuple of Ranking
+        One per case, in the order of ``results.cases``; the first is the primary one.
+    vehicle : VehicleParameters
+        Vehicle that was driven; example paths are simulated again with it.
+    dt : float [s]
+        Sample time of the controllers.
+    initial_yaw_rate : {"path", "zero"}
+        As in the study.
+    settings : tuple of (name, value)
+        The study's settings, seeds and hashes, in the order to be shown.
+    versions : tuple of (name, version)
+        Software and machine.
+    model_notes : tuple of str
+        Where the scenario model comes from.
+    warnings : tuple of str
+        Anything that the reader must know first.
+    synthetic : bool
+        Whether the scenario model was fitted to invented and not to recorded driving.
+    command : str
+        What makes the study again.
+    """
+
+    title: str
+    study_name: str
+    results: StudyResults
+    rankings: tuple[Ranking, ...]
+    vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
+    dt: float = 0.05
+    initial_yaw_rate: InitialYawRate = "path"
+    settings: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    model_notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    synthetic: bool = False
+    command: str = ""

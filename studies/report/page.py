@@ -1,0 +1,140 @@
+"""The page: context for the template, rendered and written whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.resources
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+from ldctoolkit.errors import InputError
+from studies.files import write_text
+from studies.report import prose, text
+from studies.report.inputs import ReportInput
+from studies.report.panels import Panels
+from studies.report.summary import CaseTable, Row, case_table, is_baseline
+
+SECTIONS = (
+    ("answer", "Answer"),
+    ("ranking", "Ranking"),
+    ("landscape", "Landscape"),
+    ("sides", "Left and right"),
+    ("paths", "Example paths"),
+    ("distribution", "Distribution"),
+    ("convergence", "Convergence"),
+    ("failures", "Failures and limits"),
+    ("settings", "Settings"),
+)
+"""Identifiers of the sections, which stay the same from version to version, and their titles."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """One large number at the top of the page."""
+
+    value: str
+    unit: str
+    text: str
+    detail: str
+
+
+def _tiles(table: CaseTable) -> list[Tile]:
+    winner = table.winner
+    tiles = [
+        Tile(text.number(winner.S.value), "m·s", "mean score S of the best design", f"{text.percent(table.confidence, 0)} interval {prose.between(winner.S)}"),
+    ]  # fmt: skip
+    if not is_baseline(winner):
+        tiles.append(Tile(text.signed(-100 * winner.reduction.value, 1), "%", "against no control",
+                          f"interval {text.number(-100 * winner.reduction.high, 1)} to {text.number(-100 * winner.reduction.low, 1)}"))  # fmt: skip
+        tiles.append(Tile(text.number(100 * winner.deeper, 1), "%", "of departures still too deep",
+                          f"{text.number(100 * table.uncorrected_deeper, 1)} % without control"))  # fmt: skip
+    if len(table.rows) > 1:
+        detail = f"of {len(table.rows) - 1:,} other designs"
+        tiles.append(Tile(f"{table.tied:,}", "", "statistically tied with the best", detail))
+    return tiles
+
+
+def _bar(row: Row, table: CaseTable) -> str:
+    """Width of the bar of S in per cent; full is 1.2 times no control."""
+    full = 1.2 * table.uncorrected
+    share = row.S.value / full if full > 0 else 0.0
+    return f"{100.0 * min(share, 1.0):.1f}"
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("studies.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {
+        "number": text.number,
+        "signed": text.signed,
+        "percent": text.percent,
+        "symbols": text.symbols,
+        "printable": text.printable,
+        "compact": text.compact,
+    }
+    environment.globals |= {"bar": _bar, "is_baseline": is_baseline, "design_text": prose.design_text, "between": prose.between, "plural": text.plural}
+    return environment
+
+
+def _asset(name: str) -> Markup:
+    # our own files, not a user's: they go into <style> and <script> as they are
+    return Markup((importlib.resources.files("studies.report") / "templates" / name).read_text(encoding="utf-8"))
+
+
+def render(report: ReportInput) -> str:
+    """The report as one HTML document; the same input gives the same text.
+
+    Parameters
+    ----------
+    report : ReportInput
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If the results hold no design, scenario or case, or the rankings do not belong to the cases.
+    """
+    results = report.results
+    if not results.designs or not results.cases or results.scenarios.n == 0:
+        raise InputError("report: the results hold no designs, no cases or no scenarios; allowed: at least one of each")
+    if len(report.rankings) != len(results.cases):
+        raise InputError(f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case")
+    tables = [case_table(results, i, ranking) for i, ranking in enumerate(report.rankings)]
+    primary = tables[0]
+    panels = Panels(report, primary)
+    replayed = panels.replay()
+    return _environment().get_template("report.html").render(
+        report=report,
+        sections=SECTIONS,
+        style=_asset("report.css"),
+        script=_asset("report.js"),
+        tables=tables,
+        primary=primary,
+        tiles=_tiles(primary),
+        answer=prose.answer(report, primary),
+        limitations=prose.limitations(report, primary),
+        partial=prose.partial_grids(report),
+        landscape=panels.landscape(),
+        sides=panels.sides(),
+        replayed=replayed,
+        paths=panels.paths(replayed),
+        legend=panels.legend(),
+        distribution=panels.distribution(),
+        convergence=panels.convergence(),
+    )  # fmt: skip
+
+
+def write_page(report: ReportInput, path: Path) -> Path:
+    """Render and write, whole or not at all; see `studies.report.write_report`."""
+    write_text(path, render(report))
+    return path

@@ -1,0 +1,140 @@
+"""The report's sentences: what won, by how much, how sure, and what the study cannot say."""
+
+from __future__ import annotations
+
+from markupsafe import Markup, escape
+
+from ldctoolkit.departures import LEFT, RIGHT
+from studies.report.inputs import ReportInput
+from studies.report.landscape import is_full_grid, on_the_edge
+from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline
+from studies.report.text import number, percent, plural, symbols
+
+
+def design_text(row: Row) -> Markup:
+    """A design in running text: title, threshold, gains."""
+    gains = "".join(f", {name} = {value}{' ' + unit if unit else ''}" for name, value, unit in row.gains)
+    threshold = "" if is_baseline(row) else f", y_s = {row.design.y_s:g} m"
+    return symbols(f"{row.title}{threshold}{gains}")
+
+
+def between(interval: Interval, digits: int = 3) -> str:
+    """``1.20 to 1.27``."""
+    return f"{number(interval.low, digits)} to {number(interval.high, digits)}"
+
+
+def between_percent(interval: Interval) -> str:
+    """``31.2 % to 33.0 %``."""
+    return f"{percent(interval.low)} to {percent(interval.high)}"
+
+
+def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
+    """The answer in a few sentences, each a paragraph."""
+    winner, n = table.winner, report.results.scenarios.n
+    left = int((report.results.scenarios.side == LEFT).sum())
+    sides = f"{left:,} left, {n - left:,} right"
+    sentences = [
+        Markup("<strong>{}</strong> has the lowest mean score of {}: <strong>S = {} m·s</strong> "
+               "({} interval {}) over {} ({}).").format(
+            design_text(winner), plural(len(table.rows), "design"), number(winner.S.value), percent(table.confidence, 0),
+            between(winner.S),
+            plural(n, "departure"), sides)
+    ]  # fmt: skip
+    if is_baseline(winner):
+        sentences.append(Markup("No design of this study improves on leaving the departures alone."))
+    else:
+        sentences.append(_against_no_control(table))
+        rival, words = _rival(table)
+        if rival is not None:
+            sentences.append(_against(table, rival, words))
+    sentences.append(_tied(table))
+    if winner.triggered == 0:
+        sentences.append(Markup("No departure went deep enough to trigger it, so the score is that of the recorded paths."))
+    edge = () if is_baseline(winner) else on_the_edge(report.results.designs, winner.index)
+    if edge:
+        sentences.append(
+            Markup("The best design sits at the end of what was tried for {}: a wider sweep may find a better one.").format(
+                symbols(" and ".join(edge))
+            )
+        )
+    return sentences
+
+
+def _against_no_control(table: CaseTable) -> Markup:
+    winner = table.winner
+    saved = winner.reduction.value
+    word = "less" if saved >= 0 else "more"
+    shown = winner.reduction if saved >= 0 else Interval(-saved, -winner.reduction.high, -winner.reduction.low)
+    return Markup("Against no control ({} m·s) that is <strong>{} {}</strong> (interval {}).").format(
+        number(table.uncorrected), percent(shown.value), word, between_percent(shown)
+    )
+
+
+def _rival(table: CaseTable) -> tuple[Row | None, str]:
+    """The best design of the paper's law, or of another law where that law won."""
+    if table.winner.design.law != PAPER_LAW:
+        paper = table.best_of(PAPER_LAW)
+        if paper is not None:
+            return paper, "the best design of the paper's law"
+    others = [r for r in table.best_of_each_law if r.design.law != table.winner.design.law and not is_baseline(r)]
+    return (others[0], "the best design of any other law") if others else (None, "")
+
+
+def _against(table: CaseTable, rival: Row, words: str) -> Markup:
+    saved = rival.difference
+    share = saved.value / rival.S.value if rival.S.value > 0 else 0.0
+    told = "" if not rival.tied else " The two cannot be told apart on these departures."
+    return Markup("Against {} ({}; rank {}, {} m·s) it is <strong>{} m·s or {} less</strong> (paired interval {} m·s).{}").format(
+        words, design_text(rival), rival.rank, number(rival.S.value), number(saved.value), percent(share),
+        between(saved), told)  # fmt: skip
+
+
+def _tied(table: CaseTable) -> Markup:
+    if len(table.rows) == 1:
+        return Markup("It is the only design of this study.")
+    if not table.tied:
+        return Markup("No other design is statistically tied with it: the interval of every paired difference lies above zero.")
+    names = [row for row in table.rows[1:] if row.tied]
+    listed = Markup("; ").join(Markup("{} (rank {})").format(design_text(r), r.rank) for r in names[:3])
+    more = f"; and {len(names) - 3:,} more" if len(names) > 3 else ""
+    verb = "is" if table.tied == 1 else "are"
+    return Markup("<strong>{}</strong> {} statistically tied with it, the interval of the paired difference holds zero: {}{}.").format(
+        plural(table.tied, "other design"), verb, listed, more)  # fmt: skip
+
+
+def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
+    """What the numbers of this study do not say."""
+    said = [
+        Markup("The plant is the linear single-track model: tyres do not saturate, and steering takes effect at once."),
+        Markup("The speed is frozen at its value at the trigger."),
+        Markup("The recorded path, rebuilt from eight parameters, stands for what happens without control. The driver does "
+               "not react to the intervention, and the small residuals about the fitted path are left out."),
+        Markup("Control ends where the recorded departure ended; what follows is not scored."),
+    ]  # fmt: skip
+    if len(table.rows) > 1:
+        said.append(Markup("The best of {} is chosen on the departures that it is scored on, so its own mean is slightly "
+                           "optimistic, and intervals are not corrected for the number of comparisons.").format(
+            plural(len(table.rows), "design")))  # fmt: skip
+    if any(c.case.window == "control" for c in report.results.cases):
+        said.append(Markup("Over the control window S starts at the trigger: a later trigger scores less time, so such "
+                           "scores must not be compared between thresholds y<sub>s</sub>."))  # fmt: skip
+    if any(c.case.convention == "as_printed" for c in report.results.cases):
+        said.append(Markup("Cases marked <em>as printed</em> follow the paper's misprints and are there for comparison only."))
+    if report.synthetic:
+        said.append(Markup("<strong>The scenario model is synthetic.</strong> It was not fitted to recorded driving: the "
+                           "ranking shows how designs compare on the stated population, not on a real road."))  # fmt: skip
+    return said
+
+
+def partial_grids(report: ReportInput) -> bool:
+    """Whether some law was not run on every combination of its swept values."""
+    designs = report.results.designs
+    return any(not is_full_grid([d for d in designs if d.law == law]) for law in {d.law for d in designs})
+
+
+def safe(text: str) -> Markup:
+    """A user's text, escaped."""
+    return escape(text)
+
+
+SIDE_ORDER = (LEFT, RIGHT)
