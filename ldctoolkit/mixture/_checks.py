@@ -38,7 +38,7 @@ def refuse(bad: npt.NDArray[np.bool_], x: FloatArray, allowed: str, names: Seque
     j = int(np.argmax(bad.any(axis=0)))
     row = int(np.argmax(bad[:, j]))
     count = int(bad[:, j].sum())
-    others = [column_name(k, names) for k in np.flatnonzero(bad.any(axis=0)) if k != j]
+    others = [column_name(int(k), names) for k in np.flatnonzero(bad.any(axis=0)) if k != j]
     also = f"; also in {', '.join(others)}" if others else ""
     raise InputError(
         f"X: {column_name(j, names)}, row {row}: {x[row, j]!r}; allowed: {allowed} ({count} of {x.shape[0]} rows{also})"
@@ -70,7 +70,7 @@ def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimen
     try:
         out = np.asarray(fill if value is None else value, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: {value!r}; allowed: a number or {dimension} numbers, -inf and inf included") from None
+        raise InputError(f"{name}: {value!r}; allowed: a number or {dimension} numbers, inf included") from None
     if out.ndim == 0:
         out = np.full(dimension, float(out))
     if out.shape != (dimension,):

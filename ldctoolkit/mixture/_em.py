@@ -77,7 +77,12 @@ def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
 
 
 def _run(
-    x: FloatArray, start: tuple[FloatArray, FloatArray, FloatArray], prior: Prior, s: EMSettings, passes: int, points: int
+    x: FloatArray,
+    start: tuple[FloatArray, FloatArray, FloatArray],
+    prior: Prior,
+    s: EMSettings,
+    passes: int,
+    points: int,
 ) -> EMResult:
     n = x.shape[0]
     weights = start[0] / start[0].sum()

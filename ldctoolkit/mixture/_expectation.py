@@ -68,7 +68,7 @@ def _features(x: FloatArray) -> FloatArray:
 
 def _natural(c: Components) -> FloatArray:
     """Coefficients (features, K) of ln(eta_k g_k/P_k)."""
-    K, d = c.mu.shape
+    d = c.mu.shape[1]
     i, j = np.triu_indices(d)
     precision = np.linalg.inv(c.Sigma)
     linear = (precision @ c.mu[:, :, None])[:, :, 0]

@@ -1,7 +1,8 @@
 """M-step of the truncated EM: new means and covariances from the weighted statistics of an E-step.
 
-Per component the objective is Q = N [E_data ln g(x) - ln P] + prior, where ``prior = -n0/2 [ln|Sigma| + tr(Sigma^-1 S0)]``
-stands for n0 pseudo-events with covariance S0 about the component's own mean. Two steps are offered:
+Per component the objective is Q = N [E_data ln g(x) - ln P] + prior, where
+``prior = -n0/2 [ln|Sigma| + tr(Sigma^-1 S0)]``, up to a constant, stands for n0
+pseudo-events with covariance S0 about the component's own mean. Two steps are offered:
 
 - ``lee_scott``: mu' = mu + (xbar - E x), Sigma' = Sigma + (C - V), with E x and V the moments inside the box
   (Lee and Scott 2012: weighted mean minus m, weighted scatter about the new mean plus H);
@@ -159,7 +160,8 @@ class _NewtonPath:
         shrink = (1.0 - _LEAST_EIGENVALUE) / np.maximum(-values[:, 0], 1e-12)
         grow = _LARGEST_GROWTH / np.maximum(values[:, -1], 1e-12)
         shift = _LARGEST_GROWTH / np.maximum(np.linalg.norm(self.a, axis=1), 1e-12)
-        return np.minimum(1.0, np.minimum(0.9 * shrink, np.minimum(grow, shift)))
+        out: FloatArray = np.minimum(1.0, np.minimum(0.9 * shrink, np.minimum(grow, shift)))
+        return out
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
         b, f = self.bounded, self.free
@@ -190,7 +192,7 @@ def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _Newt
     # open dimensions given the bounded ones: weighted least squares with the pseudo-events' cross products added
     total = np.maximum(n + n0, 1e-300)[:, None, None]
     C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
-    slope = np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1)
+    slope: FloatArray = np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1)
     rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
     factor, a, M = _newton_direction(stats, prior, now)
     return _NewtonPath(now, b, f, factor, a, M, stats.mean, slope, rest)

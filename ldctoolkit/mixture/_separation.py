@@ -102,9 +102,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
     return order
 
 
-def separate(
-    covariance: FloatArray, lower: FloatArray, upper: FloatArray, order: IntArray | None = None, *, tilted: bool = True
-) -> Separation:
+def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order: IntArray | None = None) -> Separation:
     """Order, factorise and tilt.
 
     Parameters
@@ -135,19 +133,17 @@ def separate(
     factor = np.empty_like(L)
     factor[rows, order] = L
     a, b = lower[rows, order] / diagonal, upper[rows, order] / diagonal
-    if tilted and p > 1:
+    if p > 1:
         tilt, log_peak = _minimax_tilt(strict, a, b)
     else:
-        tilt, log_peak = np.zeros((K, p)), np.full(K, np.inf)
-        if p == 1:
-            log_peak = log_mass(a, b)[:, 0]
+        tilt, log_peak = np.zeros((K, p)), log_mass(a, b)[:, 0]
     return Separation(order, factor, strict, a, b, tilt, log_peak)
 
 
 def _tilt_terms(
     strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray, mu: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """psi (K,), its gradient (K, 2p) and the derivative of the truncated means (K, p)."""
+    """Log weight psi (K,), its gradient (K, 2p) and the derivative of the truncated means (K, p)."""
     c = np.einsum("kij,kj->ki", strict, x)
     low, high = a - c - mu, b - c - mu
     mass = log_mass(low, high)

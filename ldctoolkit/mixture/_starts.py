@@ -34,9 +34,9 @@ def kmeans_labels(x: FloatArray, K: int, rng: np.random.Generator) -> npt.NDArra
             break
         label = new
         counts = np.bincount(label, minlength=K)
-        for k in np.flatnonzero(counts):
+        for k in [int(i) for i in np.flatnonzero(counts)]:
             centres[k] = x[label == k].mean(axis=0)
-        for k in np.flatnonzero(counts == 0):
+        for k in [int(i) for i in np.flatnonzero(counts == 0)]:
             own = np.sum((x - centres[label]) ** 2, axis=1)
             far = int(np.argmax(own))
             centres[k], label[far] = x[far], k
@@ -58,9 +58,7 @@ def local_covariance(scatter: FloatArray, counts: FloatArray, overall: FloatArra
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
-def start_from_clusters(
-    x: FloatArray, K: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def start_from_clusters(x: FloatArray, K: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weights (K,), means (K, d) and covariances (K, d, d) of k-means clusters."""
     label = kmeans_labels(x, K, rng)
     counts, mean, scatter = hard_statistics(x, label, K)

@@ -282,7 +282,7 @@ class BoundedGaussianMixture:
         return log_terms((x - location) / scale, scaled) - float(np.log(scale).sum()), inside
 
     def score_samples(self, X: npt.ArrayLike) -> FloatArray:
-        """ln f(x) of each row, (n,); -inf outside the box."""
+        """Log-density ln f(x) of each row, (n,); -inf outside the box."""
         terms, inside = self._terms(X)
         return np.where(inside, log_sum(terms)[0], -np.inf)
 
@@ -307,13 +307,13 @@ class BoundedGaussianMixture:
 
     def predict(self, X: npt.ArrayLike) -> IntArray:
         """Most likely component of each row, (n,)."""
-        return np.argmax(self.predict_proba(X), axis=1)
+        return np.argmax(self.predict_proba(X), axis=1).astype(np.int64)
 
     def n_parameters(self) -> int:
         """Free parameters: K means, K covariances, K - 1 weights."""
         self._check_fitted()
         K, d = self.means_.shape
-        return K * (d + d * (d + 1) // 2) + K - 1
+        return int(K * (d + d * (d + 1) // 2) + K - 1)
 
     def bic(self, X: npt.ArrayLike) -> float:
         """Bayesian information criterion, -2 ln L + p ln n: lower is better."""
@@ -379,7 +379,9 @@ class BoundedGaussianMixture:
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The constructor's arguments (scikit-learn's convention)."""
         del deep
-        return {name: getattr(self, name) for name in inspect.signature(type(self).__init__).parameters if name != "self"}
+        return {
+            name: getattr(self, name) for name in inspect.signature(type(self).__init__).parameters if name != "self"
+        }
 
     def set_params(self, **params: Any) -> Self:
         """Change constructor arguments (scikit-learn's convention)."""
