@@ -47,6 +47,10 @@ class Manifest(BaseModel):
         Identity of the study and content hash of the scenario model.
     model : str
         Name of the model, or its file's name.
+    model_notes : tuple of str
+        Where the model comes from, for readers.
+    model_synthetic : bool
+        Whether it was fitted to invented driving.
     identity : dict
         What decides the stored numbers.
     seed : int
@@ -64,13 +68,16 @@ class Manifest(BaseModel):
         Command line of the last run, absolute paths reduced to file names.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # "model" is the scenario model here; pydantic keeps the word for itself otherwise
+    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
     format_version: int = FORMAT_VERSION
     study: dict[str, Any]
     study_hash: str
     model: str
     model_hash: str
+    model_notes: tuple[str, ...] = ()
+    model_synthetic: bool = False
     identity: dict[str, Any]
     seed: int
     versions: dict[str, str]

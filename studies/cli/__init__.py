@@ -1,0 +1,69 @@
+"""The command ``ldc``: one file a subcommand. Nothing heavy is imported before a subcommand runs."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from ldctoolkit import LdcError, __version__
+from studies.cli import controllers, extract, fit, models, rank, report, run, sample
+
+_COMMANDS = (extract, fit, sample, run, rank, report, controllers, models)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line, as for any other wrong input."""
+        self.exit(2, f"ldc: error: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    top = _Parser(
+        prog="ldc",
+        description="Compare lane departure correction designs on realistic, generated lane departures.",
+        epilog="Driving recordings -> ldc extract -> ldc fit -> ldc run -> ranking and report.",
+    )
+    top.add_argument("--version", action="version", version=f"ldc {__version__}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in _COMMANDS:
+        command.add_parser(commands)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Of the process by default.
+
+    Returns
+    -------
+    int
+        0; 2 for wrong input, with one message on stderr; 130 after an interrupt.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))
+    logging.getLogger("studies").handlers[:] = [handler]
+    logging.getLogger("studies").propagate = False
+    try:
+        chosen = parser().parse_args(arguments)
+        chosen.run(chosen)
+        sys.stdout.flush()
+    except LdcError as error:
+        print(f"ldc: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("ldc: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # the reader (head, less) has gone; Python would complain once more while closing stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return 0

@@ -1,0 +1,94 @@
+"""What the commands share: arguments, output files, tables and progress bars."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from ldctoolkit.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_WIDTH = 160
+"""Columns where stdout is no terminal: a file or a log has no width of its own."""
+
+
+class Subparsers(Protocol):
+    """What `argparse.ArgumentParser.add_subparsers` returns."""
+
+    def add_parser(self, name: str, *, help: str, description: str) -> argparse.ArgumentParser:
+        """Add a command."""
+
+
+def console() -> Console:
+    """Standard output for tables."""
+    from rich.console import Console
+
+    return Console() if sys.stdout.isatty() else Console(width=_WIDTH)
+
+
+def warn(message: str) -> None:
+    """One line on stderr that does not end the command."""
+    print(f"ldc: warning: {message}", file=sys.stderr)
+
+
+def output_file(path: str, *suffixes: str) -> Path:
+    """The path, checked before any long work starts.
+
+    Raises
+    ------
+    InputError
+        For another suffix, a folder, or a folder that does not exist.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise InputError(f"-o {path}: the name must end in {' or '.join(suffixes)}")
+    if target.is_dir():
+        raise InputError(f"-o {path}: is a folder")
+    if not target.parent.is_dir():
+        raise InputError(f"-o {path}: the folder {target.parent} does not exist")
+    return target
+
+
+def whole_number(text: str) -> int:
+    """A whole number >= 0 on the command line."""
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 0")
+    return int(text)
+
+
+def positive_number(text: str) -> int:
+    """A whole number >= 1 on the command line."""
+    if whole_number(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 1")
+    return int(text)
+
+
+def number(text: str) -> float:
+    """A finite number on the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
+    return value
+
+
+@contextlib.contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar on stderr, updated as ``f(done, total)``; None where stderr is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

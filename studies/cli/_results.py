@@ -1,0 +1,86 @@
+"""Ranking and report of a study's folder, as several commands need them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ldctoolkit.errors import StoreError
+from studies.cli._console import console
+from studies.manifest import Manifest
+from studies.ranking import Ranking, write_csv
+from studies.report import ReportInput, write_report
+from studies.results import StudyResults
+from studies.spec import Study
+
+_TOP_OF_OTHER_CASES = 3
+
+
+def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
+    """The primary case in full, the others in short."""
+    out = console()
+    for i, ranking in enumerate(rankings):
+        out.print(ranking.table(top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+        ties = int(ranking.tied_with_best.sum()) - 1
+        if ties:
+            out.print(f"=: not told apart from the best on these scenarios ({ties} designs)")
+        for warning in ranking.warnings:
+            out.print(f"Warning: {warning}", style="yellow")
+        out.print()
+
+
+def write_ranking(folder: Path, rankings: Sequence[Ranking]) -> Path:
+    """Write DIR/ranking.csv."""
+    path = folder / "ranking.csv"
+    write_csv(rankings, path)
+    return path
+
+
+def write_study_report(
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...]
+) -> Path:
+    """Write DIR/report.html."""
+    report = ReportInput(
+        title=study.title or study.name,
+        study_name=study.name,
+        results=results,
+        rankings=rankings,
+        vehicle=study.vehicle,
+        dt=study.simulation.dt,
+        initial_yaw_rate=study.simulation.initial_yaw_rate,
+        D_y=study.report.D_y,
+        settings=tuple(_settings(study, manifest)),
+        versions=tuple(_versions(manifest)),
+        model_notes=manifest.model_notes,
+        warnings=tuple(dict.fromkeys(text for ranking in rankings for text in ranking.warnings)),
+        synthetic=manifest.model_synthetic,
+        command=manifest.command,
+    )
+    path = folder / "report.html"
+    try:
+        return write_report(report, path)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield "study", f"{study.name} (content {manifest.study_hash})"
+    yield "scenario model", f"{manifest.model} (content {manifest.model_hash[:16]})"
+    yield "scenarios", f"{study.scenarios.left} left, {study.scenarios.right} right"
+    yield "seed", str(study.seed)
+    yield "designs", str(len(study.designs))
+    yield "sample time dt", f"{study.simulation.dt:g} s"
+    yield "windows of S", ", ".join(study.simulation.window)
+    yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
+    yield "initial yaw rate", study.simulation.initial_yaw_rate
+    yield "deep departures, D_y", f"{study.report.D_y:g} m"
+    yield "bootstrap", f"{study.ranking.bootstrap} resamples, {100 * study.ranking.confidence:g} % intervals"
+    yield "finished", manifest.finished or "not finished"
+    yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
+
+
+def _versions(manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield from manifest.versions.items()
+    yield "Python", manifest.python
+    machine = manifest.machine
+    yield "machine", f"{machine.system}, {machine.architecture}, {machine.processor}, {machine.cores} cores"

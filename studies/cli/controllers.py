@@ -1,0 +1,57 @@
+"""``ldc controllers``: the laws and their declared gains."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from studies.cli._console import Subparsers, console, warn
+
+
+def add_parser(commands: Subparsers) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "controllers",
+        help="list the laws and their gains",
+        description="List every known law with its gains: unit, default and what a study file may set.",
+    )
+    parser.add_argument("law", nargs="*", metavar="LAW", help="only these (default: all)")
+    parser.set_defaults(run=run)
+
+
+def run(chosen: argparse.Namespace) -> None:
+    """Carry the command out."""
+    from rich.table import Table
+
+    from ldctoolkit import LdcError, controller_class, controller_names
+
+    out = console()
+    for name in chosen.law or controller_names():
+        try:
+            kind = controller_class(name)
+        except LdcError as error:
+            if chosen.law:
+                raise
+            warn(str(error))  # one broken third-party law does not hide the others
+            continue
+        table = Table(title=f"{name}: {kind.title}", title_justify="left")
+        for heading in ("gain", "unit", "default", "allowed", "meaning"):
+            table.add_column(heading)
+        for g in kind.gains():
+            words = ("true", "false") if isinstance(g.default, bool) else g.choices
+            allowed = ", ".join(words) if words else _interval(g.lower, g.upper)
+            default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
+            table.add_row(g.name, "" if g.unit == "1" else g.unit, default, allowed, g.description)
+        if kind.gains():
+            out.print(table)
+        else:
+            out.print(f"[italic]{name}: {kind.title}[/italic], no gains")
+        out.print()
+
+
+def _interval(lower: float, upper: float) -> str:
+    if math.isinf(lower) and math.isinf(upper):
+        return "any number"
+    if math.isinf(upper):
+        return f">= {lower:g}"
+    return f"<= {upper:g}" if math.isinf(lower) else f"{lower:g} .. {upper:g}"

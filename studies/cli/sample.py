@@ -1,0 +1,53 @@
+"""``ldc sample``: draw scenarios from a scenario model."""
+
+from __future__ import annotations
+
+import argparse
+
+from ldctoolkit.errors import InputError
+from studies.cli._console import Subparsers, output_file, whole_number
+
+
+def add_parser(commands: Subparsers) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "sample",
+        help="draw scenarios from a scenario model",
+        description="Draw departures from a scenario model and write one row each, left ones first. The same model, "
+        "numbers and seed give the same file.",
+    )
+    parser.add_argument("model", metavar="MODEL", help="bundled model or JSON file")
+    parser.add_argument("-n", type=whole_number, metavar="N", help="departures in all, half of them to each side")
+    parser.add_argument("--left", type=whole_number, metavar="N", help="departures to the left")
+    parser.add_argument("--right", type=whole_number, metavar="N", help="departures to the right")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="table to write, .parquet or .csv")
+    parser.set_defaults(run=run)
+
+
+def run(chosen: argparse.Namespace) -> None:
+    """Carry the command out."""
+    from ldctoolkit.scenario_model import load_model
+    from studies.files import scenario_table, whole_file, write_parquet
+
+    target = output_file(chosen.output, ".parquet", ".csv")
+    left, right = _numbers(chosen)
+    table = scenario_table(load_model(chosen.model).sample(left, right, seed=chosen.seed))
+    if target.suffix.lower() == ".parquet":
+        write_parquet(target, table)
+    else:
+        with whole_file(target) as stream:
+            table.write_csv(stream)
+    print(f"{left} left and {right} right departures written to {target}")
+
+
+def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
+    if chosen.n is None:
+        left, right = chosen.left or 0, chosen.right or 0
+    elif chosen.left is None and chosen.right is None:
+        left, right = (chosen.n + 1) // 2, chosen.n // 2
+    else:
+        raise InputError("-n goes with neither --left nor --right")
+    if left + right == 0:
+        raise InputError("no departures asked for: give -n, or --left and --right")
+    return left, right
