@@ -2,14 +2,14 @@
 
 At every sample it minimises, over the next N commands, the sum of x~' Q x~ + r_delta u~^2 with the terminal cost
 x~_N' P x~_N, where x~ and u~ are deviations from steady cornering at the lane yaw rate previewed for that sample and P
-solves the Riccati equation; subject to |u| <= delta_max and |u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous command.
-Without active limits this is the LQR with curvature preview, exactly. Positive to the left (ISO 8855), radians.
+solves the Riccati equation; subject to |u| <= delta_max and |u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous
+command. Without active limits this is the LQR with curvature preview, exactly. Positive to the left (ISO 8855).
 
-Form of the QP. With the LQR gain K and w_j = -K z_j + c_j the cost is s sum (c_j - c*_j)^2 plus a constant, s = r + B'PB
-(completion of squares along the Riccati recursion; c* is the feedforward from the preview). So the QP is: the smallest
-correction e = c - c* of the unconstrained plan that meets the limits, with an identity Hessian whatever the weights
-and the speed. Where the unconstrained plan meets every limit over the horizon, e = 0 is the QP's solution and no
-solver is called; elsewhere OSQP solves it to 1e-6, warm started from the scenario's own last solution.
+Form of the QP. With the LQR gain K and w_j = -K z_j + c_j the cost is s sum (c_j - c*_j)^2 plus a constant, where
+s = r + B'PB (completion of squares along the Riccati recursion; c* is the feedforward from the preview). So the QP is:
+the smallest correction e = c - c* of the unconstrained plan that meets the limits, with an identity Hessian whatever
+the weights and the speed. Where the unconstrained plan meets every limit over the horizon, e = 0 is the QP's solution
+and no solver is called; elsewhere OSQP solves it to 1e-6, warm started from the scenario's own last solution.
 
 A QP that is not solved gives `EventStatus.SOLVER_FAILED` and the fallback: the unconstrained command, clipped to
 +-delta_max and then moved towards from the previous command by at most rate_max dt (the rate limit has priority).
@@ -169,9 +169,9 @@ class MPCLaw(SteeringLaw):
     @property
     def preview_times(self) -> FloatArray:
         """Now and the N samples ahead."""
-        return np.arange(self.horizon + 1) * self.dt
+        return np.asarray(np.arange(self.horizon + 1) * self.dt, dtype=np.float64)
 
-    def init(self, n: int) -> MPCState:  # noqa: ARG002 - solvers are made when first needed
+    def init(self, n: int) -> MPCState:
         """No solver yet."""
         return MPCState({})
 
@@ -180,11 +180,15 @@ class MPCLaw(SteeringLaw):
         z = x - self.x_ss * yaw_rate[:, :1]
         known = np.concatenate([z, np.diff(yaw_rate, axis=1)], axis=1)
         steady = self.delta_ss[:, None] * (0.5 * (yaw_rate[:, :-1] + yaw_rate[:, 1:]))
-        commands: FloatArray = (self.plan @ known[:, :, None])[:, :, 0] + steady
-        return commands
+        return np.asarray((self.plan @ known[:, :, None])[:, :, 0] + steady, dtype=np.float64)
 
     def step(
-        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: MPCState  # noqa: ARG002
+        self,
+        t: FloatArray,
+        x: FloatArray,
+        preview: Preview,
+        delta_prev: FloatArray,
+        state: MPCState,
     ) -> tuple[FloatArray, MPCState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
         U = self.unconstrained(x, preview.yaw_rate)

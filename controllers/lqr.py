@@ -1,7 +1,7 @@
 """Linear quadratic regulator, scheduled over speed, with curvature feedforward.
 
-delta = -K(v) (x - x_ss psi_l') + delta_ss(v) psi_l', where (x_ss, delta_ss) is steady cornering with e_y = 0 per unit of
-lane yaw rate, so that a bend of constant curvature leaves no bias (Rajamani, section 3.2). K minimises the sum of
+delta = -K(v) (x - x_ss psi_l') + delta_ss(v) psi_l', where (x_ss, delta_ss) is steady cornering with e_y = 0 per unit
+of lane yaw rate, so that a bend of constant curvature leaves no bias (Rajamani, section 3.2). K minimises the sum of
 q_y e_y^2 + q_y_rate (de_y/dt)^2 + q_psi e_psi^2 + q_psi_rate (de_psi/dt)^2 + r_delta delta^2 over the sampled plant
 (`control.dlqr`). Positive to the left (ISO 8855), radians.
 """

@@ -22,6 +22,6 @@ class NoControl(Controller):
     name: ClassVar[str] = "none"
     title: ClassVar[str] = "No control"
 
-    def prepare(self, plant: Plant) -> RecordedPath:  # noqa: ARG002 - the interface
+    def prepare(self, plant: Plant) -> RecordedPath:
         """Return the law that leaves the recorded path alone."""
         return RecordedPath()

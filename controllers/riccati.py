@@ -69,7 +69,7 @@ def regulator(plant: Plant, q: tuple[float, float, float, float], r: float) -> R
         raise InputError(f"v[{i}] = {plant.v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g} m/s")
     coefficients = _coefficients(plant.model, plant.dt, q, r)
     z = 2.0 * np.log(plant.v / low) / math.log(high / low) - 1.0
-    values = np.polynomial.chebyshev.chebval(z, coefficients).T
+    values = np.asarray(np.polynomial.chebyshev.chebval(z, coefficients).T, dtype=np.float64)
     return Regulator(K=np.ascontiguousarray(values[:, :4]), P=values[:, 4:].reshape(-1, 4, 4).copy())
 
 
@@ -88,9 +88,7 @@ def _coefficients(model: BicycleModel, dt: float, q: tuple[float, float, float, 
     raise LdcError(f"LQR gains for q = {q}, r = {r} change too sharply with speed to be scheduled")
 
 
-def _solve(
-    model: BicycleModel, v: FloatArray, dt: float, q: tuple[float, float, float, float], r: float
-) -> FloatArray:
+def _solve(model: BicycleModel, v: FloatArray, dt: float, q: tuple[float, float, float, float], r: float) -> FloatArray:
     import control
 
     step = model.discretize(v, dt)

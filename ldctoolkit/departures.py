@@ -75,7 +75,7 @@ class DepartureParameters:
         """Columns side by side, (n, 8), in the order of `PARAMETER_NAMES`."""
         return np.column_stack([getattr(self, name) for name in PARAMETER_NAMES])
 
-    def take(self, rows: npt.ArrayLike) -> Self:
+    def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
         index = rows if isinstance(rows, slice) else np.asarray(rows)
         return dataclasses.replace(self, **{f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)})

@@ -27,8 +27,8 @@ def absolute_area_step(
     Returns
     -------
     (n,) [m s]
-        |area| where e keeps its sign: exact. Where it changes sign, the crossing is the root of the cubic through
-        values and slopes; since e is zero there, an error in the crossing enters only squared.
+        |area| where e keeps its sign: exact. Where it changes sign, the crossing is the root of the quartic with the
+        same end values, end slopes and area; since e is zero there, an error in the crossing enters only squared.
 
     Notes
     -----
@@ -45,21 +45,23 @@ def absolute_area_step(
     rows = np.flatnonzero(e_0 * e_1 < 0)
     if rows.size:
         step = np.broadcast_to(np.asarray(h, dtype=float), e_0.shape)[rows]
-        before = _area_to_root(e_0[rows], rate_0[rows] * step, e_1[rows], rate_1[rows] * step) * step
+        before = _area_to_root(e_0[rows], rate_0[rows] * step, e_1[rows], rate_1[rows] * step, area[rows] / step) * step
         out[rows] = np.abs(before) + np.abs(area[rows] - before)
     return out
 
 
-def _area_to_root(e_0: FloatArray, m_0: FloatArray, e_1: FloatArray, m_1: FloatArray) -> FloatArray:
-    """Integral over the unit step up to the root of the Hermite cubic; the ends have opposite signs."""
-    # e(s) = e_0 + m_0 s + b s^2 + a s^3
+def _area_to_root(e_0: FloatArray, m_0: FloatArray, e_1: FloatArray, m_1: FloatArray, mean: FloatArray) -> FloatArray:
+    """Integral over the unit step up to the root of the quartic with these end values, end slopes and mean."""
+    # the Hermite cubic e_0 + m_0 s + b s^2 + a s^3, plus q s^2 (1 - s)^2, which changes the mean alone
     a = 2.0 * (e_0 - e_1) + m_0 + m_1
     b = 3.0 * (e_1 - e_0) - 2.0 * m_0 - m_1
+    q = 30.0 * (mean - (0.5 * (e_0 + e_1) + (m_0 - m_1) / 12.0))
+    c_2, c_3, c_4 = b + q, a - 2.0 * q, q
     low, high = np.zeros_like(e_0), np.ones_like(e_0)
     s = e_0 / (e_0 - e_1)
-    for _ in range(60):  # Newton kept inside a shrinking bracket: safe for any cubic, a few passes for most
-        value = e_0 + s * (m_0 + s * (b + s * a))
-        slope = m_0 + s * (2.0 * b + 3.0 * s * a)
+    for _ in range(60):  # Newton kept inside a shrinking bracket: safe for any polynomial, a few passes for most
+        value = e_0 + s * (m_0 + s * (c_2 + s * (c_3 + s * c_4)))
+        slope = m_0 + s * (2.0 * c_2 + s * (3.0 * c_3 + s * 4.0 * c_4))
         beyond = value * e_0 < 0
         high = np.where(beyond, s, high)
         low = np.where(beyond, low, s)
@@ -67,11 +69,11 @@ def _area_to_root(e_0: FloatArray, m_0: FloatArray, e_1: FloatArray, m_1: FloatA
             newton = s - value / slope
         inside = (newton > low) & (newton < high)
         following = np.where(inside, newton, 0.5 * (low + high))
-        settled = bool(np.all((np.abs(following - s) < 1e-15) | (value == 0)))
-        s = np.where(value == 0, s, following)
-        if settled:
+        following = np.where((value == 0) | (np.abs(following - s) < 1e-15), s, following)
+        if np.array_equal(following, s):
             break
-    return s * (e_0 + s * (m_0 / 2.0 + s * (b / 3.0 + s * a / 4.0)))
+        s = following
+    return s * (e_0 + s * (m_0 / 2.0 + s * (c_2 / 3.0 + s * (c_3 / 4.0 + s * c_4 / 5.0))))
 
 
 def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:

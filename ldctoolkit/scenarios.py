@@ -78,7 +78,7 @@ def _check(column: dict[str, npt.NDArray[np.float64]]) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
-            raise InputError(f"scenarios: {name}[{row}] = {column[name][row]!r}; allowed: {allowed}{more}")
+            raise InputError(f"scenarios: {name}[{row}] = {column[name][row]:g}; allowed: {allowed}{more}")
 
     for name in column:
         refuse(~np.isfinite(column[name]), name, "finite numbers")

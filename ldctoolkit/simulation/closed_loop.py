@@ -109,7 +109,7 @@ class _Loop:
             part[~self.alive[:k]] = 0.0
         self.area[:k] += part
         if not np.max(np.abs(new[0]), initial=0.0) <= BOUND:  # also true for NaN
-            self._end_diverged(new, part, t, h)
+            self._end_diverged(new, part, t)
         if not self.all_alive:
             for column in new:
                 column[~self.alive[:k]] = 0.0
@@ -118,7 +118,7 @@ class _Loop:
         self.deepest[:k] = np.maximum(self.deepest[:k], new[0])
         self.delta_prev[:k] = delta
 
-    def _end_diverged(self, new: list[FloatArray], part: FloatArray, t: FloatArray, h: FloatArray) -> None:
+    def _end_diverged(self, new: list[FloatArray], part: FloatArray, t: FloatArray) -> None:
         k = new[0].size
         rows = np.flatnonzero(self.alive[:k] & ~(np.abs(new[0]) <= BOUND))
         self.area[rows] -= part[rows]  # the step that left the bound is scored at the bound as a whole
@@ -153,7 +153,9 @@ class _Log:
         log.x[:, 0] = takeover.x_0
         return log
 
-    def put(self, k: IntArray | int, rows: IntArray | slice, t: FloatArray, x: list[FloatArray], delta: FloatArray) -> None:
+    def put(
+        self, k: IntArray | int, rows: IntArray | slice, t: FloatArray, x: list[FloatArray], delta: FloatArray
+    ) -> None:
         """Command `delta` from sample k on, which leads to state x at time t of sample k + 1."""
         self.delta[rows, k] = delta
         self.t[rows, k + 1] = t

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.control import Preview
 from ldctoolkit.departures import (
     crossing_time,
     curvature,
@@ -19,7 +20,6 @@ from ldctoolkit.departures import (
     lateral_rate,
     speed,
 )
-from ldctoolkit.control import Preview
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.vehicle import BicycleModel, Discretization, Plant
@@ -175,7 +175,7 @@ class Takeover:
 
     def yaw_rate(self, t: FloatArray, first: int | None = None) -> FloatArray:
         """Lane yaw rate v c(t) [rad/s] of the first scenarios (all by default) at their times t."""
-        return self.plant.v[:first] * curvature(self.triggered.take(slice(first)), t)
+        return np.asarray(self.plant.v[:first] * curvature(self.triggered.take(slice(first)), t), dtype=np.float64)
 
     def preview(self, t: FloatArray, times: FloatArray, first: int | None = None) -> Preview:
         """The lane ahead of the first scenarios (all by default) at their times t, at the lookahead `times` (p,)."""

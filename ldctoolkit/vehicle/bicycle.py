@@ -89,7 +89,7 @@ class BicycleModel:
         bad = ~(np.isfinite(speed) & (speed > 0))
         if bad.any():
             i = int(np.argmax(bad))
-            raise InputError(f"v[{i}] = {speed[i]!r} m/s; allowed: finite speeds > 0")
+            raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
         p = self.parameters
         stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
         moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r
@@ -146,5 +146,5 @@ class BicycleModel:
         A, B, E = self.matrices(v)
         # 0 = A[:, 2] e_psi + B delta + E on the two force balances; e_y and both rates are zero
         system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
-        solution = np.linalg.solve(system, -E[:, (1, 3), None])[..., 0]
+        solution: FloatArray = np.asarray(np.linalg.solve(system, -E[:, (1, 3), None])[..., 0], dtype=np.float64)
         return SteadyState(delta=solution[:, 1], e_psi=solution[:, 0])

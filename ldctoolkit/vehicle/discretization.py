@@ -84,7 +84,7 @@ def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -
     step = np.broadcast_to(np.asarray(dt, dtype=float), (n,)).copy()
     if not np.all(np.isfinite(step) & (step >= 0)):
         i = int(np.argmax(~(np.isfinite(step) & (step >= 0))))
-        raise InputError(f"dt[{i}] = {step[i]!r} s; allowed: finite steps >= 0")
+        raise InputError(f"dt[{i}] = {step[i]:g} s; allowed: finite steps >= 0")
     # z = (integral of x[0], x, delta, r, r+ - r); the last rises from 0, so r(s) = r + (r+ - r) s/dt
     size = states + 4
     delta, rate, rise = states + 1, states + 2, states + 3

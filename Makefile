@@ -1,0 +1,46 @@
+# Everything runs in .venv, made from pyproject.toml and the pins in constraints.txt.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help study test test-fast lint bench format clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+$(VENV)/.runtime: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else "ldctoolkit needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.runtime
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+study: $(VENV)/.runtime  ## run the study trigger-and-gains on the bundled model; ranking and report
+	$(BIN)/ldc run trigger-and-gains -o out/trigger-and-gains
+
+lint: $(VENV)/.dev  ## ruff and mypy --strict
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint  ## lint, types and all tests, slow ones too
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
+
+test-fast: lint  ## the same without the slow tests
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
+
+bench: $(VENV)/.dev  ## ratios against named references
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
+
+format: $(VENV)/.dev  ## rewrite the code in the project's format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:  ## remove the environment and what a study wrote
+	rm -rf $(VENV) out build dist

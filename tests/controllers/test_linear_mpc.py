@@ -1,0 +1,193 @@
+"""Linear MPC against the finite-horizon Riccati recursion and an uncondensed QP in another solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+import qpsolvers
+import scipy.sparse as sp
+
+import controllers.linear_mpc as module
+from controllers import LQR, LinearMPC
+from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, Preview, Scenarios, simulate
+
+DT = 0.05
+
+
+def situations(n: int, horizon: int, seed: int, size: float = 1.0) -> tuple[Plant, np.ndarray, Preview, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, n), DT)
+    x = size * rng.normal(size=(n, 4)) * [0.8, 0.4, 0.03, 0.1]
+    slope = rng.normal(0, 0.2, (n, 1))
+    yaw_rate = size * (rng.normal(0, 0.05, (n, 1)) + slope * np.minimum(np.arange(horizon + 1) * DT, 0.5))
+    delta_prev = size * rng.uniform(-0.05, 0.05, n)
+    return plant, x, Preview(yaw_rate, np.zeros_like(yaw_rate)), delta_prev
+
+
+def problem(
+    design: LinearMPC, plant: Plant, i: int, x_0: np.ndarray, r: np.ndarray, delta_prev: float, limits: bool
+) -> qpsolvers.Problem:
+    """The MPC written out with states as variables: nothing condensed, nothing completed to squares."""
+    N, step = design.horizon, plant.step
+    A, B, E_0, E_1 = step.A[i], step.B[i], step.E_0[i], step.E_1[i]
+    Q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+    _, P, _ = control.dlqr(A, B[:, None], Q, np.array([[design.r_delta]]))
+    steady = plant.steady_state()
+    x_ss = np.array([0, 0, steady.e_psi[i], 0])
+    size = 4 * N + N  # x_1 .. x_N, u_0 .. u_(N-1)
+    H, g = np.zeros((size, size)), np.zeros(size)
+    G, b = np.zeros((4 * N, size)), np.zeros(4 * N)
+    for j in range(N):
+        rows = slice(4 * j, 4 * j + 4)
+        W = P if j == N - 1 else Q
+        H[rows, rows] = W
+        g[rows] = -W @ x_ss * r[j + 1]
+        u = 4 * N + j
+        H[u, u] = design.r_delta
+        g[u] = -design.r_delta * steady.delta[i] * 0.5 * (r[j] + r[j + 1])
+        G[rows, rows] = np.eye(4)
+        G[rows, u] = -B
+        b[rows] = E_0 * r[j] + E_1 * r[j + 1]
+        if j:
+            G[rows, 4 * j - 4 : 4 * j] = -A
+        else:
+            b[rows] += A @ x_0
+    inputs = np.hstack([np.zeros((N, 4 * N)), np.eye(N)])
+    change = np.diff(inputs, axis=0, prepend=0.0)
+    start = np.zeros(N)
+    start[0] = delta_prev
+    rate = design.rate_max * DT
+    C = np.vstack([inputs, -inputs, change, -change])
+    h = np.concatenate([np.full(2 * N, design.delta_max), rate + start, rate - start])
+    scale = design.r_delta  # the solver's tolerance is absolute
+    constraints = {"G": sp.csc_matrix(C), "h": h} if limits else {"G": None, "h": None}
+    return qpsolvers.Problem(sp.csc_matrix(H / scale), g / scale, A=sp.csc_matrix(G), b=b, **constraints)
+
+
+def first_commands(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray) -> Any:
+    law = design.prepare(plant)
+    delta, _, status = law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+    return delta, status
+
+
+@pytest.mark.parametrize("always_solve", [False, True])
+@pytest.mark.parametrize("horizon", [1, 8, 20])
+def test_without_active_limits_it_is_the_finite_horizon_lqr(horizon: int, always_solve: bool) -> None:
+    """The optimum of the same cost without limits, by the normal equations of the uncondensed problem; 1e-5 rad."""
+    plant, x, preview, prev = situations(25, horizon, seed=horizon)
+    wide = LinearMPC(horizon=horizon, delta_max=1.0, rate_max=10.0, q_psi=5.0, r_delta=60.0, always_solve=always_solve)
+    prev = np.zeros_like(prev)
+    x = 0.3 * x
+    delta, status = first_commands(wide, plant, x, preview, prev)
+    assert (status == EventStatus.OK).all()
+    for i in range(plant.n):
+        p = problem(wide, plant, i, x[i], preview.yaw_rate[i], 0.0, limits=False)
+        k = p.A.shape[0]
+        kkt = sp.bmat([[p.P, p.A.T], [p.A, None]], format="csc")
+        solution = sp.linalg.spsolve(kkt, np.concatenate([-p.q, p.b]))[:-k]
+        # the plan without limits is exact; through OSQP it carries eps = 1e-6
+        assert delta[i] == pytest.approx(solution[4 * horizon], abs=1e-5 if always_solve else 1e-9)
+
+
+def test_on_a_straight_road_it_is_the_lqr() -> None:
+    """With the Riccati terminal cost the horizon does not matter: the same command as the infinite-horizon LQR."""
+    plant, x, preview, prev = situations(40, 20, seed=1, size=0.2)
+    straight = Preview(0 * preview.yaw_rate, 0 * preview.heading)
+    wide = LinearMPC(delta_max=1.0, rate_max=10.0)
+    delta, _ = first_commands(wide, plant, x, straight, 0 * prev)
+    law = LQR().prepare(plant)
+    assert isinstance(law, LinearLaw)
+    np.testing.assert_allclose(delta, (law.F * x).sum(axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("r_delta", [5.0, 100.0, 2000.0])
+def test_with_active_limits_it_equals_another_solver(r_delta: float) -> None:
+    """Clarabel on the uncondensed QP at its default 1e-8; OSQP's eps 1e-6 leaves at most 1e-4 rad."""
+    design = LinearMPC(horizon=15, delta_max=0.04, rate_max=0.15, r_delta=r_delta)
+    plant, x, preview, prev = situations(60, 15, seed=2)
+    prev = np.clip(prev, -0.04, 0.04)
+    delta, status = first_commands(design, plant, x, preview, prev)
+    free, _ = first_commands(
+        LinearMPC(horizon=15, delta_max=1.0, rate_max=10.0, r_delta=r_delta), plant, x, preview, prev
+    )
+    assert (status == EventStatus.OK).all()
+    assert (np.abs(delta - free) > 1e-3).sum() > 20, "the limits must bind for this to test anything"
+    for i in range(plant.n):
+        p = problem(design, plant, i, x[i], preview.yaw_rate[i], prev[i], limits=True)
+        reference = qpsolvers.solve_problem(p, solver="clarabel")
+        assert reference.found
+        assert delta[i] == pytest.approx(reference.x[4 * 15], abs=1e-4)
+
+
+def test_an_infeasible_qp_gives_a_status_a_fallback_and_a_count() -> None:
+    design = LinearMPC(horizon=10, delta_max=0.05, rate_max=0.2)
+    plant, x, preview, prev = situations(6, 10, seed=3)
+    prev = np.array([0.3, -0.3, 0.061, 0.0, -0.0601, 0.02])
+    delta, status = first_commands(design, plant, x, preview, prev)
+    expected = np.abs(prev) > 0.05 + 0.2 * DT
+    np.testing.assert_array_equal(status == EventStatus.SOLVER_FAILED, expected)
+    assert np.isfinite(delta).all()
+    # the fallback moves towards the limits as fast as the rate allows
+    np.testing.assert_allclose(delta[expected], prev[expected] - np.sign(prev[expected]) * 0.2 * DT, atol=1e-15)
+    assert (np.abs(delta - prev) <= 0.2 * DT + 1e-6).all()
+
+
+def test_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver that gives up, with OSQP's placeholder in its answer, never reaches the plant."""
+
+    class GivesUp:
+        class info:
+            status_val = 7  # maximum iterations reached
+
+        x = np.full(20, 2.1e9)
+
+        def solve(self, raise_error: bool) -> GivesUp:
+            return self
+
+        def update(self, **_: object) -> None: ...
+
+        def warm_start(self, **_: object) -> None: ...
+
+    monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
+    scenarios = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.8], v_mean=[25.0, 15.0])
+    design = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0)
+    out = simulate(design, scenarios, y_s=0.1, trajectories=True)
+    assert (out.status == EventStatus.SOLVER_FAILED).all()
+    assert (out.failed_solves > 0).all()
+    assert out.trajectories is not None
+    delta = out.trajectories.delta
+    assert np.nanmax(np.abs(delta)) <= 0.02 + 1e-12
+    assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-12
+    assert np.isfinite(out.S).all()
+
+
+def test_limits_hold_in_the_closed_loop() -> None:
+    rng = np.random.default_rng(5)
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(1, 6, 80),
+        d_y=rng.uniform(0.3, 1.0, 80),
+        v_mean=rng.uniform(10, 32, 80),
+        c_0=rng.normal(0, 1e-3, 80),
+    )
+    out = simulate(LinearMPC(r_delta=10.0, delta_max=0.03, rate_max=0.1), scenarios, trajectories=True)
+    assert out.trajectories is not None
+    ok = out.status == EventStatus.OK
+    assert ok.sum() > 60
+    delta = out.trajectories.delta[ok]
+    # OSQP's primal tolerance, 1e-6
+    assert np.nanmax(np.abs(delta)) <= 0.03 + 2e-6
+    assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 4e-6
+    assert (np.abs(delta) > 0.0299).any()
+
+
+def test_skipping_the_solver_changes_nothing_that_matters() -> None:
+    rng = np.random.default_rng(6)
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(1, 3, 12), d_y=rng.uniform(0.3, 0.8, 12), v_mean=rng.uniform(12, 30, 12)
+    )
+    skipped = simulate(LinearMPC(), scenarios).S
+    solved = simulate(LinearMPC(always_solve=True), scenarios).S
+    np.testing.assert_allclose(solved, skipped, rtol=2e-5)

@@ -1,0 +1,79 @@
+"""LQR gains and feedforward against python-control and a bend."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from controllers import LQR
+from controllers.riccati import SPEED_RANGE, regulator
+from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
+from ldctoolkit.errors import InputError
+
+WEIGHTS = [
+    {},
+    {"q_y": 0.1, "q_y_rate": 0.5, "q_psi": 40.0, "q_psi_rate": 3.0, "r_delta": 3000.0},
+    {"q_y": 30.0, "q_psi": 0.0, "r_delta": 5.0},
+]
+VEHICLES = [VehicleParameters(), VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)]
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("dt", [0.05, 0.02])
+def test_scheduled_gains_equal_dlqr(weights: dict[str, float], vehicle: VehicleParameters, dt: float) -> None:
+    """At speeds between the nodes; the tolerance is dlqr's own accuracy at these weights."""
+    rng = np.random.default_rng(0)
+    v = np.concatenate([[1.0, 90.0], np.exp(rng.uniform(np.log(1.0), np.log(90.0), 25))])
+    plant = Plant.build(BicycleModel(vehicle), v, dt)
+    design = LQR(**weights)
+    law = design.prepare(plant)
+    assert isinstance(law, LinearLaw)
+    q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+    P = regulator(plant, (design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate), design.r_delta).P
+    for i in range(v.size):
+        K, P_i, _ = control.dlqr(plant.step.A[i], plant.step.B[i][:, None], q, np.array([[design.r_delta]]))
+        np.testing.assert_allclose(-law.F[i], K[0], rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(P[i], P_i, rtol=1e-8, atol=1e-8 * np.abs(P_i).max())
+
+
+def test_a_bend_leaves_no_bias() -> None:
+    plant = Plant.build(BicycleModel(), np.array([8.0, 20.0, 33.0]), 0.05)
+    law = LQR().prepare(plant)
+    assert isinstance(law, LinearLaw)
+    r = 2.0 / plant.v  # 2 m/s^2
+    x = np.tile([0.9, 0.1, 0.02, 0.0], (3, 1))
+    step = plant.step
+    for _ in range(2000):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
+        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+    np.testing.assert_allclose(x[:, 0], 0.0, atol=1e-9)
+
+
+def test_the_schedule_does_not_depend_on_the_set() -> None:
+    v = np.array([9.0, 17.3, 31.0])
+    whole = LQR().prepare(Plant.build(BicycleModel(), v, 0.05))
+    one = LQR().prepare(Plant.build(BicycleModel(), v[1:2], 0.05))
+    assert isinstance(whole, LinearLaw)
+    assert isinstance(one, LinearLaw)
+    np.testing.assert_array_equal(whole.F[1:2], one.F)
+
+
+def test_speeds_outside_the_schedule_are_named() -> None:
+    with pytest.raises(InputError, match=rf"v\[1\] = 95 m/s; allowed .* {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g}"):
+        LQR().prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ({"q_y": 0.0}, r"lqr\.q_y: 0\.0; allowed: a number from 1e-06 to 1e\+06 1/m\^2"),
+        ({"r_delta": float("nan")}, r"lqr\.r_delta: nan"),
+        ({"q_psi": "2"}, r"lqr\.q_psi: '2'"),
+        ({"q_psi": True}, r"lqr\.q_psi: True"),
+    ],
+)
+def test_gains_out_of_bounds_are_named(gains: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        LQR(**gains)

@@ -1,0 +1,318 @@
+"""The closed loop against an independent one, and its invariances."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    Preview,
+    Scenarios,
+    SteeringLaw,
+    simulate,
+)
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.simulation import BOUND
+
+
+@pytest.fixture(scope="module")
+def road() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("road_frame", Path(__file__).with_name("road_frame.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def make_scenarios(n: int, seed: int = 0) -> Scenarios:
+    rng = np.random.default_rng(seed)
+    v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(6)
+    return Scenarios.from_arrays(
+        side=np.where(rng.random(n) < 0.5, 1, -1),
+        T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
+        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2),
+        v_mean=v,
+        a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
+        c_0=rng.normal(0, 0.5, n) / v**2,
+        dc=rng.normal(0, 0.3, n) / v**2,
+    )
+
+
+@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
+def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention: str) -> None:
+    """Left and right, driven in ISO road coordinates by scipy: path to 1e-9, S to 1e-12 (1e-8 with a sign change)."""
+    K_y, K_psi, T_lp, y_s, dt = -0.03, -0.25, 1.3, 0.1, 0.05
+    sign = -1.0 if convention == "consistent" else 1.0
+    scenarios = make_scenarios(14, seed=4)
+    law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=T_lp, convention=convention)
+    out = simulate(law, scenarios, y_s=y_s, dt=dt, trajectories=True)
+    assert out.trajectories is not None
+    assert out.triggered.sum() >= 10
+
+    def reference(t: float, x: np.ndarray, yaw_rate: object, heading: object) -> float:
+        return K_y * x[0] + K_psi * (x[2] + sign * heading(t, t + T_lp))  # type: ignore[operator,no-any-return]
+
+    crossed = 0
+    for i in range(scenarios.n):
+        side = int(scenarios.side[i])
+        S, S_recorded, state, t_s = road.drive(
+            side=side, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=scenarios.a_mean[i],
+            c_0=side * scenarios.c_0[i], dc=side * scenarios.dc[i], law=reference, y_s=y_s, dt=dt,
+        )  # fmt: skip
+        assert out.S_uncorrected[i] == pytest.approx(S_recorded, abs=1e-11)
+        if np.isinf(t_s):
+            assert not out.triggered[i]
+            assert out.S[i] == out.S_uncorrected[i]
+            continue
+        assert out.t_s[i] == pytest.approx(t_s, abs=1e-12)
+        end = np.flatnonzero(~np.isnan(out.trajectories.t[i]))[-1]
+        assert out.trajectories.t[i, end] == scenarios.T[i]
+        np.testing.assert_allclose(side * out.trajectories.x[i, end], state, atol=1e-9)
+        path = out.trajectories.x[i, : end + 1, 0]
+        crossing = bool((path[:-1] * path[1:] < 0).any())
+        crossed += crossing
+        # one crossing found on a cubic instead of the true curve costs its error squared
+        assert out.S[i] == pytest.approx(S, abs=1e-8 if crossing else 1e-12)
+    assert 0 < crossed < out.triggered.sum()
+
+
+def test_S_with_sign_changes_equals_the_road_frame(road: ModuleType) -> None:
+    """A stiff law that swings through the lane's centre several times."""
+    scenarios = Scenarios.from_arrays(T=[6.0, 8.0], d_y=[0.6, 0.9], v_mean=[25.0, 14.0], c_0=[1e-3, -1e-3])
+    out = simulate(PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), scenarios, y_s=0.2, trajectories=True)
+    assert out.trajectories is not None
+    for i in range(2):
+        S, *_ = road.drive(
+            side=1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=0.0,
+            c_0=scenarios.c_0[i], dc=0.0, y_s=0.2, dt=0.05,
+            law=lambda t, x, r, h: -0.06 * x[0] - 0.1 * x[2],
+        )  # fmt: skip
+        path = out.trajectories.x[i, :, 0]
+        path = path[~np.isnan(path)]
+        assert (path[:-1] * path[1:] < 0).sum() >= 2
+        # swings of several metres: the quartic in each crossing step is good to a part in 1e8 of S
+        assert out.S[i] == pytest.approx(S, rel=1e-8)
+
+
+ALL_LAWS: list[Controller] = [NoControl(), PreviewProportional(), LQR(), LinearMPC(horizon=12)]
+
+
+@pytest.mark.parametrize("law", ALL_LAWS, ids=lambda law: law.name)
+def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
+    """A right departure and its mirrored left one; a law that looked at the side, or was not odd, would differ."""
+    scenarios = make_scenarios(60, seed=1)
+    mirrored = dataclasses.replace(scenarios, side=-scenarios.side)
+    np.testing.assert_allclose(simulate(law, scenarios).S, simulate(law, mirrored).S, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ALL_LAWS[1:], ids=lambda law: law.name)
+def test_laws_are_odd(law: Controller) -> None:
+    """The command for the mirrored situation is the mirrored command: why one outward frame serves both sides."""
+    rng = np.random.default_rng(2)
+    plant = Plant.build(BicycleModel(), rng.uniform(8, 35, 50), 0.05)
+    x = rng.normal(size=(50, 4)) * [0.8, 0.4, 0.03, 0.1]
+    prepared = law.prepare(plant)
+    assert isinstance(prepared, LinearLaw | SteeringLaw)
+    p = prepared.preview_times.size
+    preview = Preview(rng.normal(0, 0.02, (50, p)), rng.normal(0, 0.02, (50, p)))
+    mirrored = Preview(-preview.yaw_rate, -preview.heading)
+    delta_prev = rng.uniform(-0.05, 0.05, 50)
+    if isinstance(prepared, LinearLaw):
+        return  # linear: odd by its type
+    t = np.zeros(50)
+    left, _, _ = prepared.step(t, x, preview, delta_prev, prepared.init(50))
+    right, _, _ = prepared.step(t, -x, mirrored, -delta_prev, prepared.init(50))
+    np.testing.assert_allclose(right, -left, atol=1e-12)
+
+
+@pytest.mark.parametrize("window", ["departure", "control"])
+@pytest.mark.parametrize("y_s", [0.0, 0.13, 0.5, 9.0])
+def test_no_control_reduces_by_exactly_nothing(window: str, y_s: float) -> None:
+    out = simulate(NoControl(), make_scenarios(200), y_s=y_s, window=window)  # type: ignore[arg-type]
+    assert (out.reduction == 0.0).all()
+    assert (out.S_uncorrected == out.S).all()
+    assert out.mean_reduction == 0.0
+
+
+@pytest.mark.parametrize("law", ALL_LAWS, ids=lambda law: law.name)
+def test_numbers_do_not_depend_on_order_or_split(law: Controller) -> None:
+    scenarios = make_scenarios(120, seed=3)
+    whole = simulate(law, scenarios, y_s=0.1)
+    order = np.random.default_rng(0).permutation(scenarios.n)
+    shuffled = simulate(law, scenarios.take(order), y_s=0.1)
+    np.testing.assert_array_equal(shuffled.S, whole.S[order])
+    np.testing.assert_array_equal(shuffled.status, whole.status[order])
+    parts = [simulate(law, scenarios.take(rows), y_s=0.1).S for rows in np.array_split(np.arange(scenarios.n), 7)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole.S)
+
+
+def test_windows_differ_by_what_was_before_the_trigger() -> None:
+    scenarios = make_scenarios(50)
+    departure, control = (simulate(LQR(), scenarios, window=w) for w in ("departure", "control"))
+    np.testing.assert_allclose(departure.S_uncorrected - departure.S, control.S_uncorrected - control.S, atol=1e-12)
+    untriggered = ~control.triggered
+    assert untriggered.any()
+    assert (control.S[untriggered] == 0).all()
+    assert (control.reduction[untriggered] == 0).all()
+    assert (control.status[untriggered] == EventStatus.NEVER_TRIGGERED).all()
+    assert control.count(EventStatus.NEVER_TRIGGERED) == untriggered.sum()
+
+
+def test_a_departure_shorter_than_the_step(road: ModuleType) -> None:
+    scenarios = Scenarios.from_arrays(T=0.5, d_y=0.3, v_mean=20.0)
+    out = simulate(PreviewProportional(), scenarios, y_s=0.2, dt=2.0)
+    S, *_ = road.drive(
+        side=1, T=0.5, d_y=0.3, v_mean=20.0, a_mean=0.0, c_0=0.0, dc=0.0, y_s=0.2, dt=2.0,
+        law=lambda t, x, r, h: -0.005 * x[0] - 0.2 * x[2],
+    )  # fmt: skip
+    assert out.S[0] == pytest.approx(S, abs=1e-9)
+
+
+def test_initial_yaw_rate_is_an_option() -> None:
+    scenarios = make_scenarios(40)
+    path, zero = (
+        simulate(LQR(), scenarios, initial_yaw_rate=option, trajectories=True).trajectories
+        for option in ("path", "zero")
+    )
+    assert path is not None
+    assert zero is not None
+    started = ~np.isnan(zero.t[:, 0])
+    assert (zero.x[started, 0, 3] == 0).all()
+    assert (path.x[started, 0, 3] < 0).all()
+    np.testing.assert_array_equal(path.x[started, 0, :3], zero.x[started, 0, :3])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Constant(Controller):
+    """A law made of fixed arrays, for tests."""
+
+    name = "constant"
+    title = "Constant"
+    F: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    f_u: float = 0.0
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        none = np.zeros((plant.n, 0))
+        return LinearLaw(np.tile(self.F, (plant.n, 1)), np.zeros(0), none, none, np.full(plant.n, self.f_u))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stepped(Controller):
+    """Any linear law run through the general loop, with chosen faults."""
+
+    name = "stepped"
+    title = "Stepped"
+    inner: Controller = dataclasses.field(default_factory=LQR)
+    nan_at: int = -1
+    wrong_shape: bool = False
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        law = self.inner.prepare(plant)
+        assert isinstance(law, LinearLaw)
+        return _SteppedLaw(law, self.nan_at, self.wrong_shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class _SteppedLaw(SteeringLaw):
+    law: LinearLaw
+    nan_at: int
+    wrong_shape: bool
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> int:
+        return 0
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        delta = np.einsum("ni,ni->n", self.law.F, x) + self.law.f_u * delta_prev
+        delta = delta + (self.law.G_yaw_rate * preview.yaw_rate + self.law.G_heading * preview.heading).sum(axis=1)
+        if state == self.nan_at:
+            delta[0] = np.nan
+        if self.wrong_shape:
+            delta = delta[:-1]
+        return delta, state + 1, np.zeros(x.shape[0], dtype=np.int8)
+
+
+@pytest.mark.parametrize("inner", [LQR(), PreviewProportional(), _Constant((-0.02, 0.0, -0.3, 0.0), 0.4)])
+def test_linear_and_general_loop_agree(inner: Controller) -> None:
+    scenarios = make_scenarios(80, seed=6)
+    linear = simulate(inner, scenarios, y_s=0.1, trajectories=True)
+    general = simulate(_Stepped(inner), scenarios, y_s=0.1, trajectories=True)
+    np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)
+    assert linear.trajectories is not None
+    assert general.trajectories is not None
+    for name in ("t", "x", "delta"):
+        ours, theirs = getattr(linear.trajectories, name), getattr(general.trajectories, name)
+        np.testing.assert_allclose(ours, theirs, atol=1e-10, err_msg=name)
+
+
+def test_a_law_that_returns_nan_is_counted_and_holds_its_last_command() -> None:
+    scenarios = make_scenarios(30, seed=8)
+    out = simulate(_Stepped(LQR(), nan_at=2), scenarios, y_s=0.05)
+    assert out.failed_solves.sum() == 1
+    assert out.count(EventStatus.SOLVER_FAILED) == 1
+    assert np.isfinite(out.S).all()
+    linear = simulate(_Constant((np.nan, 0.0, 0.0, 0.0)), scenarios, y_s=0.05)
+    assert (linear.status[linear.triggered] == EventStatus.SOLVER_FAILED).all()
+    assert np.isfinite(linear.S).all()
+
+
+def test_an_unstable_law_is_scored_at_the_bound_and_counted() -> None:
+    scenarios = make_scenarios(60, seed=9)
+    out = simulate(_Constant((0.5, 0.0, 2.0, 0.0)), scenarios, y_s=0.05, trajectories=True)
+    diverged = out.status == EventStatus.DIVERGED
+    assert diverged.sum() > 5
+    assert np.isfinite(out.S).all()
+    longest = BOUND * scenarios.T
+    assert (out.S[diverged] < longest[diverged]).all()
+    assert (out.S[diverged] > out.S_uncorrected[diverged]).all()
+    # a neighbour that diverges changes nothing for the others
+    alone = simulate(_Constant((0.5, 0.0, 2.0, 0.0)), scenarios.take(np.flatnonzero(~diverged)), y_s=0.05)
+    np.testing.assert_array_equal(alone.S, out.S[~diverged])
+
+
+def test_shapes_and_arguments_are_checked() -> None:
+    scenarios = make_scenarios(5)
+    with pytest.raises(LdcError, match="'stepped': step returned shapes"):
+        simulate(_Stepped(LQR(), wrong_shape=True), scenarios, y_s=0.0)
+
+    @dataclasses.dataclass(frozen=True)
+    class Wrong(Controller):
+        name = "wrong"
+        title = "Wrong"
+
+        def prepare(self, plant: Plant) -> LinearLaw:
+            return LinearLaw(np.zeros((plant.n, 3)), np.zeros(0), *[np.zeros((plant.n, 0))] * 2, np.zeros(plant.n))
+
+    with pytest.raises(LdcError, match="'wrong': F has shape"):
+        simulate(Wrong(), scenarios, y_s=0.0)
+    for bad in ({"y_s": -0.1}, {"y_s": np.nan}, {"dt": 0.0}):
+        with pytest.raises(InputError, match=r"(y_s|dt): .*allowed"):
+            simulate(LQR(), scenarios, **bad)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"window: 'departures'; did you mean 'departure'"):
+        simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):
+        simulate(LQR(), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]
+
+
+def test_no_scenarios_and_no_trigger() -> None:
+    none = make_scenarios(5).take(np.arange(0))
+    for law in ALL_LAWS:
+        assert simulate(law, none).S.shape == (0,)
+        out = simulate(law, make_scenarios(5), y_s=5.0, trajectories=True)
+        assert (out.S_uncorrected == out.S).all()
+        assert not out.triggered.any()

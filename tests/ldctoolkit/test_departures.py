@@ -1,0 +1,183 @@
+"""The eight parameters, both ways, against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from ldctoolkit import DepartureSignals, Scenarios, rebuild_signals, reduce_signals
+from ldctoolkit import departures as dep
+from ldctoolkit.errors import InputError
+
+
+@st.composite
+def events(draw: st.DrawFn) -> Scenarios:
+    T = draw(st.floats(0.5, 10.0))
+    v_mean = draw(st.floats(5.0, 40.0))
+    a_most = 2.0 * (v_mean - 1.0) / T
+    return Scenarios.from_arrays(
+        T=T,
+        d_y=draw(st.floats(0.01, 1.5)),
+        v_mean=v_mean,
+        a_mean=draw(st.floats(-1.0, 1.0)) * min(a_most, 3.0),
+        c_0=draw(st.floats(-0.01, 0.01)),
+        dc=draw(st.floats(-0.01, 0.01)),
+    )
+
+
+@given(events(), st.floats(0.0, 1.0))
+def test_closed_forms_equal_brute_force(event: Scenarios, share: float) -> None:
+    t = share * event.T
+
+    def y(s: float) -> float:
+        return float(dep.lateral(event, np.array([s]))[0])
+
+    integral, _ = quad(y, 0.0, float(t[0]), epsabs=1e-13)
+    # a quartic: Gauss-Kronrod is exact, what remains is rounding
+    assert dep.lateral_integral(event, t)[0] == pytest.approx(integral, abs=1e-12)
+    travelled, _ = quad(lambda s: float(dep.speed(event, np.array([s]))[0]), 0.0, float(t[0]), epsabs=1e-12)
+    assert dep.position(event, t)[0] == pytest.approx(travelled, abs=1e-9)
+    ahead = 1.5 * t
+    turned, _ = quad(
+        lambda s: float(dep.curvature(event, np.array([s]))[0]), 0.0, float(ahead[0]), points=[float(event.T[0])]
+    )
+    assert dep.curvature_integral(event, ahead)[0] == pytest.approx(turned, abs=1e-10)
+
+
+@given(events(), st.floats(0.05, 0.95))
+def test_derivatives_equal_central_differences(event: Scenarios, share: float) -> None:
+    t = share * event.T
+    h = 1e-4 * event.T
+    slope = (dep.lateral(event, t + h) - dep.lateral(event, t - h)) / (2 * h)
+    bend = (dep.lateral_rate(event, t + h) - dep.lateral_rate(event, t - h)) / (2 * h)
+    # truncation of a quartic's central difference: h^2/6 times the third derivative
+    scale = event.d_y / event.T
+    assert dep.lateral_rate(event, t)[0] == pytest.approx(slope[0], abs=1e-5 * scale[0])
+    assert dep.lateral_acceleration(event, t)[0] == pytest.approx(bend[0], abs=1e-4 * scale[0] / event.T[0])
+
+
+@given(events(), st.floats(0.001, 0.999))
+def test_crossing_time_equals_a_root_search(event: Scenarios, share: float) -> None:
+    y_s = share * float(event.d_y[0])
+    x_peak = 0.5 * float(event.v_mean[0] * event.T[0])
+    t_peak = brentq(lambda t: float(dep.position(event, np.array([t]))[0]) - x_peak, 0.0, float(event.T[0]))
+    expected = (
+        brentq(lambda t: float(dep.lateral(event, np.array([t]))[0]) - y_s, 0.0, t_peak + 1e-9, xtol=1e-13)
+        if float(dep.lateral(event, np.array([t_peak + 1e-9]))[0]) > y_s
+        else t_peak
+    )
+    # near the peak the root is as flat as sqrt of rounding
+    assert dep.crossing_time(event, y_s)[0] == pytest.approx(expected, abs=1e-6 * float(event.T[0]))
+
+
+def test_no_crossing_at_or_above_the_peak() -> None:
+    event = Scenarios.from_arrays(T=[2.0, 2.0], d_y=[0.2, 0.0], v_mean=20.0)
+    assert np.isinf(dep.crossing_time(event, 0.2)).all()
+    assert dep.crossing_time(event, 0.0)[0] == 0.0
+    assert np.isinf(dep.crossing_time(event, 0.0)[1])
+
+
+@settings(deadline=None)
+@given(events())
+def test_rebuilding_and_reducing_give_the_parameters_back(event: Scenarios) -> None:
+    signals = rebuild_signals(event, dt=float(event.T[0]) / 200)
+    back = reduce_signals(signals, event.side)
+    np.testing.assert_array_equal(back.T, event.T)
+    # speed is linear, so the trapezoid rule and the regressions are exact up to rounding
+    for name in ("d_y", "v_mean", "a_mean", "c_0", "dc"):
+        np.testing.assert_allclose(getattr(back, name), getattr(event, name), rtol=1e-7, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(back.sigma_y, 0.0, atol=1e-9)
+    np.testing.assert_allclose(back.sigma_v, 0.0, atol=1e-9)
+
+
+def _noisy(seed: int, n: int) -> tuple[DepartureSignals, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    count = rng.integers(5, 60, n)
+    offsets = np.concatenate([[0], np.cumsum(count)])
+    pieces: dict[str, list[np.ndarray]] = {name: [] for name in "tyvc"}
+    for k in count:
+        t = np.concatenate([[0.0], np.sort(rng.uniform(0.05, 1.95, k - 2)), [2.0]])
+        y = np.abs(rng.normal(0.2, 0.1, k))
+        y[[0, -1]] = 0.0
+        for name, values in zip("tyvc", (t, y, rng.normal(20, 1, k), rng.normal(0, 1e-3, k)), strict=True):
+            pieces[name].append(values)
+    flat = {name: np.concatenate(values) for name, values in pieces.items()}
+    return DepartureSignals(offsets=offsets, **flat), np.ones(n, dtype=np.int64)
+
+
+def test_reduction_equals_lstsq_event_by_event() -> None:
+    signals, side = _noisy(3, 40)
+    back = reduce_signals(signals, side)
+    for i in range(signals.n):
+        rows = slice(signals.offsets[i], signals.offsets[i + 1])
+        t, y, v, c = signals.t[rows], signals.y[rows], signals.v[rows], signals.c[rows]
+        T = t[-1]
+        x = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+        d_x = x[-1]
+        inner = slice(1, -1)
+        parabola = (-4 / d_x**2 * (x - d_x / 2) ** 2 + 1)[inner]
+        d_y = np.linalg.lstsq(parabola[:, None], y[inner], rcond=None)[0][0]
+        slope_v = np.polyfit(t[inner] - T / 2, v[inner], 1)[0]
+        slope_c, c_0 = np.polyfit(t[inner], c[inner], 1)
+        expected = {
+            "d_y": d_y,
+            "sigma_y": np.std(y[inner] - d_y * parabola, ddof=1),
+            "v_mean": d_x / T,
+            "a_mean": slope_v,
+            "sigma_v": np.std(v[inner] - slope_v * (t[inner] - T / 2) - d_x / T, ddof=1),
+            "c_0": c_0,
+            "dc": slope_c * T,
+        }
+        for name, value in expected.items():
+            assert getattr(back, name)[i] == pytest.approx(value, rel=1e-9, abs=1e-12), name
+
+
+def test_reduction_does_not_depend_on_the_neighbours() -> None:
+    signals, side = _noisy(5, 30)
+    whole = reduce_signals(signals, side).matrix()
+    for i in (0, 7, 29):
+        rows = slice(signals.offsets[i], signals.offsets[i + 1])
+        one = DepartureSignals(
+            np.array([0, rows.stop - rows.start]), signals.t[rows], signals.y[rows], signals.v[rows], signals.c[rows]
+        )
+        np.testing.assert_allclose(reduce_signals(one, side[:1]).matrix()[0], whole[i], rtol=1e-12)
+
+
+def test_too_few_samples_and_bad_durations_are_named() -> None:
+    short = DepartureSignals(np.array([0, 4]), np.array([0.0, 0.2, 0.4, 0.6]), np.zeros(4), np.ones(4), np.zeros(4))
+    with pytest.raises(InputError, match="event 0 has 2 samples"):
+        reduce_signals(short, [1])
+    still = DepartureSignals(np.array([0, 5]), np.zeros(5), np.zeros(5), np.ones(5), np.zeros(5))
+    with pytest.raises(InputError, match="does not last"):
+        reduce_signals(still, [1])
+    with pytest.raises(InputError, match="dt: 0"):
+        rebuild_signals(Scenarios.from_arrays(T=1.0, d_y=0.1, v_mean=20.0), 0.0)
+
+
+def test_nothing_in_nothing_out() -> None:
+    empty = np.empty(0)
+    signals = DepartureSignals(np.array([0]), empty, empty, empty, empty)
+    assert len(reduce_signals(signals, np.empty(0))) == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"T": [1.0, np.nan]}, r"T\[1\] = .*nan.*finite"),
+        ({"T": [0.0, 1.0]}, r"T\[0\].*> 0 s"),
+        ({"d_y": [0.1, -0.1]}, r"d_y\[1\].*>= 0"),
+        ({"side": [1, 2]}, r"side\[1\].*\(left\)"),
+        ({"v_mean": [20.0, 0.5]}, r"v_mean\[1\].*1.0 m/s"),
+        ({"a_mean": [0.0, 39.0]}, r"v_mean\[1\].*stays at or above"),
+        ({"c_0": [0.0, 0.0, 0.0]}, "one common length"),
+        ({"c_0": [[0.0]]}, "one-dimensional"),
+    ],
+)
+def test_bad_scenarios_are_named(columns: dict[str, list[float]], message: str) -> None:
+    good = {"T": [1.0, 1.0], "d_y": [0.1, 0.1], "v_mean": [20.0, 20.0]}
+    with pytest.raises(InputError, match=message):
+        Scenarios.from_arrays(**{**good, **columns})  # type: ignore[arg-type]

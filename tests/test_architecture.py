@@ -1,0 +1,137 @@
+"""The shape of the house: imports point down, the wheel names its packages, no module outgrows its job."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("ldctoolkit", "controllers", "studies")
+
+# bottom to top; a module may import from its own level's package and from below
+LEVELS = (
+    ("ldctoolkit.errors",),
+    ("ldctoolkit.departures",),
+    ("ldctoolkit.recordings",),
+    ("ldctoolkit.mixture",),
+    ("ldctoolkit.scenarios",),
+    ("ldctoolkit.scenario_model", "ldctoolkit.models"),
+    ("ldctoolkit.gains", "ldctoolkit.vehicle"),
+    ("ldctoolkit.control",),
+    ("ldctoolkit.registry",),
+    ("ldctoolkit.metrics",),
+    ("ldctoolkit.simulation",),
+    ("ldctoolkit", "ldctoolkit.launcher", "ldctoolkit.__main__"),
+    ("controllers",),
+    ("studies",),
+)
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def level(module: str) -> int:
+    """Level of the longest prefix that is listed."""
+    best, name = -1, module
+    while name:
+        for i, names in enumerate(LEVELS):
+            if name in names and best < 0:
+                best = i
+        if best >= 0:
+            break
+        name = name.rpartition(".")[0]
+    return best
+
+
+def imported(path: Path, known: set[str]) -> set[str]:
+    """The project's modules that a file imports, wherever in the file the import stands."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            base = node.module or ""
+            names.update(f"{base}.{a.name}" if f"{base}.{a.name}" in known else base for a in node.names)
+    return {name for name in names if name.partition(".")[0] in PACKAGES}
+
+
+def test_imports_point_down() -> None:
+    found = modules()
+    for module, path in found.items():
+        own = level(module)
+        assert own >= 0, f"{module} has no level: add it to LEVELS"
+        for target in imported(path, set(found)):
+            assert target in found, f"{module} imports {target}, which does not exist"
+            if module == "ldctoolkit" and target.startswith("ldctoolkit."):
+                continue
+            if own >= level("controllers") and target == "ldctoolkit":
+                continue
+            same = module.rpartition(".")[0].startswith(target.partition(".")[0]) and level(target) == own
+            assert level(target) < own or same, f"{module} imports {target}: upwards"
+
+
+def test_no_circular_imports() -> None:
+    found = modules()
+    graph = {module: imported(path, set(found)) for module, path in found.items()}
+    done: set[str] = set()
+
+    def visit(module: str, trail: tuple[str, ...]) -> None:
+        assert module not in trail, " -> ".join([*trail, module])
+        if module in done:
+            return
+        for target in graph.get(module, ()):
+            # a package's __init__ gathers its modules; importing a sibling through the full name is no circle
+            if not module.startswith(f"{target}."):
+                visit(target, (*trail, module))
+        done.add(module)
+
+    for module in graph:
+        visit(module, ())
+
+
+def test_the_zoo_uses_public_names_only() -> None:
+    """A law needs nothing that a third party's law could not import."""
+    public = {"ldctoolkit", "ldctoolkit.errors"}
+    for module, path in modules().items():
+        if module.startswith("controllers"):
+            outside = {t for t in imported(path, set(modules())) if t.startswith("ldctoolkit")}
+            assert outside <= public, f"{module} imports {outside - public}"
+
+
+def test_the_wheel_lists_its_packages_by_name() -> None:
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert config["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == list(PACKAGES)
+    for package in PACKAGES:
+        assert (ROOT / package / "py.typed").is_file()
+
+
+def test_pins_are_plain_and_satisfy_the_bounds() -> None:
+    from packaging.requirements import Requirement
+
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    pins = {}
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        name, equals, version = line.partition("==")
+        assert equals, f"constraints.txt: {line!r} is not name==version"
+        pins[name.lower().replace("_", "-")] = version
+    wanted = [*config["dependencies"], *(r for extra in config["optional-dependencies"].values() for r in extra)]
+    for requirement in map(Requirement, wanted):
+        assert ">=" in str(requirement.specifier), f"{requirement} has no lower bound"
+        assert requirement.specifier.contains(pins[requirement.name.lower()]), requirement
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_outgrows_its_job(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        assert lines <= 400, f"{path.relative_to(ROOT)} has {lines} lines: split it"
