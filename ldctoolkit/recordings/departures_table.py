@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
 from pathlib import Path
@@ -132,8 +133,9 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
         raise RecordingError(f"{source}: {state}; a departures table is needed")
     try:
         with source.open("rb") as stream:
-            content = stream.read()
+            content = io.BytesIO(stream.read())
         metadata = pl.read_parquet_metadata(content)
+        content.seek(0)
         table = pl.read_parquet(content)
     except OSError as error:
         raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
@@ -192,9 +194,9 @@ def _check(name: str, table: pl.DataFrame) -> None:
 
 def provenance_to_json(provenance: Provenance) -> str:
     """Provenance as JSON, with the versions of the format and of the toolkit."""
-    from importlib.metadata import version
+    from ldctoolkit import __version__
 
-    content = {"format_version": FORMAT_VERSION, "ldctoolkit": version("ldctoolkit")}
+    content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__}
     return json.dumps(content | dataclasses.asdict(provenance), ensure_ascii=False, allow_nan=False)
 
 

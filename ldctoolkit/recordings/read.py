@@ -156,11 +156,11 @@ def _tables(source: str, blocks: Iterator[pl.DataFrame], owner: dict[str, str]) 
             continue
         waiting.append(block)
         last = block["recording"][-1]
+        if waiting[0]["recording"][0] == last:  # one long recording; its blocks are joined once, at its end
+            continue
         # rows of the block that belong to its last recording, counted from the end
         other = (block["recording"] != last).reverse().arg_true()
         tail = int(other[0]) if other.len() else block.height
-        if tail == block.height and waiting[0]["recording"][0] == last:
-            continue
         waiting[-1] = block[: block.height - tail]
         yield _table(source, pl.concat(waiting), owner)
         waiting = [block[block.height - tail :]]

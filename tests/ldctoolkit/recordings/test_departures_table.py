@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from importlib.metadata import version
 
 import numpy as np
 import polars as pl
 import pytest
 
+import ldctoolkit
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
@@ -64,7 +64,7 @@ def test_what_the_file_holds(found, written, tmp_path):
     assert frame["side"].to_list() == ["left", "right"]
     content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
     assert content["format_version"] == 1
-    assert content["ldctoolkit"] == version("ldctoolkit")
+    assert content["ldctoolkit"] == ldctoolkit.__version__
     assert content["criteria"]["vehicle_width"] == 1.8
     assert content["refused"]["too_short"] == 0
     assert content["sources"] == [dataclasses.asdict(found.provenance.sources[0])]
