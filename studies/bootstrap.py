@@ -42,8 +42,8 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
 
     Notes
     -----
-    A resample is a multinomial weight vector w / n; the means are one matrix product, in blocks of B. The weights depend
-    on seed, B and the sides only.
+    A resample is a multinomial weight vector w / n; the means are one matrix product, in blocks of B. The weights
+    depend on seed, B and the sides only.
 
     Examples
     --------

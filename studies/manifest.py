@@ -114,11 +114,11 @@ class Manifest(BaseModel):
         )
 
     def resumed(self, fresh: Manifest) -> Manifest:
-        """This manifest with the settings of a new run into the same folder."""
+        """The same with the settings of a new run into the same folder."""
         return fresh.model_copy(update={"created": self.created, "wall_time_s": self.wall_time_s})
 
     def ended(self, *, seconds: float, workers: int, complete: bool) -> Manifest:
-        """This manifest after a run."""
+        """The same after a run."""
         update = {"wall_time_s": self.wall_time_s + seconds, "workers": workers, "finished": _now() if complete else ""}
         return self.model_copy(update=update)
 

@@ -167,7 +167,8 @@ class Ranking:
             return result
 
         def count(status: EventStatus) -> IntArray:
-            return (case.status[order] == status).sum(axis=1).astype(np.int64)
+            result: IntArray = (case.status[order] == status).sum(axis=1).astype(np.int64)
+            return result
 
         return cls(
             case=case.case,

@@ -11,7 +11,7 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Literal
@@ -143,7 +143,7 @@ def _blocks(study: Study, done: dict[RunKey, RunResult], size: int) -> list[Bloc
 
 def _run(
     study: Study, scenarios: Scenarios, blocks: Sequence[Block], workers: int, start_method: StartMethod | None
-) -> Iterator[list[RunResult]]:
+) -> Generator[list[RunResult], None, None]:
     job = Job(
         scenarios=scenarios,
         vehicle=study.vehicle,
@@ -159,7 +159,7 @@ def _run(
 
 def _run_in_processes(
     job: Job, blocks: Sequence[Block], workers: int, start_method: StartMethod | None
-) -> Iterator[list[RunResult]]:
+) -> Generator[list[RunResult], None, None]:
     context = multiprocessing.get_context(start_method)
     kinds = tuple(controller_class(law) for law in sorted({d.law for block in blocks for d in block.designs}))
     if context.get_start_method() != "fork":
@@ -237,10 +237,17 @@ def _collect(
 @contextlib.contextmanager
 def _progress_bar(total: int, show: bool) -> Iterator[Callable[[int], None]]:
     if not show or not total:
-        yield lambda count: None
+        yield lambda _: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (TextColumn("designs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

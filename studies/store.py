@@ -41,6 +41,7 @@ FloatArray = npt.NDArray[np.float64]
 RunKey = tuple[str, str]
 """Identifier of a design and a convention: what one simulation is called."""
 
+
 @dataclasses.dataclass(frozen=True)
 class RunResult:
     """Per-scenario results of one design under one convention; w windows, n scenarios.
@@ -256,7 +257,7 @@ def assemble(study: Study, scenarios: Scenarios, runs: dict[RunKey, RunResult], 
     wanted = [(design.id, convention) for convention in study.simulation.convention for design in study.designs]
     missing = [key for key in wanted if key not in runs]
     if missing:
-        raise StoreError(f"{source}: {len(missing)} of {len(wanted)} runs are not there yet; run the study again to finish")
+        raise StoreError(f"{source}: {len(missing)} of {len(wanted)} runs are not there yet; run the study again")
 
     cases = []
     for each in study.cases:

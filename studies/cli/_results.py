@@ -48,7 +48,6 @@ def write_study_report(
         vehicle=study.vehicle,
         dt=study.simulation.dt,
         initial_yaw_rate=study.simulation.initial_yaw_rate,
-        D_y=study.report.D_y,
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from studies.cli._console import Subparsers, output_file, whole_number
+from studies.cli._console import Subparsers, whole_number
 
 
 def add_parser(commands: Subparsers) -> None:
