@@ -8,8 +8,7 @@ from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Outcome, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
-
-__version__ = "0.1.0"
+from ldctoolkit.version import __version__
 
 __all__ = [
     "BicycleModel",

@@ -13,7 +13,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 
 # bottom to top; a module may import from its own level's package and from below
 LEVELS = (
-    ("ldctoolkit.errors",),
+    ("ldctoolkit.errors", "ldctoolkit.version"),
     ("ldctoolkit.departures",),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),

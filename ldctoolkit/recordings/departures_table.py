@@ -194,7 +194,7 @@ def _check(name: str, table: pl.DataFrame) -> None:
 
 def provenance_to_json(provenance: Provenance) -> str:
     """Provenance as JSON, with the versions of the format and of the toolkit."""
-    from ldctoolkit import __version__
+    from ldctoolkit.version import __version__
 
     content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__}
     return json.dumps(content | dataclasses.asdict(provenance), ensure_ascii=False, allow_nan=False)
