@@ -192,7 +192,7 @@ def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _Newt
     # open dimensions given the bounded ones: weighted least squares with the pseudo-events' cross products added
     total = np.maximum(n + n0, 1e-300)[:, None, None]
     C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
-    slope: FloatArray = np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1)
+    slope = np.asarray(np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1), dtype=float)
     rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
     factor, a, M = _newton_direction(stats, prior, now)
     return _NewtonPath(now, b, f, factor, a, M, stats.mean, slope, rest)

@@ -307,7 +307,7 @@ class BoundedGaussianMixture:
 
     def predict(self, X: npt.ArrayLike) -> IntArray:
         """Most likely component of each row, (n,)."""
-        return np.argmax(self.predict_proba(X), axis=1).astype(np.int64)
+        return np.asarray(np.argmax(self.predict_proba(X), axis=1), dtype=np.int64)
 
     def n_parameters(self) -> int:
         """Free parameters: K means, K covariances, K - 1 weights."""
