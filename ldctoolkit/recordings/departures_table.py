@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -13,7 +14,7 @@ import numpy as np
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError, RecordingError, nearest
-from ldctoolkit.recordings.read import SourceFile
+from ldctoolkit.recordings.read import SourceFile, check_file
 from ldctoolkit.recordings.result import Criteria, Provenance, Refused
 
 if TYPE_CHECKING:
@@ -96,7 +97,8 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
 
 
 def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:
@@ -128,9 +130,7 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
     import polars as pl
 
     source = Path(path)
-    if not source.is_file():
-        state = "is a folder" if source.is_dir() else "does not exist"
-        raise RecordingError(f"{source}: {state}; a departures table is needed")
+    check_file(source, "a departures table")
     try:
         with source.open("rb") as stream:
             content = io.BytesIO(stream.read())

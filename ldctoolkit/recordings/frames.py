@@ -24,6 +24,9 @@ COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_sig
 ROW: Final = "(row)"
 """Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
 
+LONGEST_LINE: Final = 1 << 20
+"""A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
+
 _MISSING: Final = ("", "nan", "na", "n/a", "null", "none")
 _VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 _SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
@@ -124,9 +127,11 @@ def csv_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFr
         metered = io.BufferedReader(_Metered(raw, meter), 1 << 18)
         stream = gzip.GzipFile(fileobj=metered) if zipped else metered
         try:
-            first = stream.readline()
+            first = stream.readline(LONGEST_LINE)
             if first[:2] == b"\x1f\x8b":
                 raise RecordingError(f"{path.name}: the content is gzip; give it a name that ends in .csv.gz")
+            if len(first) == LONGEST_LINE:
+                raise RecordingError(f"{path.name}, line 1: longer than {LONGEST_LINE} bytes; this is not CSV")
             header = _csv_header(path, first)
             line = 2
             rest = b""
@@ -134,6 +139,8 @@ def csv_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFr
                 block = rest + block
                 cut = block.rfind(b"\n") + 1
                 block, rest = block[:cut], block[cut:]
+                if len(rest) >= LONGEST_LINE and not block:
+                    raise RecordingError(f"{path.name}, line {line}: longer than {LONGEST_LINE} bytes; this is not CSV")
                 if block:
                     yield _parse(path, header, block, line)
                     line += block.count(b"\n")

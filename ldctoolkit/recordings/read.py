@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import stat
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -79,6 +80,20 @@ class Recordings:
             self._sources += (SourceFile(path.name, meter.bytes, meter.sha256),)
 
 
+def check_file(path: Path, needed: str) -> None:
+    """Refuse a path that is not a file; `needed` says in the message what it should be."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        raise RecordingError(f"{path}: does not exist; {needed} is needed") from None
+    except (OSError, ValueError) as error:  # no permission, name too long, a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError(f"{path}: cannot be read: {reason}") from None
+    if not stat.S_ISREG(mode):
+        state = "is a folder" if stat.S_ISDIR(mode) else "is not a regular file"
+        raise RecordingError(f"{path}: {state}; {needed} is needed")
+
+
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
@@ -137,9 +152,7 @@ def read_recordings(
     for path in files:
         if not path.name.lower().endswith(SUFFIXES):
             raise RecordingError(f"{path.name}: the suffix is not known; allowed: {', '.join(SUFFIXES)}")
-        if not path.is_file():
-            state = "is a folder" if path.is_dir() else "does not exist"
-            raise RecordingError(f"{path}: {state}; a recording file is needed")
+        check_file(path, "a recording file")
         if path.resolve() in seen:
             raise RecordingError(f"{path.name}: given twice")
         seen.add(path.resolve())

@@ -248,6 +248,9 @@ def test_bad_parquet_columns(tmp_path, change, message):
 def test_bad_paths(save, tmp_path):
     good = save(HEADER + ROWS)
     for paths, message in [
+        ([good / "below.csv"], r"below\.csv: does not exist"),
+        ([tmp_path / ("x" * 300 + ".csv")], "cannot be read: File name too long"),
+        ([tmp_path / "nul\0.csv"], "cannot be read: embedded null"),
         ([tmp_path / "nowhere.csv"], r"nowhere\.csv: does not exist"),
         ([save("", "drive.txt")], r"drive\.txt: the suffix is not known; allowed: \.csv, \.csv\.gz, \.parquet"),
         ([good, good], r"drive\.csv: given twice"),
@@ -266,6 +269,12 @@ def test_bad_paths(save, tmp_path):
         RecordingError, match=r"two\.csv, line 2: column 'recording': 'b' was already read from drive\.csv"
     ):
         read(good, save(HEADER + "b,5,0,3.6,25\n", "two.csv"))
+
+
+def test_a_file_without_line_breaks_is_not_swallowed(save):
+    for content, line in ((b"x" * 3_000_000, 1), (HEADER.encode() + b"x" * 3_000_000, 2)):
+        with pytest.raises(RecordingError, match=rf"^drive\.csv, line {line}: longer than 1048576 bytes"):
+            read(save(content), block_bytes=1000)
 
 
 def test_a_file_that_vanishes_meanwhile(save):
