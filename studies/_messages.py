@@ -13,6 +13,7 @@ _ALLOWED = {
     "dict_type": "a table of keys",
     "is_instance_of": "a table of keys",
     "dataclass_type": "a table of keys",
+    "dataclass_exact_type": "a table of keys",
     "tuple_type": "a list",
     "int_type": "a whole number",
     "float_type": "a number",

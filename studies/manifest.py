@@ -90,7 +90,9 @@ class Manifest(BaseModel):
     command: str = ""
 
     @classmethod
-    def of(cls, study: Study, *, model: str, model_hash: str) -> Manifest:
+    def of(
+        cls, study: Study, *, model: str, model_hash: str, model_notes: tuple[str, ...], model_synthetic: bool
+    ) -> Manifest:
         """The manifest of a study that starts now."""
         content = study.content()
         content["scenarios"]["model"] = PurePath(content["scenarios"]["model"]).name
@@ -99,6 +101,8 @@ class Manifest(BaseModel):
             study_hash=study.hash,
             model=PurePath(model).name,
             model_hash=model_hash,
+            model_notes=model_notes,
+            model_synthetic=model_synthetic,
             identity=study.identity(),
             seed=study.seed,
             versions=_versions(),

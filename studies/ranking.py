@@ -275,7 +275,11 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
-    return values[:, rows].mean(axis=1) if rows.any() else np.full(values.shape[0], np.nan)
+    if not rows.any():
+        return np.full(values.shape[0], np.nan)
+    # contiguous rows: the sum of a design does not depend on how many designs stand beside it
+    means: FloatArray = np.ascontiguousarray(values[:, rows]).mean(axis=1)
+    return means
 
 
 def _reduction(case: CaseResults, order: IntArray, rows: BoolArray) -> FloatArray:

@@ -20,6 +20,7 @@ from ldctoolkit import LdcError, Scenarios, controller_class
 from ldctoolkit.errors import InputError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.manifest import Manifest
+from studies.model_notes import model_notes
 from studies.results import StudyResults
 from studies.simulate_designs import Block, Job, Simulator, start_worker, work
 from studies.spec import Study
@@ -93,14 +94,20 @@ def run_study(
     count = _positive("workers", workers, os.cpu_count() or 1)
     generator = study_model(study, model)
     scenarios = generator.sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
-    name = study.scenarios.model if model is None or isinstance(model, ScenarioModel) else str(model)
-    fresh = Manifest.of(study, model=name, model_hash=generator.content_hash)
+    size = _positive("block_size", block_size, max(1, _SCENARIO_RUNS_A_BLOCK // len(scenarios)))
+    fresh = Manifest.of(
+        study,
+        model=study.scenarios.model if model is None else "in memory" if generator is model else str(model),
+        model_hash=generator.content_hash,
+        model_notes=model_notes(generator),
+        model_synthetic=generator.provenance.synthetic,
+    )
     store = Store.create(Path(directory), fresh, scenarios)
     done = store.load(repair=True)
     for message in store.broken:
         _log.warning(message)
 
-    blocks = _blocks(study, done, _positive("block_size", block_size, max(1, _SCENARIO_RUNS_A_BLOCK // len(scenarios))))
+    blocks = _blocks(study, done, size)
     show = sys.stderr.isatty() if progress is None else progress
     complete = False
     try:

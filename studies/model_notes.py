@@ -1,0 +1,65 @@
+"""What a reader of a report or a list must know about a scenario model, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ldctoolkit.scenario_model import ScenarioModel, SideSummary
+
+_LONGEST = 400
+
+
+def model_notes(model: ScenarioModel) -> tuple[str, ...]:
+    """Source, size of the fit and warnings of a model, one sentence or line each."""
+    return tuple(_notes(model))
+
+
+def _notes(model: ScenarioModel) -> Iterator[str]:
+    origin = model.provenance
+    if origin.synthetic:
+        yield "Synthetic: fitted to departures drawn from a stated population, not to recorded driving."
+    for key, value in _flat(origin.source):
+        text = f"{key}: {value}" if key else str(value)
+        if value not in ("", None):
+            yield text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    for name, side, summary in (
+        ("left", model.left_side, origin.left),
+        ("right", model.right_side, origin.right),
+    ):
+        yield f"{name}: {len(side.mixture.weights_)} components{_fitted(summary)}"
+    if origin.software:
+        yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
+    yield from (f"warning: {text}" for text in origin.warnings)
+
+
+def _fitted(summary: SideSummary | None) -> str:
+    if summary is None:
+        return ""
+    tried = f", chosen by BIC among K = {_numbers(summary.n_components)}" if len(summary.n_components) > 1 else ""
+    return f" from {summary.events:,} departures{tried}"
+
+
+def _numbers(values: tuple[int, ...]) -> str:
+    if values == tuple(range(values[0], values[-1] + 1)):
+        return f"{values[0]} to {values[-1]}"
+    return ", ".join(map(str, values))
+
+
+def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in source.items():
+        if isinstance(value, Mapping):
+            yield (
+                f"{key}",
+                ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None)),
+            )
+        else:
+            yield "" if key == "description" else key, _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return " ".join(f"{name} {_plain(item)}" for name, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(str(_plain(item)) for item in value)
+    return f"{value:g}" if isinstance(value, float) else value

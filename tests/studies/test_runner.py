@@ -1,0 +1,284 @@
+"""Running and storing studies: the same bits however they are run, resumed, or read back."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ldctoolkit import BicycleModel, EventStatus, LdcError, simulate
+from ldctoolkit.errors import InputError, StoreError, UnknownNameError
+from ldctoolkit.simulation import Takeover, closed_loop
+from studies import Study, StudyResults, read_manifest, read_results, run_study, runner
+from studies.store import Store
+
+pytestmark = pytest.mark.usefixtures("laws")
+
+MakeStudy = Callable[..., Study]
+FIELDS = ("S", "S_uncorrected", "status", "deepest", "failed_solves")
+
+
+def assert_same_bits(a: StudyResults, b: StudyResults) -> None:
+    assert a.designs == b.designs
+    np.testing.assert_array_equal(a.scenarios.matrix(), b.scenarios.matrix())
+    for one, other in zip(a.cases, b.cases, strict=True):
+        assert one.case == other.case
+        for name in FIELDS:
+            left, right = getattr(one, name), getattr(other, name)
+            assert left.dtype == right.dtype
+            np.testing.assert_array_equal(left, right)
+
+
+@pytest.fixture
+def reference(make_study: MakeStudy, tmp_path: Path) -> StudyResults:
+    return run_study(make_study(), directory=tmp_path / "reference", workers=1)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"workers": 1, "block_size": 1},
+        {"workers": 2, "block_size": 1},
+        {"workers": 2, "block_size": 3},
+        {"workers": 3, "block_size": 100},
+        {"workers": 2, "start_method": "spawn"},
+    ],
+    ids=str,
+)
+def test_no_number_depends_on_how_the_work_is_split(
+    settings: dict[str, object], make_study: MakeStudy, reference: StudyResults, tmp_path: Path
+) -> None:
+    folder = tmp_path / "other"
+    assert_same_bits(run_study(make_study(), directory=folder, **settings), reference)  # type: ignore[arg-type]
+    assert_same_bits(read_results(folder), reference)
+
+
+def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyResults) -> None:
+    study = make_study()
+    for case in reference.cases:
+        for i, design in enumerate(study.designs):
+            outcome = simulate(
+                design.controller(case.case.convention),
+                reference.scenarios,
+                vehicle=BicycleModel(study.vehicle, case.case.convention),
+                y_s=design.y_s,
+                window=case.case.window,
+            )
+            np.testing.assert_array_equal(case.S[i], outcome.S)
+            np.testing.assert_array_equal(case.S_uncorrected[i], outcome.S_uncorrected)
+            np.testing.assert_array_equal(case.status[i], outcome.status)
+            np.testing.assert_array_equal(case.deepest[i], outcome.deepest)
+
+
+def test_two_windows_come_from_one_simulation(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from studies import simulate_designs
+
+    drives, builds = [], []
+    monkeypatch.setattr(simulate_designs, "drive", lambda *a: drives.append(a) or closed_loop.drive(*a))
+    build = Takeover.build
+    monkeypatch.setattr(Takeover, "build", lambda *a, **k: builds.append(k["y_s"]) or build(*a, **k))
+    study = make_study()
+    run_study(study, directory=tmp_path, workers=1)
+    assert len(drives) == 2 * len(study.designs)  # two conventions
+    assert sorted(builds) == sorted([0.05, 0.1, 0.2] * 2)
+
+
+def test_a_study_resumes_where_it_was_stopped(
+    make_study: MakeStudy, reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An interrupt after a few designs; then only the rest is computed, with the same bits."""
+    from studies import simulate_designs
+
+    drives: list[object] = []
+
+    def interrupted(*a: object) -> object:
+        if len(drives) == 4:
+            raise KeyboardInterrupt
+        drives.append(a)
+        return closed_loop.drive(*a)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(simulate_designs, "drive", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(make_study(), directory=tmp_path / "s", workers=1, block_size=1)
+    assert read_manifest(tmp_path / "s").finished == ""
+    with pytest.raises(StoreError, match=r"10 of 14 runs are not there yet"):
+        read_results(tmp_path / "s")
+
+    monkeypatch.setattr(simulate_designs, "drive", lambda *a: drives.append(a) or closed_loop.drive(*a))
+    again = run_study(make_study(), directory=tmp_path / "s", workers=1)
+    assert len(drives) == 14
+    assert_same_bits(again, reference)
+    assert_same_bits(read_results(tmp_path / "s"), reference)
+    assert read_manifest(tmp_path / "s").finished
+
+    run_study(make_study(title="new words"), directory=tmp_path / "s", workers=1)
+    assert len(drives) == 14
+    assert read_manifest(tmp_path / "s").study["title"] == "new words"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_controller_that_raises_is_named(make_study: MakeStudy, tmp_path: Path, workers: int) -> None:
+    if workers > 1 and multiprocessing.get_start_method() != "fork":
+        pytest.skip("a law that exists only in a test reaches worker processes by fork alone")
+    study = make_study(design=[{"law": "boom", "gains": {"K": [0.0, 5.0]}}])
+    with pytest.raises(LdcError, match=r"design [0-9a-f]{12} \(Boom, y_s=0.2 m, K=5\): ZeroDivisionError: K is 5.0"):
+        run_study(study, directory=tmp_path, workers=workers)
+    assert not multiprocessing.active_children()
+
+
+def test_a_law_that_workers_cannot_import_is_named(make_study: MakeStudy, tmp_path: Path) -> None:
+    from ldctoolkit import registry
+
+    class Local(registry._registered["toy"]):  # type: ignore[name-defined,misc]
+        name = "local"
+
+    registry.register(Local)
+    try:
+        study = make_study(design=[{"law": "local", "gains": {"N": [1, 2, 3]}}])
+        with pytest.raises(LdcError, match="controller Local cannot be sent to worker processes"):
+            run_study(study, directory=tmp_path, workers=2, block_size=1, start_method="spawn")
+    finally:
+        del registry._registered["local"]
+
+
+def test_failed_solves_are_kept(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(design=[{"law": "failing", "y_s": 0.0}])
+    run_study(study, directory=tmp_path, workers=1)
+    case = read_results(tmp_path).cases[0]
+    assert (case.status == EventStatus.SOLVER_FAILED).sum() == 6
+    assert case.failed_solves.sum() > 6
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"seed": 4}, r"holds another study \(small\): seed: 3 there, 4 now; choose another folder"),
+        ({"vehicle": {"m": 900.0}}, r"vehicle\.m: 1000\.0 there, 900\.0 now"),
+        ({"scenarios": {"left": 7, "right": 6}}, r"scenarios\.right: 5 there, 6 now"),
+        ({"design": [{"law": "none"}]}, r"designs: 7 there, 1 now, 1 of them the same"),
+        ({"simulation": {"window": "departure"}}, r"simulation\.window: \['departure', 'control'\] there"),
+    ],
+)
+def test_a_folder_of_another_study_is_refused(
+    other: dict[str, object], message: str, make_study: MakeStudy, reference: StudyResults, tmp_path: Path
+) -> None:
+    before = sorted((p, p.stat().st_mtime_ns) for p in (tmp_path / "reference").rglob("*"))
+    with pytest.raises(StoreError, match=message):
+        run_study(make_study(**other), directory=tmp_path / "reference")
+    assert sorted((p, p.stat().st_mtime_ns) for p in (tmp_path / "reference").rglob("*")) == before
+
+
+def test_another_model_or_version_is_refused(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
+    path = tmp_path / "reference" / "manifest.json"
+    content = json.loads(path.read_text())
+    for change, message in (
+        ({"model_hash": "0" * 64}, r"model: reference \(content 000000000000\) there, reference \(content"),
+        ({"versions": content["versions"] | {"ldctoolkit": "0.0.1"}}, r"ldctoolkit: 0\.0\.1 there, "),
+    ):
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(StoreError, match=message):
+            run_study(make_study(), directory=tmp_path / "reference")
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "flipped", "foreign", "nan"])
+def test_a_broken_part_is_named_and_computed_anew(
+    damage: str, make_study: MakeStudy, reference: StudyResults, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    import polars as pl
+
+    folder = tmp_path / "reference"
+    (part,) = (folder / "results").glob("*.parquet")
+    content = part.read_bytes()
+    if damage == "nan":
+        pl.read_parquet(part).with_columns(S_control_m_s=pl.lit(float("nan"))).write_parquet(part)
+    elif damage == "foreign":
+        pl.DataFrame({"a": [1]}).write_parquet(part)
+    else:
+        middle = len(content) // 2
+        flipped = content[:middle] + bytes(b ^ 0xFF for b in content[middle:])
+        part.write_bytes({"truncated": content[:-20], "empty": b"", "flipped": flipped}[damage])
+    with pytest.raises(StoreError, match=rf"{part.name}: broken: .*run the study into this folder again"):
+        read_results(folder)
+    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
+    assert f"{part.name}: broken" in caplog.text
+    assert_same_bits(read_results(folder), reference)
+
+
+@pytest.mark.parametrize("where", [10, 60, 200])
+def test_a_truncated_part_is_always_noticed(where: int, reference: StudyResults, tmp_path: Path) -> None:
+    (part,) = (tmp_path / "reference" / "results").glob("*.parquet")
+    part.write_bytes(part.read_bytes()[:-where])
+    with pytest.raises(StoreError, match="broken"):
+        read_results(tmp_path / "reference")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "broken"),
+        ("[]", "broken"),
+        ("{}", "broken"),
+        ('{"format_version": 99}', "format 99; this version reads 1"),
+        ('{"format_version": 1}', "broken"),
+    ],
+)
+def test_a_broken_manifest_is_named(content: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(StoreError, match=rf"manifest\.json: {message}") as caught:
+        Store.open(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy) -> None:
+    with pytest.raises(StoreError, match="holds no study"):
+        read_results(tmp_path)
+    (tmp_path / "results").mkdir()
+    with pytest.raises(StoreError, match="is not the folder of a study"):
+        run_study(make_study(), directory=tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="is not the folder of a study"):
+        run_study(make_study(), directory=tmp_path / "file")
+
+
+def test_the_manifest_says_what_ran_and_nothing_about_who(
+    reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from studies.manifest import _command
+
+    text = (tmp_path / "reference" / "manifest.json").read_text()
+    manifest = read_manifest(tmp_path / "reference")
+    assert {"ldctoolkit", "numpy", "osqp"} <= set(manifest.versions)
+    assert manifest.wall_time_s > 0
+    assert manifest.seed == 3
+    assert str(Path.home()) not in text
+    assert str(tmp_path) not in text
+    assert _command(["/usr/bin/ldc", "run", "/home/me/s.toml", "--model=/home/me/m.json", "-o", "out/x"]) == (
+        "ldc run s.toml --model=m.json -o out/x"
+    )
+
+
+def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="workers: 0; allowed"):
+        run_study(make_study(), directory=tmp_path, workers=0)
+    with pytest.raises(InputError, match="block_size: 'a'; allowed"):
+        run_study(make_study(), directory=tmp_path, block_size="a")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="referenc"):
+        run_study(make_study(scenarios={"model": "referenc"}), directory=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_worker_that_dies_is_told(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if multiprocessing.get_start_method() != "fork":
+        pytest.skip("the patched function reaches worker processes by fork alone")
+    from studies import simulate_designs
+
+    monkeypatch.setattr(simulate_designs.Simulator, "run", lambda self, block: __import__("os")._exit(3))
+    with pytest.raises(LdcError, match="a worker process ended abruptly"):
+        run_study(make_study(), directory=tmp_path, workers=2, block_size=1)
+    assert runner._STORE_EVERY > 0
