@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
 
+RandomState = int | np.random.Generator | None
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -88,3 +89,13 @@ def check_number(name: str, value: object, low: float, *, integer: bool = False,
     if not good:
         kind = "an integer" if integer else "a number"
         raise InputError(f"{name}: {value!r}; allowed: {kind} {'>' if above else '>='} {low:g}")
+
+
+def seed_of(random_state: RandomState) -> int:
+    """An integer seed; None gives a fresh one, a Generator is advanced once."""
+    if random_state is None:
+        return int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
+    if isinstance(random_state, np.random.Generator):
+        return int(random_state.integers(2**63))
+    check_number("random_state", random_state, 0, integer=True)
+    return int(random_state)

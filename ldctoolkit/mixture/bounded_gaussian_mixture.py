@@ -11,18 +11,19 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._checks import (
+    RandomState,
     check_bound_array,
     check_constant,
     check_inside,
     check_matrix,
     check_number,
+    seed_of,
 )
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components, FloatArray, log_sum, log_terms
 from ldctoolkit.mixture._maximisation import Step
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
 
-RandomState = int | np.random.Generator | None
 IntArray = npt.NDArray[np.int64]
 
 SAMPLE_BLOCK: Final = 1024
@@ -396,13 +397,3 @@ class BoundedGaussianMixture:
         default = {k: v.default for k, v in inspect.signature(type(self).__init__).parameters.items()}
         shown = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v is not default[k])
         return f"BoundedGaussianMixture({shown})"
-
-
-def seed_of(random_state: RandomState) -> int:
-    """An integer seed; None gives a fresh one, a Generator is advanced once."""
-    if random_state is None:
-        return int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
-    if isinstance(random_state, np.random.Generator):
-        return int(random_state.integers(2**63))
-    check_number("random_state", random_state, 0, integer=True)
-    return int(random_state)

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit._scenario_parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, SideSummary
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture import select_components
+from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, SideSummary
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

@@ -3,39 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
-import importlib.resources
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import _scenario_json as form
-from ldctoolkit._scenario_fit import LEAST_EVENTS, checked_bounds, fit_side
-from ldctoolkit._scenario_parts import PHYSICAL_BOUNDS, ModelProvenance, SideModel, SideSummary
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
-from ldctoolkit.errors import InputError, ModelError, UnknownNameError, nearest
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
+from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
+from ldctoolkit.scenario_model import json_form as form
+from ldctoolkit.scenario_model.parts import ModelProvenance, SideModel, whole_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 
-__all__ = [
-    "PHYSICAL_BOUNDS",
-    "ModelProvenance",
-    "ScenarioModel",
-    "SideModel",
-    "SideSummary",
-    "bundled_models",
-    "fit_scenario_model",
-    "load_model",
-]
-
 FloatArray = npt.NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
@@ -61,6 +45,7 @@ class ScenarioModel:
 
     Examples
     --------
+    >>> from ldctoolkit.scenario_model import load_model
     >>> model = load_model("reference")
     >>> scenarios = model.sample(3, 2, seed=1)
     >>> scenarios.side.tolist()
@@ -116,7 +101,7 @@ class ScenarioModel:
         share of such events is ``provenance.left.redrawn_share``, or by `redrawn_share`.
         """
         parts = [
-            self._draw(side, _whole(name, n), _whole("seed", seed))
+            self._draw(side, whole_number(name, n), whole_number("seed", seed))
             for side, name, n in ((LEFT, "n_left", n_left), (RIGHT, "n_right", n_right))
         ]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
@@ -206,134 +191,3 @@ class ScenarioModel:
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:
         return cls(*form.model_from_json(form.read_json(text, file), file))
-
-
-def _whole(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(f"{name}: {value!r}; allowed: an integer >= 0")
-    return int(value)
-
-
-def bundled_models() -> tuple[str, ...]:
-    """Names of the models that come with the toolkit.
-
-    Examples
-    --------
-    >>> bundled_models()
-    ('reference',)
-    """
-    folder = importlib.resources.files("ldctoolkit") / "models"
-    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".json")))
-
-
-def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
-    """A bundled model by its name, or a model file by its path.
-
-    Parameters
-    ----------
-    name_or_path : str or path
-        ``"reference"``, or a path to a JSON file.
-
-    Returns
-    -------
-    ScenarioModel
-        The model.
-
-    Raises
-    ------
-    UnknownNameError
-        If it is neither a bundled name nor a file; the message lists the names.
-    ModelError
-        If the file is broken.
-
-    Examples
-    --------
-    >>> load_model("reference").provenance.synthetic
-    True
-    """
-    name = os.fspath(name_or_path)
-    names = bundled_models()
-    if name in names:
-        text = (importlib.resources.files("ldctoolkit") / "models" / f"{name}.json").read_text(encoding="utf-8")
-        return ScenarioModel._parse(text, f"{name}.json")
-    path = Path(name)
-    if path.exists():
-        return ScenarioModel.load(path)
-    if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
-        raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")
-    raise UnknownNameError(f"scenario model {name!r}: neither a bundled model nor a file; {nearest(name, names)}")
-
-
-def fit_scenario_model(
-    departures: Departures,
-    *,
-    components: int | Iterable[int] = range(1, 11),
-    seed: int = 0,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    source_provenance: Mapping[str, Any] | str = "",
-    synthetic: bool = False,
-    progress: Progress | None = None,
-) -> ScenarioModel:
-    """Fit a scenario model to departures: one mixture a side, the number of components by BIC.
-
-    Parameters
-    ----------
-    departures : Departures
-        Both sides together.
-    components : int or iterable of int
-        K, or the K to choose from. A range is cut where the events no longer carry it (two events a free parameter).
-    seed : int
-        Seed of the fits.
-    bounds : mapping, optional
-        Parameter name -> (lower, upper) in SI units, in place of the entry in ``PHYSICAL_BOUNDS``.
-    source_provenance : mapping or str
-        JSON values that describe the data, kept in the model.
-    synthetic : bool
-        Whether the departures were drawn and not recorded.
-    progress : callable, optional
-        Called as ``progress("left: K = 3", done, total)``, first for the left side and then for the right one.
-
-    Returns
-    -------
-    ScenarioModel
-        What a user should know (constant parameters, values on a bound, a cut range) is in ``provenance.warnings``.
-
-    Raises
-    ------
-    InputError
-        Fewer than 30 departures on a side (the message gives both counts), a value outside the bounds, or a setting
-        out of range.
-
-    Notes
-    -----
-    A parameter with the same value in every event of a side is left out of the mixture and kept as a constant. A
-    value exactly on a bound is moved inside by half the smallest other distance to it, at most a thousandth of the
-    column's standard deviation.
-    """
-    seed = _whole("seed", seed)
-    box = checked_bounds(bounds)
-    wanted = components if isinstance(components, int) else tuple(components)
-    rows = {"left": departures.side == LEFT, "right": departures.side == RIGHT}
-    counts = {label: int(mask.sum()) for label, mask in rows.items()}
-    if min(counts.values()) < LEAST_EVENTS:
-        raise InputError(
-            f"departures: {counts['left']} left and {counts['right']} right; allowed: at least {LEAST_EVENTS} a side"
-        )
-    fits = {label: fit_side(departures.take(mask), label, wanted, seed, box, progress) for label, mask in rows.items()}
-    source = {"description": source_provenance} if isinstance(source_provenance, str) else source_provenance
-    from ldctoolkit.version import __version__
-
-    provenance = ModelProvenance(
-        source=source,
-        synthetic=synthetic,
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        software=f"ldctoolkit {__version__}",
-        seed=seed,
-        warnings=tuple(note for fit in fits.values() for note in fit.warnings),
-    )
-    model = ScenarioModel(fits["left"].side, fits["right"].side, provenance)
-    left, right = (
-        dataclasses.replace(fits[label].summary, redrawn_share=model.redrawn_share(side))
-        for label, side in (("left", LEFT), ("right", RIGHT))
-    )
-    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=left, right=right))

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
 
 FloatArray = npt.NDArray[np.float64]
@@ -118,3 +119,10 @@ class SideModel:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of `names`."""
         return np.asarray(self.mixture.lower, dtype=float), np.asarray(self.mixture.upper, dtype=float)
+
+
+def whole_number(name: str, value: Any) -> int:
+    """An integer >= 0, or an `InputError` that names it."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(f"{name}: {value!r}; allowed: an integer >= 0")
+    return int(value)

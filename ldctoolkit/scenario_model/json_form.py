@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit._scenario_parts import LEAST_LOWER, ModelProvenance, SideModel, SideSummary
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model.parts import LEAST_LOWER, ModelProvenance, SideModel, SideSummary
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -1,0 +1,17 @@
+"""Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
+
+from ldctoolkit.scenario_model.fit import fit_scenario_model
+from ldctoolkit.scenario_model.library import bundled_models, load_model
+from ldctoolkit.scenario_model.model import ScenarioModel
+from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, ModelProvenance, SideModel, SideSummary
+
+__all__ = [
+    "PHYSICAL_BOUNDS",
+    "ModelProvenance",
+    "ScenarioModel",
+    "SideModel",
+    "SideSummary",
+    "bundled_models",
+    "fit_scenario_model",
+    "load_model",
+]
