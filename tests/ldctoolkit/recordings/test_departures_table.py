@@ -10,7 +10,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-import ldctoolkit
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
@@ -23,6 +22,7 @@ from ldctoolkit.recordings import (
     write_departures,
 )
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
+from ldctoolkit.version import __version__
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_what_the_file_holds(found, written, tmp_path):
     assert frame["side"].to_list() == ["left", "right"]
     content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
     assert content["format_version"] == 1
-    assert content["ldctoolkit"] == ldctoolkit.__version__
+    assert content["ldctoolkit"] == __version__
     assert content["criteria"]["vehicle_width"] == 1.8
     assert content["refused"]["too_short"] == 0
     assert content["sources"] == [dataclasses.asdict(found.provenance.sources[0])]
