@@ -250,7 +250,7 @@ def test_bad_paths(save, tmp_path):
     for paths, message in [
         ([good / "below.csv"], r"below\.csv: does not exist"),
         ([tmp_path / ("x" * 300 + ".csv")], "cannot be read: File name too long"),
-        ([tmp_path / "nul\0.csv"], "cannot be read: embedded null"),
+        ([tmp_path / "nul\0.csv"], "cannot be read: .*embedded null"),
         ([tmp_path / "nowhere.csv"], r"nowhere\.csv: does not exist"),
         ([save("", "drive.txt")], r"drive\.txt: the suffix is not known; allowed: \.csv, \.csv\.gz, \.parquet"),
         ([good, good], r"drive\.csv: given twice"),
