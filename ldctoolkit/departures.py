@@ -78,6 +78,8 @@ class DepartureParameters:
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
         index = rows if isinstance(rows, slice) else np.asarray(rows)
+        if not isinstance(index, slice) and index.size == 0:
+            index = index.astype(np.int64)  # an empty list would be an array of floats
         return dataclasses.replace(self, **{f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)})
 
 
@@ -224,14 +226,16 @@ def _distance(signals: DepartureSignals, starts: IntArray) -> FloatArray:
     step[starts] = 0.0
     # a cumulative sum per event: one over everything would carry the first event's rounding into the last
     out = np.empty_like(step)
-    width = int(np.max(np.diff(signals.offsets)))
-    column = np.arange(step.size) - np.repeat(starts, np.diff(signals.offsets))
-    row = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
-    for first in range(0, signals.n, 65536):  # blocks bound the padded table's memory
-        inside = (row >= first) & (row < first + 65536)
-        padded = np.zeros((min(65536, signals.n - first), width))
-        padded[row[inside] - first, column[inside]] = step[inside]
-        out[inside] = np.cumsum(padded, axis=1)[row[inside] - first, column[inside]]
+    length = np.diff(signals.offsets)
+    width = int(np.max(length))
+    block = max(1, 2**21 // width)  # bounds the padded table's memory
+    for first in range(0, signals.n, block):
+        count = length[first : first + block]
+        rows = slice(int(signals.offsets[first]), int(signals.offsets[first + count.size]))
+        inside = np.arange(width) < count[:, None]
+        padded = np.zeros(inside.shape)
+        padded[inside] = step[rows]
+        out[rows] = np.cumsum(padded, axis=1)[inside]
     return out
 
 

@@ -158,6 +158,13 @@ def test_too_few_samples_and_bad_durations_are_named() -> None:
         rebuild_signals(Scenarios.from_arrays(T=1.0, d_y=0.1, v_mean=20.0), 0.0)
 
 
+def test_rows_can_be_taken_by_list_mask_and_slice() -> None:
+    two = Scenarios.from_arrays(T=[1.0, 2.0], d_y=0.1, v_mean=20.0)
+    assert len(two.take([])) == 0
+    for rows in ([1], [False, True], slice(1, 2)):
+        assert two.take(rows).T.tolist() == [2.0]
+
+
 def test_nothing_in_nothing_out() -> None:
     empty = np.empty(0)
     signals = DepartureSignals(np.array([0]), empty, empty, empty, empty)
