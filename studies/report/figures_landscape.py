@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.gains import GainValue
 from studies.report.figures import new_panel
 from studies.report.style import LineStyle, figure_settings
-from studies.report.text import compact, number, unit_text
+from studies.report.text import compact, number, shorten, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,7 +92,7 @@ def heat_map(landscape: Landscape, low: float, high: float, uncorrected: float) 
     Returns
     -------
     Figure
-        The law's best cell carries a star (the study's winner) or a ring.
+        The law's best cell is framed; it carries a star if it is the study's winner.
     """
     import matplotlib
     from matplotlib.colors import Normalize
@@ -103,7 +103,8 @@ def heat_map(landscape: Landscape, low: float, high: float, uncorrected: float) 
     x, y, S = landscape.x, landscape.y, landscape.S
     with figure_settings():
         figure, axes = new_panel(height=1.55 + 0.33 * max(4, min(len(y.values), 9)))
-        color_map = matplotlib.colormaps["viridis"].with_extremes(bad="#ffffff")
+        # fewer than 50 colours: the colour bar is then drawn as shapes and not as an embedded image
+        color_map = matplotlib.colormaps["viridis"].resampled(48).with_extremes(bad="#ffffff")
         scale = Normalize(low, high if high > low else low + 1e-9)
         worse = uncorrected * (1.0 + 1e-9) < S
         mesh = axes.pcolormesh(
@@ -122,21 +123,18 @@ def heat_map(landscape: Landscape, low: float, high: float, uncorrected: float) 
         if S.size <= _ANNOTATED_CELLS:
             _annotate(axes, S, worse, scale, color_map, landscape)
         row, column = landscape.best
-        where = (column, row) if S.size > _ANNOTATED_CELLS else (column - 0.36, row + 0.26)
-        axes.plot(
-            *where,
-            marker="*" if landscape.winner else "o",
-            markersize=12 if landscape.winner else 7,
-            markerfacecolor="#ffffff" if landscape.winner else "none",
-            markeredgecolor="#000000" if landscape.winner else "#ffffff",
-            markeredgewidth=0.8 if landscape.winner else 1.8,
-            linestyle="none",
-        )
+        for color, width in (("#000000", 3.6), ("#ffffff", 1.8)):
+            axes.add_patch(
+                Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=width, zorder=3)
+            )
+        if landscape.winner and S.size > _ANNOTATED_CELLS:
+            axes.plot(column, row, marker="*", markersize=9, markerfacecolor="#ffffff", markeredgecolor="#000000",
+                      markeredgewidth=0.7, linestyle="none", zorder=4)  # fmt: skip
         _ticks(axes, x, y)
         axes.grid(visible=False)
         axes.spines[:].set_visible(False)
         axes.tick_params(length=0)
-        axes.set_title(landscape.title)
+        axes.set_title(shorten(landscape.title, 44))
         bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=22)
         bar.set_label("Mean S [m·s]")
         bar.outline.set_visible(False)
@@ -151,7 +149,8 @@ def _annotate(axes, S, worse, scale, color_map, landscape) -> None:  # type: ign
         r, g, b, _ = color_map(scale(value))
         light = worse[row, column] or 0.299 * r + 0.587 * g + 0.114 * b > 0.5
         best = (row, column) == landscape.best
-        axes.text(column, row, number(value, 2 if value >= 10 else 3), ha="center", va="center", fontsize=size,
+        star = "★\n" if best and landscape.winner else ""
+        axes.text(column, row, star + number(value, 2 if value >= 10 else 3), ha="center", va="center", fontsize=size,
                   color="#111111" if light else "#ffffff", fontweight="bold" if best else "normal")  # fmt: skip
 
 
@@ -159,7 +158,7 @@ def _ticks(axes, x: Axis, y: Axis) -> None:  # type: ignore[no-untyped-def]
     for axis, which in ((x, "x"), (y, "y")):
         places = list(range(len(axis.values)))
         every = -(-len(places) // 12)  # at most twelve labels
-        labels = [compact(axis.values[i]) for i in places[::every]]
+        labels = [shorten(compact(axis.values[i]), 14) for i in places[::every]]
         if which == "x":
             crowded = sum(len(label) for label in labels) > 34
             axes.set_xticks(places[::every], labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
@@ -199,8 +198,8 @@ def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figur
                       ha="center", fontsize=8.5, fontweight="bold")  # fmt: skip
         axes.margins(x=0.08, y=0.18)
         if not x.numeric or len(x.values) <= 8:
-            axes.set_xticks(places, [compact(v) for v in x.values])
+            axes.set_xticks(places, [shorten(compact(v), 14) for v in x.values])
         axes.set_xlabel(x.label)
         axes.set_ylabel("Mean S [m·s]")
-        axes.set_title(landscape.title)
+        axes.set_title(shorten(landscape.title, 44))
         return figure

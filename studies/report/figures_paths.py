@@ -119,14 +119,14 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
             width = 2.2 if depth == 0 else 1.5
             above.plot(path.t, path.y, zorder=order, **(path.style.line() | {"linewidth": width}))
             above.plot(path.t[0], path.y[0], marker=path.style.marker, markersize=6.5, markerfacecolor="#ffffff",
-                       markeredgecolor=path.style.color, markeredgewidth=1.6, zorder=order + 1)  # fmt: skip
+                       markeredgecolor=path.style.color, markeredgewidth=1.6, zorder=order + 1, clip_on=False)  # fmt: skip
             below.step(path.t, np.degrees(path.delta), where="post", zorder=order,
                        **(path.style.line() | {"linewidth": 0.8 * width}))  # fmt: skip
         above.set_ylim(y_low, y_high)
         below.set_ylim(d_low, d_high)
-        above.set_xlim(0.0, float(example.t[-1]))
+        above.set_xlim(-0.02 * float(example.t[-1]), float(example.t[-1]))
         if y_low < -0.12 * (y_high - y_low):
-            above.text(0.985, 0.03, "inside the lane", transform=above.transAxes, ha="right", va="bottom", fontsize=8,
+            above.text(0.015, 0.03, "inside the lane", transform=above.transAxes, ha="left", va="bottom", fontsize=8,
                        color="#5f6b76", zorder=1)  # fmt: skip
         above.set_ylabel("Edge beyond line y [m]")
         below.set_ylabel("Steering δ [°]")

@@ -48,7 +48,7 @@ def _tiles(table: CaseTable) -> list[Tile]:
     if not is_baseline(winner):
         tiles.append(Tile(text.signed(-100 * winner.reduction.value, 1), "%", "against no control",
                           f"interval {text.number(-100 * winner.reduction.high, 1)} to {text.number(-100 * winner.reduction.low, 1)}"))  # fmt: skip
-        tiles.append(Tile(text.number(100 * winner.deeper, 1), "%", "of departures still too deep",
+        tiles.append(Tile(text.number(100 * winner.deeper, 1), "%", f"of departures deeper than {text.compact(table.D_y)}\u00a0m",
                           f"{text.number(100 * table.uncorrected_deeper, 1)} % without control"))  # fmt: skip
     if len(table.rows) > 1:
         detail = f"of {len(table.rows) - 1:,} other designs"

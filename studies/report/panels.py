@@ -68,7 +68,7 @@ class Panels:
     def __init__(self, report: ReportInput, table: CaseTable) -> None:
         self.report, self.table = report, table
         self.scenarios, self.case = report.results.scenarios, report.results.cases[0]
-        self.styles = law_styles(d.law for d in report.results.designs)
+        self.styles = law_styles(row.design.law for row in table.best_of_each_law)  # the winner's line is solid
         self._count = 0
 
     def _panel(self, figure: Figure, title: str, note: Markup | str = "") -> Panel:
@@ -151,7 +151,7 @@ class Panels:
             self._panel(
                 path_figure(example, limits),
                 f"{example.side} departure, {example.role}: lateral position and steering angle over time",
-                symbols(f"{example.facts}; S falls by {percent(example.reduction)}"),
+                symbols(f"{example.facts}; S {'falls' if example.reduction >= 0 else 'rises'} by {percent(abs(example.reduction))}"),
             )
             for example in replayed.examples
         ]

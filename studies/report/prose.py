@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
-from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.departures import LEFT
 from studies.report.inputs import ReportInput
 from studies.report.landscape import is_full_grid, on_the_edge
 from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline
-from studies.report.text import number, percent, plural, symbols
+from studies.report.text import compact, number, percent, plural, symbols
+
+_NB = "\u00a0"
 
 
 def design_text(row: Row) -> Markup:
     """A design in running text: title, threshold, gains."""
-    gains = "".join(f", {name} = {value}{' ' + unit if unit else ''}" for name, value, unit in row.gains)
-    threshold = "" if is_baseline(row) else f", y_s = {row.design.y_s:g} m"
+    gains = "".join(f", {name}{_NB}={_NB}{value}{_NB + unit if unit else ''}" for name, value, unit in row.gains)
+    threshold = "" if is_baseline(row) else f", y_s{_NB}={_NB}{compact(row.design.y_s)}{_NB}m"
     return symbols(f"{row.title}{threshold}{gains}")
 
 
@@ -34,7 +36,7 @@ def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
     left = int((report.results.scenarios.side == LEFT).sum())
     sides = f"{left:,} left, {n - left:,} right"
     sentences = [
-        Markup("<strong>{}</strong> has the lowest mean score of {}: <strong>S = {} m·s</strong> "
+        Markup("<strong>{}</strong> has the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> "
                "({} interval {}) over {} ({}).").format(
             design_text(winner), plural(len(table.rows), "design"), number(winner.S.value), percent(table.confidence, 0),
             between(winner.S),
@@ -75,7 +77,7 @@ def _rival(table: CaseTable) -> tuple[Row | None, str]:
     if table.winner.design.law != PAPER_LAW:
         paper = table.best_of(PAPER_LAW)
         if paper is not None:
-            return paper, "the best design of the paper's law"
+            return paper, "the best design of the paper’s law"
     others = [r for r in table.best_of_each_law if r.design.law != table.winner.design.law and not is_baseline(r)]
     return (others[0], "the best design of any other law") if others else (None, "")
 
@@ -119,7 +121,7 @@ def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
         said.append(Markup("Over the control window S starts at the trigger: a later trigger scores less time, so such "
                            "scores must not be compared between thresholds y<sub>s</sub>."))  # fmt: skip
     if any(c.case.convention == "as_printed" for c in report.results.cases):
-        said.append(Markup("Cases marked <em>as printed</em> follow the paper's misprints and are there for comparison only."))
+        said.append(Markup("Cases marked <em>as printed</em> follow the paper’s misprints and are there for comparison only."))
     if report.synthetic:
         said.append(Markup("<strong>The scenario model is synthetic.</strong> It was not fitted to recorded driving: the "
                            "ranking shows how designs compare on the stated population, not on a real road."))  # fmt: skip
@@ -130,11 +132,3 @@ def partial_grids(report: ReportInput) -> bool:
     """Whether some law was not run on every combination of its swept values."""
     designs = report.results.designs
     return any(not is_full_grid([d for d in designs if d.law == law]) for law in {d.law for d in designs})
-
-
-def safe(text: str) -> Markup:
-    """A user's text, escaped."""
-    return escape(text)
-
-
-SIDE_ORDER = (LEFT, RIGHT)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import html
 import io
 import re
+import warnings
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
 from studies.report.style import figure_settings
-from studies.report.text import SYMBOL, symbol_parts
+from studies.report.text import SYMBOL, printable, symbol_parts
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -41,9 +42,11 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
 
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with figure_settings():
+    with figure_settings(), warnings.catch_warnings():
+        # measured in another font than the reader's: a glyph that is missing here is not missing there
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(buffer, format="svg", metadata=nothing)
-    root = ET.fromstring(buffer.getvalue())
+    root = ET.fromstring(printable(buffer.getvalue()))
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
         for key in list(element.attrib):
@@ -84,8 +87,9 @@ def _rename(root: ET.Element, prefix: str) -> None:
     for element in root.iter():
         for value in element.attrib.values():
             used.update(_REFERENCE.findall(value))
-        used.add(element.attrib.get("href", "").removeprefix("#"))
-    short = {name: f"{prefix}-{i}" for i, name in enumerate(sorted(used - {""}))}
+        if element.attrib.get("href", "").startswith("#"):
+            used.add(element.attrib["href"].removeprefix("#"))
+    short = {name: f"{prefix}-{i}" for i, name in enumerate(sorted(used))}
     for element in root.iter():
         for key, value in list(element.attrib.items()):
             if key == "id":
@@ -93,7 +97,7 @@ def _rename(root: ET.Element, prefix: str) -> None:
                     element.attrib[key] = short[value]
                 else:
                     del element.attrib[key]
-            elif key == "href":
+            elif key == "href" and value.startswith("#"):
                 element.attrib[key] = "#" + short[value.removeprefix("#")]
             elif "url(#" in value:
                 element.attrib[key] = _REFERENCE.sub(lambda m: f"url(#{short[m[1]]})", value)

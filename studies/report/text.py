@@ -18,12 +18,26 @@ _GREEK = {
 SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-z]|sigma|delta|psi|rho|lambda)_([A-Za-z0-9]{1,5}(?:_[A-Za-z0-9]{1,4})?)(?![A-Za-z0-9_])")
 """A symbol with an index, as the code writes it: ``y_s``, ``K_psi``."""
 
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
 MINUS = "−"
 
 
 def printable(text: str) -> str:
     """The text without characters that XML forbids."""
-    return "".join(c if c in "\t\n\r" or (ord(c) >= 32 and not 0xD800 <= ord(c) < 0xE000 and ord(c) not in (0xFFFE, 0xFFFF)) else "�" for c in text)
+    return _NOT_XML.sub("\ufffd", text)
+
+
+def shorten(text: str, most: int) -> str:
+    """At most that many printable characters.
+
+    Examples
+    --------
+    >>> shorten("preview proportional", 8)
+    'preview…'
+    """
+    shown = printable(text)
+    return shown if len(shown) <= most else shown[: most - 1] + "…"
 
 
 def symbol_parts(match: re.Match[str]) -> tuple[str, str]:

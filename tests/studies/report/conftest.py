@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Iterable
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -97,4 +99,7 @@ def with_failures(results: StudyResults) -> StudyResults:
     return dataclasses.replace(results, cases=tuple(cases))
 
 
-RunStudy = Callable[..., StudyResults]
+@pytest.fixture(scope="session")
+def make() -> ModuleType:
+    """The functions above; test modules cannot import each other."""
+    return sys.modules[__name__]
