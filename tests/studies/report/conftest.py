@@ -59,6 +59,7 @@ def report_input(results: StudyResults, **changes: object) -> ReportInput:
         "settings": (("seed", "0"), ("left", "60"), ("model hash", "0f" * 32)),
         "versions": (("ldctoolkit", "0.1.0"), ("python", "3.11")),
         "model_notes": ("An invented population.",),
+        "warnings": ("Speed looks like km/h.",),
         "synthetic": True,
         "command": "ldc run trigger-and-gains -o out",
     }

@@ -1,0 +1,264 @@
+"""Figures and what is computed for them, against independent arithmetic."""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as ET
+from types import ModuleType
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import Scenarios
+from ldctoolkit.departures import lateral
+from studies.design import Design
+from studies.report.examples import choose, replay
+from studies.report.figures import (
+    Curve,
+    convergence_figure,
+    distribution_figure,
+    interleaved,
+    running_mean,
+    sides_figure,
+)
+from studies.report.figures_landscape import heat_map, profile
+from studies.report.figures_paths import ControlledPath, Example, path_figure
+from studies.report.landscape import color_range, landscapes, on_the_edge, swept_axes
+from studies.report.style import RECORDED, law_styles
+from studies.report.svg import inline_svg
+from studies.report.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
+from studies.results import Case, StudyResults
+
+RNG = np.random.default_rng(0)
+STYLE = law_styles(["a"])["a"]
+
+
+def labels(figure: Figure) -> set[str]:
+    return {axes.get_xlabel() for axes in figure.axes} | {axes.get_ylabel() for axes in figure.axes}
+
+
+def test_running_mean_is_the_mean_and_its_error() -> None:
+    values = 1e6 + RNG.normal(size=700)  # large offset: a difference of sums of squares would lose the variance
+    count, mean, error = running_mean(values)
+    assert count[-1] == 700
+    for k, m, e in zip(count, mean, error, strict=True):
+        assert m == pytest.approx(values[:k].mean(), rel=1e-13)
+        assert e == pytest.approx(1.96 * values[:k].std(ddof=1) / np.sqrt(k), rel=1e-6)
+
+
+@given(st.integers(0, 40), st.integers(0, 40))
+def test_interleaving_is_a_permutation_with_even_shares(left: int, right: int) -> None:
+    side = np.repeat([1, -1], [left, right])
+    order = interleaved(side)
+    assert sorted(order) == list(range(left + right))
+    if left and right:
+        seen = np.cumsum(side[order] == 1)
+        expected = np.arange(1, left + right + 1) * left / (left + right)
+        assert np.abs(seen - expected).max() <= 1.0
+    for value in (1, -1):  # each side keeps its own order
+        assert np.all(np.diff(order[side[order] == value]) > 0)
+
+
+def test_bars_have_the_length_of_the_means() -> None:
+    S = RNG.lognormal(size=400)
+    figure = sides_figure([Curve("none", RECORDED, S), Curve("law", STYLE, 0.5 * S, 0.5)], "Left")
+    (axes,) = figure.axes
+    assert [bar.get_width() for bar in axes.patches] == [S.mean(), 0.5 * S.mean()]
+    (first, second) = axes.collections
+    assert first.get_segments()[0][:, 0] == pytest.approx(np.quantile(S, [0.1, 0.9]), rel=1e-14)
+    assert second.get_segments()[0][:, 0] == pytest.approx(np.quantile(0.5 * S, [0.1, 0.9]), rel=1e-14)
+    assert {text.get_text() for text in axes.texts} == {number(S.mean()), f"{number(0.5 * S.mean())} (−50.0\u00a0%)"}
+    assert "Score S [m·s]" in labels(figure)
+
+
+def test_distribution_reaches_its_quantiles() -> None:
+    S = RNG.lognormal(size=999)
+    figure = distribution_figure([Curve("none", RECORDED, S)], "Left")
+    x, y = figure.axes[0].lines[0].get_data()
+    assert [np.interp(0.5, y, x), x[0], x[-1]] == pytest.approx([np.median(S), S.min(), S.max()], rel=1e-2)
+
+
+def test_convergence_ends_at_the_mean_of_all() -> None:
+    S = RNG.lognormal(size=300)
+    figure = convergence_figure([Curve("law", STYLE, S)], np.arange(300), "Mean", "Mean S [m·s]")
+    x, y = figure.axes[0].lines[0].get_data()
+    assert (x[-1], y[-1]) == pytest.approx((300, S.mean()), rel=1e-13)
+
+
+def grid() -> tuple[Design, ...]:
+    combinations = itertools.product((0.05, 0.2, 0.1), (1.0, 10.0), (300.0, 30.0))
+    return (Design.of(NoControl(), 0.1), *(Design.of(LQR(q_y=q, r_delta=r), y) for y, q, r in combinations))
+
+
+def test_landscape_takes_the_least_over_the_rest() -> None:
+    designs = grid()
+    S = RNG.uniform(1.0, 2.0, len(designs))
+    S[7] = 0.5
+    panels = list(landscapes(designs, S, 7))
+    assert [(p.x.label, p.y.label if p.y else None) for p in panels] == [
+        ("y_s [m]", "q_y [1/m²]"),
+        ("y_s [m]", "r_delta [1/rad²]"),
+    ]
+    for panel in panels:
+        assert panel.y is not None
+        assert panel.x.values == (0.05, 0.1, 0.2)
+        for (row, column), value in np.ndenumerate(panel.S):
+            members = [
+                S[i]
+                for i, d in enumerate(designs)
+                if d.y_s == panel.x.values[column] and dict(d.gains).get(panel.y.name) == panel.y.values[row]
+            ]
+            assert value == min(members)
+        assert panel.S[panel.best] == 0.5
+        assert panel.winner
+
+
+def test_landscape_without_a_full_grid_and_with_words() -> None:
+    designs = (
+        Design.of(PreviewProportional(convention="consistent"), 0.1),
+        Design.of(PreviewProportional(convention="as_printed"), 0.2),
+    )
+    (panel,) = landscapes(designs, np.array([1.0, 2.0]), 0)
+    assert panel.y is not None
+    assert panel.y.values == ("consistent", "as_printed")
+    assert np.isnan(panel.S[0, 1])
+    assert np.isnan(panel.S[1, 0])
+    heat_map(panel, 1.0, 2.0, 3.0)
+    one = list(landscapes(tuple(Design.of(LQR(), y) for y in (0.3, 0.1)), np.array([2.0, 1.0]), 1))
+    assert [(p.y, p.x.values, p.S.tolist(), p.best) for p in one] == [(None, (0.1, 0.3), [[1.0, 2.0]], (0, 0))]
+    assert list(landscapes((Design.of(LQR(), 0.1),), np.array([1.0]), 0)) == []
+
+
+def test_edge_of_the_sweep_is_named() -> None:
+    designs = grid()
+    lowest = next(i for i, d in enumerate(designs) if d.y_s == 0.05 and dict(d.gains).get("q_y") == 10.0)
+    assert on_the_edge(designs, lowest)[:2] == ("y_s (lowest tried)", "q_y (highest tried)")
+    three = tuple(Design.of(LQR(), y) for y in (0.1, 0.2, 0.3))
+    assert on_the_edge(three, 1) == ()
+    assert swept_axes(three[:1]) == ()
+
+
+def test_heat_map_marks_what_is_worse_than_no_control() -> None:
+    designs = grid()
+    S = np.linspace(1.0, 2.0, len(designs))
+    panels = list(landscapes(designs, S, 1))
+    low, high = color_range(panels, 1.6)
+    assert high <= 1.6 < S.max()
+    figure = heat_map(panels[0], low, high, 1.6)
+    axes = figure.axes[0]
+    grey = [p for p in axes.patches if matplotlib.colors.to_hex(p.get_facecolor()) == "#d4d4d4" and p.get_fill()]
+    assert len(grey) == int((panels[0].S > 1.6).sum()) > 0
+    shown = {text.get_text().removeprefix("★\n") for text in axes.texts}
+    assert shown == {number(v) for v in panels[0].S.ravel()}
+    assert {"y_s [m]", "q_y [1/m²]", "Mean S [m·s]"} <= labels(figure)
+
+
+def test_profile_is_drawn_to_scale() -> None:
+    (panel,) = landscapes(tuple(Design.of(LQR(), y) for y in (0.3, 0.1, 0.15)), np.array([2.0, 1.0, 1.5]), 1)
+    figure = profile(panel, STYLE, 2.5)
+    assert figure.axes[0].lines[1].get_xydata().tolist() == [[0.1, 1.0], [0.15, 1.5], [0.3, 2.0]]
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=30))
+def test_examples_are_the_least_median_and_greatest(values: list[float]) -> None:
+    reduction = np.array(values)
+    rows = [row for row, _ in choose(reduction, np.arange(reduction.size))]
+    assert len(rows) == len(set(rows)) == min(3, len({*rows}))
+    assert reduction[rows].min() == reduction.min()
+    assert reduction[rows].max() == reduction.max()
+    assert np.quantile(reduction, 0.5, method="inverted_cdf") in reduction[rows]
+
+
+def test_replayed_paths_start_at_the_trigger_and_score_as_stored(make: ModuleType) -> None:
+    scenarios = make.invented_scenarios(20, 20, seed=5)
+    designs = (Design.of(LQR(), 0.1), Design.of(LinearMPC(), 0.15), Design.of(NoControl(), 0.1))
+    results = make.run(designs, scenarios, [Case("departure", "consistent")])
+    styles = law_styles(d.law for d in designs)
+    shown = [(i, d, d.law, styles[d.law]) for i, d in enumerate(designs)]
+    vehicle = make.VehicleParameters()
+    replayed = replay(scenarios, results.cases[0], shown, vehicle=vehicle, dt=0.05, initial_yaw_rate="path")
+    assert replayed.mismatch < 1e-12  # the same arithmetic on the same departure
+    assert [e.side for e in replayed.examples] == ["Left"] * 3 + ["Right"] * 3
+    for example in replayed.examples:
+        one = scenarios.take([example.row])
+        assert example.y == pytest.approx(lateral(one, example.t), abs=1e-15)
+        assert len(example.paths) == 2  # no control is the recorded path
+        for path, y_s in zip(example.paths, (0.1, 0.15), strict=True):
+            if path.t.size:
+                # y_s is the trigger; the start state is y(t_s)
+                assert path.y[0] == pytest.approx(y_s, abs=1e-9)
+                assert path.t[-1] == pytest.approx(float(one.T[0]), abs=1e-9)
+                assert path.delta.shape == path.t.shape
+                assert np.isfinite(path.delta).all()
+        figure = path_figure(example)
+        assert {"Edge beyond line y [m]", "Steering δ [°]", "Time since the crossing t [s]"} <= labels(figure)
+
+
+def test_path_that_never_triggers_is_left_out() -> None:
+    empty = np.empty(0)
+    t = np.linspace(0.0, 2.0, 5)
+    example = Example(0, "Left", "median reduction", "", 0.0, t, 0.1 * t * (2 - t),
+                      (ControlledPath("law", STYLE, empty, empty, empty),))  # fmt: skip
+    assert len(path_figure(example).axes[0].lines) == 2  # lane line and recorded path
+
+
+def test_styles_differ_even_without_colour() -> None:
+    styles = law_styles([f"law{i}" for i in range(12)])
+    assert len({(s.color, s.dash) for s in styles.values()}) == 12
+    assert len({s.dash for s in list(styles.values())[:5]}) == 5
+    assert law_styles(["none"])["none"] is RECORDED
+
+
+def test_svg_is_self_contained_and_prefixed() -> None:
+    figure = distribution_figure([Curve("K_psi & <b> $x$", RECORDED, RNG.lognormal(size=50))], "y_s, K_psi: tests")
+    text = str(inline_svg(figure, "p7", "A & B"))
+    again = str(inline_svg(figure, "p7", "A & B"))
+    assert text == again
+    assert "http" not in text
+    root = ET.fromstring(text)
+    identifiers = [e.attrib["id"] for e in root.iter() if "id" in e.attrib]
+    assert len(identifiers) == len(set(identifiers))
+    assert all(name.startswith("p7-") for name in identifiers)
+    spoken = ["".join(e.itertext()).replace("\u200b", "") for e in root.iter("text")]
+    assert "ys, Kψ: tests" in spoken
+    assert "Kψ & <b> $x$" in spoken
+    assert root.find("title").text == "A & B"  # type: ignore[union-attr]
+
+
+def test_figures_leave_the_settings_of_matplotlib_alone() -> None:
+    before = dict(matplotlib.rcParams)
+    inline_svg(sides_figure([Curve("x", RECORDED, np.ones(3))], "t"), "p", "t")
+    assert dict(matplotlib.rcParams) == before
+
+
+@settings(max_examples=200)
+@given(st.text(max_size=40))
+def test_symbols_never_let_markup_through(text: str) -> None:
+    from html.parser import HTMLParser
+
+    out: list[str] = []
+    tags: set[str] = set()
+    parser = HTMLParser(convert_charrefs=True)
+    parser.handle_data = out.append  # type: ignore[method-assign]
+    parser.handle_starttag = lambda tag, attrs: tags.add(tag)  # type: ignore[method-assign]
+    parser.feed(str(symbols(text)))
+    parser.close()
+    assert tags <= {"sub"}
+    if "_" not in text:
+        assert "".join(out) == printable(text)
+
+
+def test_numbers_as_text() -> None:
+    assert [number(-0.0004), number(float("inf")), number(-2.5, 1)] == ["0.000", "∞", "−2.5"]
+    assert [signed(0.25), signed(-0.25), signed(0.0), signed(0.0001)] == ["+0.250", "−0.250", "0.000", "0.000"]
+    assert percent(-0.0001) == "0.0\u00a0%"
+    assert [compact(-3), compact("a-b"), compact(False), compact(1e-6)] == ["−3", "a-b", "false", "1e−06"]
+    assert [unit_text("1"), unit_text("rad/m"), unit_text("s^2/rad^2"), unit_text("kg m^2")] == [
+        "", "rad/m", "s²/rad²", "kg·m²"]  # fmt: skip
+    assert str(symbols("q_psi_rate, delta_max, rate_max")) == "q<sub>ψ, rate</sub>, δ<sub>max</sub>, rate_max"
+    assert shorten("abc", 3) == "abc"
