@@ -1,0 +1,213 @@
+"""Truncated EM against known truths, its rules, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, truncnorm
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import BoundedGaussianMixture, select_components
+from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
+
+INF = np.inf
+
+
+def truth(seed, upper=4.0, K=5, d=8):
+    """A mixture on the box (0, upper)^d whose components lie partly outside."""
+    rng = np.random.default_rng(seed)
+    mu = rng.uniform(-0.8, 4.3, size=(K, d))
+    A = rng.normal(size=(K, d, d))
+    Sigma = A @ A.transpose(0, 2, 1) / d * 0.25 + 0.05 * np.eye(d)
+    w = rng.dirichlet(np.full(K, 5.0))
+    return BoundedGaussianMixture.from_parameters(w, mu, Sigma, lower=np.zeros(d), upper=np.full(d, upper))
+
+
+def small(seed=0, n=3000):
+    """Two components in two dimensions, one bound cutting each."""
+    mixture = BoundedGaussianMixture.from_parameters(
+        [0.4, 0.6], [[0.2, 0.0], [2.0, 3.0]], [[[1.0, 0.5], [0.5, 1.0]], [[0.5, -0.2], [-0.2, 0.8]]], lower=[0.0, -INF]
+    )
+    return mixture, mixture.sample(n, seed)[0]
+
+
+@pytest.mark.slow
+def test_beats_scikit_learn_on_a_known_truth():
+    """Acceptance: 20,000 x 8, K = 5; held-out log-likelihood against GaussianMixture renormalised over the box."""
+    sklearn_mixture = pytest.importorskip("sklearn.mixture")
+    true = truth(3)
+    lower, upper = np.zeros(8), np.full(8, 4.0)
+    X, held_out = true.sample(20_000, 1)[0], true.sample(50_000, 2)[0]
+    ours = BoundedGaussianMixture(5, lower=lower, upper=upper, random_state=0).fit(X)
+    theirs = sklearn_mixture.GaussianMixture(5, random_state=0, n_init=5, tol=1e-5, max_iter=500).fit(X)
+    drawn = theirs.sample(500_000)[0]
+    inside = np.mean(np.all((drawn > lower) & (drawn < upper), axis=1))
+    best = true.score(held_out)
+    # measured KL to the truth: ours 0.0067, theirs 0.28
+    assert best - ours.score(held_out) < 1.5 * ours.n_parameters() / (2 * 20_000)
+    assert best - (theirs.score(held_out) - np.log(inside)) > 0.1
+    assert np.min(np.diff(ours.lower_bounds_)) >= -1e-8 * abs(ours.lower_bound_)
+    assert ours.converged_
+    new = ours.sample(20_000, 3)[0]
+    assert np.all((new > lower) & (new < upper))
+
+
+@pytest.mark.parametrize("step", ["newton", "lee_scott"])
+def test_the_likelihood_never_falls_and_the_fit_is_near_the_truth(step):
+    true, X = small()
+    model = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=1, n_init=4, step=step, max_iter=300).fit(X)
+    assert np.min(np.diff(model.lower_bounds_)) >= -1e-8 * abs(model.lower_bound_)
+    assert model.n_iter_ == model.lower_bounds_.size - 1
+    held_out = true.sample(20_000, 9)[0]
+    assert true.score(held_out) - model.score(held_out) < 4.0 * model.n_parameters() / (2 * 3000)
+
+
+def test_both_steps_have_the_same_fixed_point():
+    """One half-normal-like component: Newton's optimum is where Lee and Scott's step stands still."""
+    _, X = small()
+    common = {"lower": [0.0, -INF], "random_state": 0, "n_init": 2, "tol": 1e-13, "max_iter": 5000}
+    newton = BoundedGaussianMixture(1, step="newton", **common).fit(X)
+    fixed = BoundedGaussianMixture(1, step="lee_scott", **common).fit(X)
+    # the prior's target is the covariance of all events in both; the fixed point is reached linearly
+    np.testing.assert_allclose(newton.means_, fixed.means_, atol=2e-4)
+    np.testing.assert_allclose(newton.covariances_, fixed.covariances_, atol=5e-4)
+
+
+def test_one_component_without_prior_matches_the_data_moments():
+    """Maximum likelihood of a truncated normal sets its mean and covariance inside the box to the sample's."""
+    rng = np.random.default_rng(4)
+    X = np.column_stack([truncnorm.rvs(-0.5, 4, size=4000, random_state=1), rng.normal(size=4000)])
+    X[:, 1] += 0.5 * X[:, 0]
+    low = [-0.5, -INF]
+    model = BoundedGaussianMixture(1, lower=low, prior_strength=0.0, tol=1e-12, random_state=0).fit(X)
+    t = model._truncated
+    np.testing.assert_allclose(t.mean[0], X.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(t.covariance[0], np.cov(X.T, bias=True), atol=1e-5)
+
+
+def test_without_bounds_it_is_an_ordinary_mixture():
+    X = np.random.default_rng(0).normal(size=(500, 3)) @ np.diag([1.0, 5.0, 0.1])
+    model = BoundedGaussianMixture(1, prior_strength=0.0, random_state=0).fit(X)
+    np.testing.assert_allclose(model.means_[0], X.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(model.covariances_[0], np.cov(X.T, bias=True), rtol=1e-9, atol=1e-12)
+    expected = multivariate_normal(X.mean(axis=0), np.cov(X.T, bias=True)).logpdf(X)
+    np.testing.assert_allclose(model.score_samples(X), expected, rtol=1e-10)
+    np.testing.assert_allclose(model.bic(X), -2 * expected.sum() + 9 * np.log(500), rtol=1e-10)
+
+
+def test_density_is_normalised_and_zero_outside():
+    mixture, _ = small()
+    x, y = np.linspace(0.0, 8.0, 801)[1:] - 0.005, np.linspace(-6.0, 9.0, 1501)[1:] - 0.005
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    assert abs(np.exp(mixture.score_samples(grid)).sum() * 1e-4 - 1.0) < 1e-4  # midpoint rule, cells of 0.01
+    assert mixture.score_samples([[-0.1, 0.0]])[0] == -INF
+    np.testing.assert_allclose(mixture.predict_proba(grid[:50]).sum(axis=1), 1.0)
+    with pytest.raises(InputError, match="row 0 is outside"):
+        mixture.predict_proba([[-0.1, 0.0]])
+
+
+def test_shares_of_weights_and_prefix_property():
+    mixture, _ = small()
+    X, label = mixture.sample(20_000, 5)
+    assert abs(np.mean(label == 0) - 0.4) < 4 * np.sqrt(0.24 / 20_000)
+    for m in (0, 1, SAMPLE_BLOCK, SAMPLE_BLOCK + 1):
+        assert np.array_equal(mixture.sample(m, 5)[0], X[:m])
+    assert not np.array_equal(mixture.sample(10, 6)[0], X[:10])
+
+
+def test_units_do_not_matter():
+    """Scaling a column scales the fit: everything is standardised inside."""
+    _, X = small(n=800)
+    scale = np.array([1e-4, 1e3])
+    one = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X)
+    two = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X * scale)
+    np.testing.assert_allclose(two.means_, one.means_ * scale, rtol=1e-6)
+    np.testing.assert_allclose(two.score(X * scale), one.score(X) - np.log(scale).sum(), rtol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["exponential", "half_normal", "gamma", "duplicated", "correlated", "near_K"])
+def test_awkward_data_give_a_model_that_samples(kind):
+    rng = np.random.default_rng(2)
+    x = {
+        "exponential": rng.exponential(size=(600, 2)),
+        "half_normal": np.abs(rng.normal(size=(600, 2))),
+        "gamma": rng.gamma(1.3, size=(600, 2)),
+        "duplicated": np.repeat(rng.exponential(size=(12, 2)), 50, axis=0),
+        "correlated": np.repeat(rng.exponential(size=(600, 1)), 2, axis=1),
+        "near_K": rng.exponential(size=(9, 2)),
+    }[kind]
+    model = BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=3).fit(x)
+    new = model.sample(2000, 1)[0]
+    assert np.isfinite(new).all()
+    assert np.all(new > 0)
+    assert np.isfinite(model.score(x))
+    assert np.min(np.diff(model.lower_bounds_)) >= -1e-8 * max(abs(model.lower_bound_), 1.0)
+
+
+def test_bic_finds_three_groups():
+    rng = np.random.default_rng(0)
+    centres = np.array([[1.0, 1.0], [6.0, 1.0], [3.0, 8.0]])
+    X = np.abs(rng.normal(size=(900, 2)) + centres[rng.integers(3, size=900)]) + 1e-9
+    seen = []
+    found = select_components(X, range(1, 6), lower=0.0, random_state=0, progress=lambda *a: seen.append(a))
+    assert found.best.n_components == 3
+    assert found.bic.shape == found.log_likelihood.shape == (5,)
+    assert [m.n_components for m in found.models] == [1, 2, 3, 4, 5]
+    assert seen[0] == ("K = 1", 0, 5)
+    assert seen[-1][1:] == (5, 5)
+    with pytest.raises(InputError, match="empty range"):
+        select_components(X, [])
+    with pytest.raises(InputError, match="components: 0"):
+        select_components(X, [0, 1])
+
+
+def test_follows_the_conventions_of_scikit_learn():
+    base = pytest.importorskip("sklearn.base")
+    lower = np.array([0.0, 0.0])
+    model = BoundedGaussianMixture(2, lower=lower, tol=1e-4)
+    copy = base.clone(model)
+    assert copy is not model
+    assert copy.get_params()["tol"] == 1e-4
+    assert model.set_params(tol=1e-3).tol == 1e-3
+    assert "lower" in repr(model)
+    with pytest.raises(InputError, match="did you mean 'lower'"):
+        model.set_params(lowr=1)
+    with pytest.raises(InputError, match="not fitted"):
+        model.score([[1.0, 1.0]])
+
+
+def rows(value, row=1, column=1):
+    X = np.random.default_rng(0).uniform(0.1, 0.9, size=(30, 2))
+    X[row, column] = value
+    return X
+
+
+@pytest.mark.parametrize(
+    ("X", "settings", "message"),
+    [
+        (rows(0.0), {}, r"column 'b', row 1: .*0\.0.*strictly between the bounds 0 and 1 \(1 of 30 rows\)"),
+        (rows(7.0), {}, r"column 'b', row 1: .*7\.0"),
+        (rows(np.nan), {}, r"column 'b', row 1: .*nan.*finite"),
+        (rows(0.5)[:3], {"n_components": 2}, r"3 rows; allowed: at least K \(d \+ 1\) = 6"),
+        (np.column_stack([rows(0.5)[:, 0], np.full(30, 0.5)]), {}, "column 'b' is constant"),
+        (rows(0.5)[:, 0], {}, r"shape \(30,\); allowed: \(n, d\)"),
+        ([["a", "b"]], {}, "not a table of numbers"),
+        (rows(0.5), {"lower": [0.0, 2.0]}, r"lower\[1\] = .*2\.0.*allowed: lower < upper"),
+        (rows(0.5), {"lower": [0.0]}, r"lower: shape \(1,\)"),
+        (rows(0.5), {"n_components": 0}, "n_components: 0; allowed: an integer >= 1"),
+        (rows(0.5), {"step": "newtn"}, "did you mean 'newton'"),
+        (rows(0.5), {"prior_strength": -1.0}, "prior_strength: -1.0"),
+        (rows(0.5), {"random_state": -1}, "random_state: -1"),
+    ],
+)
+def test_bad_input(X, settings, message):
+    arguments = {"n_components": 1, "lower": 0.0, "upper": 1.0, "names": ("a", "b"), "random_state": 0} | settings
+    with pytest.raises(InputError, match=message):
+        BoundedGaussianMixture(**arguments).fit(X)
+
+
+def test_bad_parameters():
+    with pytest.raises(InputError, match=r"weights: sum 0\.9"):
+        BoundedGaussianMixture.from_parameters([0.5, 0.4], np.zeros((2, 1)), np.ones((2, 1, 1)))
+    with pytest.raises(InputError, match=r"allowed: \(K,\) and \(K, d\)"):
+        BoundedGaussianMixture.from_parameters([1.0], np.zeros((2, 1)), np.ones((2, 1, 1)))
