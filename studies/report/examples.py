@@ -51,7 +51,7 @@ def choose(reduction: npt.NDArray[np.float64], candidates: IntArray) -> list[tup
     order = candidates[np.argsort(reduction[candidates], kind="stable")]
     greatest = int(candidates[np.argmax(reduction[candidates])])
     chosen = [int(order[0]), int(order[(order.size - 1) // 2]), greatest]
-    first = {row: role for row, role in reversed(list(zip(chosen, _ROLES, strict=True)))}
+    first = dict(reversed(list(zip(chosen, _ROLES, strict=True))))
     return [(row, first[row]) for row in dict.fromkeys(chosen)]
 
 

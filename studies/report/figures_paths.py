@@ -118,10 +118,19 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
             order = 6 - 0.1 * depth
             width = 2.2 if depth == 0 else 1.5
             above.plot(path.t, path.y, zorder=order, **(path.style.line() | {"linewidth": width}))
-            above.plot(path.t[0], path.y[0], marker=path.style.marker, markersize=6.5, markerfacecolor="#ffffff",
-                       markeredgecolor=path.style.color, markeredgewidth=1.6, zorder=order + 1, clip_on=False)  # fmt: skip
-            below.step(path.t, np.degrees(path.delta), where="post", zorder=order,
-                       **(path.style.line() | {"linewidth": 0.8 * width}))  # fmt: skip
+            above.plot(
+                path.t[0],
+                path.y[0],
+                marker=path.style.marker,
+                markersize=6.5,
+                markerfacecolor="#ffffff",
+                markeredgecolor=path.style.color,
+                markeredgewidth=1.6,
+                zorder=order + 1,
+                clip_on=False,
+            )
+            stairs = path.style.line() | {"linewidth": 0.8 * width}
+            below.step(path.t, np.degrees(path.delta), where="post", zorder=order, **stairs)
         above.set_ylim(y_low, y_high)
         below.set_ylim(d_low, d_high)
         above.set_xlim(-0.02 * float(example.t[-1]), float(example.t[-1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -84,12 +85,17 @@ def _place(design: Design, x: Axis, y: Axis | None) -> tuple[int, int]:
 
 
 def on_the_edge(designs: Sequence[Design], chosen: int) -> tuple[str, ...]:
-    """Swept numbers for which a design sits at the end of what was tried, as ``y_s = 0.05 (lowest tried)``."""
+    """Swept numbers for which a design sits at the end of what was tried, as ``y_s (lowest tried)``.
+
+    The end of what is allowed does not count: there is nothing beyond it to try.
+    """
     members = [d for d in designs if d.law == designs[chosen].law]
+    bounds = {g.name: (g.lower, g.upper) for g in controller_class(designs[chosen].law).gains()}
+    bounds["y_s"] = (0.0, math.inf)
     found = []
     for axis in swept_axes(members):
         value = values_of(designs[chosen])[axis.name]
-        if axis.numeric and value in (axis.values[0], axis.values[-1]):
+        if axis.numeric and value in (axis.values[0], axis.values[-1]) and value not in bounds[axis.name]:
             found.append(f"{axis.name} ({'lowest' if value == axis.values[0] else 'highest'} tried)")
     return tuple(found)
 

@@ -41,17 +41,18 @@ class Tile:
 
 
 def _tiles(table: CaseTable) -> list[Tile]:
-    winner = table.winner
-    tiles = [
-        Tile(text.number(winner.S.value), "m·s", "mean score S of the best design", f"{text.percent(table.confidence, 0)} interval {prose.between(winner.S)}"),
-    ]  # fmt: skip
+    winner, shown = table.winner, text.number
+    interval = f"{text.percent(table.confidence, 0)} interval {prose.between(winner.S)}"
+    tiles = [Tile(shown(winner.S.value), "m·s", "mean score S of the best design", interval)]
     if not is_baseline(winner):
-        tiles.append(Tile(text.signed(-100 * winner.reduction.value, 1), "%", "against no control",
-                          f"interval {text.number(-100 * winner.reduction.high, 1)} to {text.number(-100 * winner.reduction.low, 1)}"))  # fmt: skip
-        tiles.append(Tile(text.number(100 * winner.deeper, 1), "%", f"of departures deeper than {text.compact(table.D_y)}\u00a0m",
-                          f"{text.number(100 * table.uncorrected_deeper, 1)} % without control"))  # fmt: skip
+        change = winner.reduction
+        interval = f"interval {shown(-100 * change.high, 1)} to {shown(-100 * change.low, 1)}"
+        tiles.append(Tile(text.signed(-100 * change.value, 1), "%", "against no control", interval))
+        deep = f"of departures deeper than {text.compact(table.D_y)}\u00a0m"
+        before = f"{text.percent(table.uncorrected_deeper)} without control"
+        tiles.append(Tile(shown(100 * winner.deeper, 1), "%", deep, before))
     if len(table.rows) > 1:
-        detail = f"of {len(table.rows) - 1:,} other designs"
+        detail = f"of {text.plural(len(table.rows) - 1, 'other design')}"
         tiles.append(Tile(f"{table.tied:,}", "", "statistically tied with the best", detail))
     return tiles
 
@@ -79,7 +80,13 @@ def _environment() -> jinja2.Environment:
         "printable": text.printable,
         "compact": text.compact,
     }
-    environment.globals |= {"bar": _bar, "is_baseline": is_baseline, "design_text": prose.design_text, "between": prose.between, "plural": text.plural}
+    environment.globals |= {
+        "bar": _bar,
+        "is_baseline": is_baseline,
+        "design_text": prose.design_text,
+        "between": prose.between,
+        "plural": text.plural,
+    }
     return environment
 
 
@@ -108,7 +115,9 @@ def render(report: ReportInput) -> str:
     if not results.designs or not results.cases or results.scenarios.n == 0:
         raise InputError("report: the results hold no designs, no cases or no scenarios; allowed: at least one of each")
     if len(report.rankings) != len(results.cases):
-        raise InputError(f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case")
+        raise InputError(
+            f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case"
+        )
     tables = [case_table(results, i, ranking) for i, ranking in enumerate(report.rankings)]
     primary = tables[0]
     panels = Panels(report, primary)

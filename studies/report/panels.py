@@ -44,7 +44,7 @@ class Panel:
     """
 
     svg: Markup
-    note: Markup = Markup("")
+    note: Markup
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Panels:
             self._panel(
                 path_figure(example, limits),
                 f"{example.side} departure, {example.role}: lateral position and steering angle over time",
-                symbols(f"{example.facts}; S {'falls' if example.reduction >= 0 else 'rises'} by {percent(abs(example.reduction))}"),
+                symbols(f"{example.facts}; S {_change(example.reduction)}"),
             )
             for example in replayed.examples
         ]
@@ -197,7 +197,9 @@ class Panels:
                 Curve(f"{printable(row.title)}, rank {row.rank}", style, self.case.S[row.index] - S_best)
                 for row, style in zip(others, self._rival_styles(others), strict=True)
             ]
-            figure = convergence_figure(named, order, "Paired difference to the best", "Mean of S − S of the best [m·s]")
+            figure = convergence_figure(
+                named, order, "Paired difference to the best", "Mean of S \u2212 S of the best [m·s]"
+            )
             panels.append(self._panel(figure, "Running mean of the paired difference to the best design"))
         return panels
 
@@ -217,3 +219,7 @@ class Panels:
             styles.append(dataclasses.replace(style, dash=(1.0, 1.0)) if again else style)
             seen[row.design.law] = again + 1
         return styles
+
+
+def _change(reduction: float) -> str:
+    return f"{'falls' if reduction >= 0 else 'rises'} by {percent(abs(reduction))}"

@@ -32,34 +32,47 @@ def between_percent(interval: Interval) -> str:
 
 def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
     """The answer in a few sentences, each a paragraph."""
-    winner, n = table.winner, report.results.scenarios.n
-    left = int((report.results.scenarios.side == LEFT).sum())
-    sides = f"{left:,} left, {n - left:,} right"
-    sentences = [
-        Markup("<strong>{}</strong> has the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> "
-               "({} interval {}) over {} ({}).").format(
-            design_text(winner), plural(len(table.rows), "design"), number(winner.S.value), percent(table.confidence, 0),
-            between(winner.S),
-            plural(n, "departure"), sides)
-    ]  # fmt: skip
+    winner = table.winner
+    sentences = [_lead(report, table)]
     if is_baseline(winner):
         sentences.append(Markup("No design of this study improves on leaving the departures alone."))
     else:
         sentences.append(_against_no_control(table))
         rival, words = _rival(table)
         if rival is not None:
-            sentences.append(_against(table, rival, words))
+            sentences.append(_against(rival, words))
     sentences.append(_tied(table))
-    if winner.triggered == 0:
-        sentences.append(Markup("No departure went deep enough to trigger it, so the score is that of the recorded paths."))
+    if winner.triggered == 0 and not is_baseline(winner):
+        sentences.append(
+            Markup("No departure went deep enough to trigger it, so the score is that of the recorded paths.")
+        )
     edge = () if is_baseline(winner) else on_the_edge(report.results.designs, winner.index)
     if edge:
-        sentences.append(
-            Markup("The best design sits at the end of what was tried for {}: a wider sweep may find a better one.").format(
-                symbols(" and ".join(edge))
-            )
-        )
+        said = Markup("The best design sits at the end of what was tried for {}: a wider sweep may find a better one.")
+        sentences.append(said.format(symbols(", ".join(edge))))
     return sentences
+
+
+def _lead(report: ReportInput, table: CaseTable) -> Markup:
+    winner, n = table.winner, report.results.scenarios.n
+    left = int((report.results.scenarios.side == LEFT).sum())
+    equal = sum(row.rank == winner.rank for row in table.rows) - 1
+    has = f"shares with {plural(equal, 'other')}" if equal else "has"
+    said = Markup(
+        "<strong>{}</strong> {} the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> "
+        "({} interval {}) over {} ({:,} left, {:,} right)."
+    )
+    return said.format(
+        design_text(winner),
+        has,
+        plural(len(table.rows), "design"),
+        number(winner.S.value),
+        percent(table.confidence, 0),
+        between(winner.S),
+        plural(n, "departure"),
+        left,
+        n - left,
+    )
 
 
 def _against_no_control(table: CaseTable) -> Markup:
@@ -77,54 +90,82 @@ def _rival(table: CaseTable) -> tuple[Row | None, str]:
     if table.winner.design.law != PAPER_LAW:
         paper = table.best_of(PAPER_LAW)
         if paper is not None:
-            return paper, "the best design of the paper’s law"
+            return paper, "the best design of the paper\u2019s law"
     others = [r for r in table.best_of_each_law if r.design.law != table.winner.design.law and not is_baseline(r)]
     return (others[0], "the best design of any other law") if others else (None, "")
 
 
-def _against(table: CaseTable, rival: Row, words: str) -> Markup:
+def _against(rival: Row, words: str) -> Markup:
     saved = rival.difference
     share = saved.value / rival.S.value if rival.S.value > 0 else 0.0
-    told = "" if not rival.tied else " The two cannot be told apart on these departures."
-    return Markup("Against {} ({}; rank {}, {} m·s) it is <strong>{} m·s or {} less</strong> (paired interval {} m·s).{}").format(
-        words, design_text(rival), rival.rank, number(rival.S.value), number(saved.value), percent(share),
-        between(saved), told)  # fmt: skip
+    said = Markup(
+        "Against {} ({}; rank {}, {} m·s) it is <strong>{} m·s or {} less</strong> (paired interval {} m·s).{}"
+    )
+    return said.format(
+        words,
+        design_text(rival),
+        rival.rank,
+        number(rival.S.value),
+        number(saved.value),
+        percent(share),
+        between(saved),
+        " The two cannot be told apart on these departures." if rival.tied else "",
+    )
 
 
 def _tied(table: CaseTable) -> Markup:
     if len(table.rows) == 1:
         return Markup("It is the only design of this study.")
     if not table.tied:
-        return Markup("No other design is statistically tied with it: the interval of every paired difference lies above zero.")
+        return Markup(
+            "No other design is statistically tied with it: the interval of every paired difference lies above zero."
+        )
     names = [row for row in table.rows[1:] if row.tied]
-    listed = Markup("; ").join(Markup("{} (rank {})").format(design_text(r), r.rank) for r in names[:3])
-    more = f"; and {len(names) - 3:,} more" if len(names) > 3 else ""
-    verb = "is" if table.tied == 1 else "are"
-    return Markup("<strong>{}</strong> {} statistically tied with it, the interval of the paired difference holds zero: {}{}.").format(
-        plural(table.tied, "other design"), verb, listed, more)  # fmt: skip
+    said = Markup(
+        "<strong>{}</strong> {} statistically tied with it, the interval of the paired difference holds zero: {}{}."
+    )
+    return said.format(
+        plural(table.tied, "other design"),
+        "is" if table.tied == 1 else "are",
+        Markup("; ").join(Markup("{} (rank {})").format(design_text(row), row.rank) for row in names[:3]),
+        f"; and {len(names) - 3:,} more" if len(names) > 3 else "",
+    )
+
+
+_LIMITS = (
+    "The plant is the linear single-track model: tyres do not saturate, and steering takes effect at once.",
+    "The speed is frozen at its value at the trigger.",
+    "The recorded path, rebuilt from eight parameters, stands for what happens without control. The driver does not "
+    "react to the intervention, and the small residuals about the fitted path are left out.",
+    "Control ends where the recorded departure ended; what follows is not scored.",
+)
+_CHOSEN = (
+    "The best of {} is chosen on the departures that it is scored on, so its own mean is slightly optimistic, and "
+    "intervals are not corrected for the number of comparisons."
+)
+_CONTROL_WINDOW = (
+    "Over the control window S starts at the trigger: a later trigger scores less time, so such scores must not be "
+    "compared between thresholds y<sub>s</sub>."
+)
+_AS_PRINTED = "Cases marked <em>as printed</em> follow the paper\u2019s misprints and are there for comparison only."
+_SYNTHETIC = (
+    "<strong>The scenario model is synthetic.</strong> It was not fitted to recorded driving: the ranking shows how "
+    "designs compare on the stated population, not on a real road."
+)
 
 
 def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
     """What the numbers of this study do not say."""
-    said = [
-        Markup("The plant is the linear single-track model: tyres do not saturate, and steering takes effect at once."),
-        Markup("The speed is frozen at its value at the trigger."),
-        Markup("The recorded path, rebuilt from eight parameters, stands for what happens without control. The driver does "
-               "not react to the intervention, and the small residuals about the fitted path are left out."),
-        Markup("Control ends where the recorded departure ended; what follows is not scored."),
-    ]  # fmt: skip
+    cases = [results.case for results in report.results.cases]
+    said = [Markup(sentence) for sentence in _LIMITS]
     if len(table.rows) > 1:
-        said.append(Markup("The best of {} is chosen on the departures that it is scored on, so its own mean is slightly "
-                           "optimistic, and intervals are not corrected for the number of comparisons.").format(
-            plural(len(table.rows), "design")))  # fmt: skip
-    if any(c.case.window == "control" for c in report.results.cases):
-        said.append(Markup("Over the control window S starts at the trigger: a later trigger scores less time, so such "
-                           "scores must not be compared between thresholds y<sub>s</sub>."))  # fmt: skip
-    if any(c.case.convention == "as_printed" for c in report.results.cases):
-        said.append(Markup("Cases marked <em>as printed</em> follow the paper’s misprints and are there for comparison only."))
+        said.append(Markup(_CHOSEN).format(plural(len(table.rows), "design")))
+    if any(case.window == "control" for case in cases):
+        said.append(Markup(_CONTROL_WINDOW))
+    if any(case.convention == "as_printed" for case in cases):
+        said.append(Markup(_AS_PRINTED))
     if report.synthetic:
-        said.append(Markup("<strong>The scenario model is synthetic.</strong> It was not fitted to recorded driving: the "
-                           "ranking shows how designs compare on the stated population, not on a real road."))  # fmt: skip
+        said.append(Markup(_SYNTHETIC))
     return said
 
 

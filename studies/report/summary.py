@@ -229,9 +229,7 @@ def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTa
     for design in results.designs:
         members.setdefault(design.law, []).append(design)
     swept = {law: [axis.name for axis in swept_axes(designs)] for law, designs in members.items()}
-    rows = tuple(
-        _row(results, case, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs)
-    )
+    rows = tuple(_row(results, case, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs))
     return CaseTable(
         case=case.case,
         rows=rows,
@@ -267,9 +265,7 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
         title=controller_class(design.law).title,
         gains=gain_texts(design, swept),
         S=Interval(float(ranking.S[place]), float(ranking.S_low[place]), float(ranking.S_high[place])),
-        reduction=ratio_interval(
-            case.S[index], case.S_uncorrected[index], results.scenarios.side, ranking.confidence
-        ),
+        reduction=ratio_interval(case.S[index], case.S_uncorrected[index], results.scenarios.side, ranking.confidence),
         left=side(ranking.S_left, ranking.reduction_left),
         right=side(ranking.S_right, ranking.reduction_right),
         difference=Interval(

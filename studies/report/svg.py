@@ -1,4 +1,4 @@
-"""A matplotlib figure as inline SVG: the same bytes each time, no identifier twice on a page, nothing from elsewhere."""
+"""A matplotlib figure as inline SVG: the same bytes each time, no identifier twice on a page, nothing fetched."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def _round(element: ET.Element) -> None:
             element.attrib[key] = " ".join(value.split())
 
 
-def line_sample(color: str, dash: tuple[float, ...], marker: str = "") -> Markup:
+def line_sample(color: str, dash: tuple[float, ...]) -> Markup:
     """A short line for a legend in HTML; it says nothing to a screen reader, the text beside it does."""
     from markupsafe import Markup
 

@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows true minus signs, dashes and Greek letters
 """Numbers, symbols and units as text, for the page and for its figures."""
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ _GREEK = {
     "alpha": "α", "beta": "β", "delta": "δ", "kappa": "κ", "lambda": "λ",
     "mu": "μ", "omega": "ω", "phi": "φ", "psi": "ψ", "rho": "ρ", "sigma": "σ", "theta": "θ",
 }  # fmt: skip
-SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-z]|sigma|delta|psi|rho|lambda)_([A-Za-z0-9]{1,5}(?:_[A-Za-z0-9]{1,4})?)(?![A-Za-z0-9_])")
+SYMBOL = re.compile(
+    r"(?<![A-Za-z0-9_])([A-Za-z]|sigma|delta|psi|rho|lambda)_([A-Za-z0-9]{1,5}(?:_[A-Za-z0-9]{1,4})?)(?![A-Za-z0-9_])"
+)
 """A symbol with an index, as the code writes it: ``y_s``, ``K_psi``."""
 
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -87,12 +90,12 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def percent(value: float, digits: int = 1) -> str:
-    """A share as per cent, with a no-break space before the sign.
+    r"""A share as per cent, with a no-break space before the sign.
 
     Examples
     --------
     >>> percent(0.2647)
-    '26.5\\xa0%'
+    '26.5\xa0%'
     """
     return f"{number(100.0 * value, digits)}\u00a0%"
 
@@ -107,14 +110,20 @@ def compact(value: GainValue) -> str:
     """
     if isinstance(value, bool):
         return "true" if value else "false"
-    return f"{value:g}".replace("-", MINUS) if isinstance(value, float) else str(value).replace("-", MINUS if isinstance(value, int) else "-")
+    return (
+        f"{value:g}".replace("-", MINUS)
+        if isinstance(value, float)
+        else str(value).replace("-", MINUS if isinstance(value, int) else "-")
+    )
 
 
 def unit_text(unit: str) -> str:
     """A unit with raised powers and middle dots: ``kg m^2`` becomes ``kg·m²``; empty for a pure number."""
     if unit == "1":
         return ""
-    raised = re.sub(r"\^(-?\d)", lambda m: m[1].replace("-", "⁻").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")), unit)
+    raised = re.sub(
+        r"\^(-?\d)", lambda m: m[1].replace("-", "⁻").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")), unit
+    )
     return raised.replace(" ", "·")
 
 

@@ -67,7 +67,14 @@ def page(make: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_layout(chromium: str, page: Path, tmp_path: Path, width: int, height: int) -> None:
     frame = tmp_path / "frame.html"
     frame.write_text(FRAME.format(width=width, height=height, page=html.escape(page.read_text())), encoding="utf-8")
-    done = run(chromium, tmp_path / "profile", "--window-size=1400,900", "--dump-dom", "--virtual-time-budget=5000", frame.as_uri())
+    done = run(
+        chromium,
+        tmp_path / "profile",
+        "--window-size=1400,900",
+        "--dump-dom",
+        "--virtual-time-budget=5000",
+        frame.as_uri(),
+    )
     found = re.search(r'<pre id="out">(.*?)</pre>', done.stdout, re.DOTALL)
     assert found is not None
     out = json.loads(html.unescape(found[1]))

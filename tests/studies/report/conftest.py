@@ -11,7 +11,6 @@ import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit import BicycleModel, EventStatus, Scenarios, VehicleParameters, simulate
-from ldctoolkit.simulation import Window
 from studies.design import Design
 from studies.ranking import Ranking
 from studies.report import ReportInput

@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows true minus signs, dashes and Greek letters
 """Figures and what is computed for them, against independent arithmetic."""
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit import Scenarios
 from ldctoolkit.departures import lateral
 from studies.design import Design
 from studies.report.examples import choose, replay
@@ -32,7 +32,7 @@ from studies.report.landscape import color_range, landscapes, on_the_edge, swept
 from studies.report.style import RECORDED, law_styles
 from studies.report.svg import inline_svg
 from studies.report.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
-from studies.results import Case, StudyResults
+from studies.results import Case
 
 RNG = np.random.default_rng(0)
 STYLE = law_styles(["a"])["a"]

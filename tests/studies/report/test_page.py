@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows true minus signs, dashes and Greek letters
 """The page as a reader's browser parses it: complete, correct, escaped, self-contained, the same each time."""
 
 from __future__ import annotations
@@ -146,9 +147,11 @@ def test_answer_names_winner_baseline_and_rival(
     assert f"S = {case.S[best].mean():.3f} m·s" in said
     saved = 1 - case.S[best].mean() / case.S_uncorrected[best].mean()
     assert f"that is {100 * saved:.1f} % less" in said
-    rival = min((i for i, d in enumerate(results.designs) if d.law == "preview_proportional"), key=lambda i: case.S[i].mean())
+    rival = min(
+        (i for i, d in enumerate(results.designs) if d.law == "preview_proportional"), key=lambda i: case.S[i].mean()
+    )
     gap = case.S[rival].mean() - case.S[best].mean()
-    assert f"the best design of the paper’s law (Preview P" in said
+    assert "the best design of the paper’s law (Preview P" in said
     assert f"{gap:.3f} m·s or {100 * gap / case.S[rival].mean():.1f} % less" in said
     tied = int(ranking.tied_with_best[1:].sum())
     assert (f"{tied} other design" in said) if tied else ("No other design is statistically tied" in said)
@@ -267,7 +270,9 @@ def test_only_no_control(make: ModuleType) -> None:
 
 
 def test_nothing_triggered(make: ModuleType) -> None:
-    _, page = checked(only(make, Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0)))
+    _, page = checked(
+        only(make, Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0))
+    )
     assert "No departure went deep enough" in page.words("answer")
     assert "No design took over in any departure" in page.text["paths"]
     assert "2 other designs are statistically tied" in page.words("answer")
@@ -314,7 +319,9 @@ def test_diverged_paths_are_drawn_without_a_jump(make: ModuleType) -> None:
 
 
 def test_control_window_and_printed_convention(make: ModuleType) -> None:
-    cases = tuple(Case(window, convention) for window in ("control", "departure") for convention in ("as_printed", "consistent"))
+    cases = tuple(
+        Case(window, convention) for window in ("control", "departure") for convention in ("as_printed", "consistent")
+    )
     _, page = checked(only(make, *make.grid()[:6], cases=cases))
     assert len(ranking_tables(page)) == 4
     assert "must not be compared" in page.words("landscape")
