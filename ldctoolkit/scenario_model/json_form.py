@@ -22,6 +22,9 @@ FloatArray = npt.NDArray[np.float64]
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 1
 
+_LEAST_LOG_PROBABILITY: Final = -1e4
+"""Components of a fit keep ln P above about -100; far below, a file is broken rather than extreme."""
+
 
 def _open(bound: FloatArray) -> list[float | None]:
     return [float(b) if np.isfinite(b) else None for b in bound]
@@ -166,13 +169,16 @@ def _side(reader: _Reader, data: Mapping[str, Any], path: str) -> SideModel:
         if np.linalg.eigvalsh(S / np.outer(size, size))[0] < 1e-13:
             raise reader.wrong(where, "not positive definite")
     try:
-        mixture = BoundedGaussianMixture.from_parameters(
-            weights, means, covariances, lower=lower, upper=upper, names=names
-        )
+        with np.errstate(all="ignore"):  # absurd numbers overflow; what comes out is checked below
+            mixture = BoundedGaussianMixture.from_parameters(
+                weights, means, covariances, lower=lower, upper=upper, names=names
+            )
     except InputError as error:
         raise reader.wrong(path, str(error)) from None
-    if not np.isfinite(mixture.log_probabilities_).all():
-        raise reader.wrong(f"{path}.means", "a component has no probability inside the bounds")
+    log_p = mixture.log_probabilities_
+    if not np.all(log_p > _LEAST_LOG_PROBABILITY):
+        k = int(np.argmin(np.where(np.isfinite(log_p), log_p, -np.inf)))
+        raise reader.wrong(f"{path}.means[{k}]", f"far outside the bounds: they hold exp({log_p[k]:.4g}) of it")
     return SideModel(
         mixture, names, tuple((name, float(constants[name])) for name in PARAMETER_NAMES if name in constants)
     )
