@@ -103,6 +103,7 @@ def test_sampling_is_deterministic_nested_and_inside(reference):
     assert np.array_equal(fewer.matrix()[:10], s.matrix()[:10])
     assert np.array_equal(fewer.matrix()[10:], s.matrix()[1500:1505])
     assert not np.array_equal(reference.sample(10, 0, seed=8).matrix(), s.matrix()[:10])
+    assert np.unique(s.T).size == 1800  # no block repeats another one, no side the other
     lower, upper = (np.array([PHYSICAL_BOUNDS[name][end] for name in PARAMETER_NAMES]) for end in (0, 1))
     assert np.all((s.matrix() > lower) & (s.matrix() < upper))
     assert len(reference.sample(0, 0, seed=1)) == 0

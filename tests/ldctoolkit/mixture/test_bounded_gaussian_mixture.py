@@ -113,6 +113,7 @@ def test_shares_of_weights_and_prefix_property():
     for m in (0, 1, SAMPLE_BLOCK, SAMPLE_BLOCK + 1):
         assert np.array_equal(mixture.sample(m, 5)[0], X[:m])
     assert not np.array_equal(mixture.sample(10, 6)[0], X[:10])
+    assert np.unique(X[:, 0]).size == 20_000  # no block repeats another one
 
 
 def test_units_do_not_matter():
