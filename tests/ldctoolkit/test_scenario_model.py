@@ -278,10 +278,9 @@ LEFT_SIDE = ("sides", "left")
         (("provenance", "left", "moved_inside"), [1], r"provenance\.left\.moved_inside"),
     ],
 )
-def test_a_broken_file_is_one_clear_message(tmp_path, path, value, message):
-    fitted = fit_scenario_model(departures(60), components=1)
+def test_a_broken_file_is_one_clear_message(model, tmp_path, path, value, message):
     file = tmp_path / "m.json"
-    fitted.save(file)
+    model.save(file)
     data = json.loads(file.read_text())
     changed(data, path, value)
     file.write_text(json.dumps(data))

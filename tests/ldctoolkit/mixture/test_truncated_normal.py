@@ -96,7 +96,7 @@ def quadrature(mu, Sigma, lower, upper):
     box = [(max(lo, m - 9 * s), min(up, m + 9 * s)) for lo, up, m, s in zip(lower, upper, mu, sd, strict=True)]
 
     def integral(weight):
-        return nquad(lambda *x: weight(x) * pdf(x), box, opts={"epsabs": 1e-10, "epsrel": 1e-8})[0]
+        return nquad(lambda *x: weight(x) * pdf(x), box, opts={"epsabs": 1e-9, "epsrel": 1e-7})[0]
 
     P = integral(lambda x: 1.0)
     d = len(mu)
