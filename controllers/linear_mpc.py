@@ -252,8 +252,10 @@ def _make_solver(impulse: FloatArray, lower: FloatArray, upper: FloatArray) -> A
         eps_rel=1e-6,
         max_iter=20000,
         warm_starting=True,
-        # a fixed interval: a timed one would make the iterations depend on the machine's load
-        adaptive_rho_interval=50,
+        scaling=0,  # the QP is scaled as it stands
+        # a fixed interval (a timed one would depend on the machine's load), short since the factorisation is small
+        adaptive_rho_interval=25,
+        adaptive_rho_tolerance=2.0,
         verbose=False,
     )
     return solver
