@@ -115,7 +115,17 @@ def replay(
             f"d_y = {number(float(one.d_y[0]), 2)} m, scenario {row}"
         )
         examples.append(
-            Example(row, SIDE_NAMES[side], role, facts, float(reduction[row]), t, lateral(one, t), tuple(paths[k]))
+            Example(
+                row,
+                SIDE_NAMES[side],
+                role,
+                facts,
+                float(reduction[row]),
+                t,
+                lateral(one, t),
+                -2.0 * vehicle.edge_offset,
+                tuple(paths[k]),
+            )
         )
     return Replay(tuple(examples), mismatch)
 

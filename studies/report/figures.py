@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.report.style import PANEL, LineStyle, figure_settings
-from studies.report.text import number, percent
+from studies.report.text import change, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def sides_figure(curves: Sequence[Curve], title: str, limit: float | None = None
             axes.barh(i, mean, height=0.62, color=curve.style.color, alpha=0.45 if recorded else 0.85, linewidth=0)
             axes.hlines(i, low, high, color="#222222", linewidth=1.2)
             axes.plot([low, high], [i, i], linestyle="none", marker="|", markersize=6, color="#222222")
-            said = number(mean) if curve.reduction is None else f"{number(mean)} ({percent(-curve.reduction)})"
+            said = number(mean) if curve.reduction is None else f"{number(mean)} ({change(curve.reduction)})"
             axes.text(max(high, mean) + 0.02 * limit, i, said, va="center", fontsize=8.5)
         axes.set_yticks(range(len(curves)), [wrap(curve.label, 22) for curve in curves])
         axes.tick_params(axis="y", length=0, labelcolor="#222222")
@@ -91,7 +91,7 @@ def sides_figure(curves: Sequence[Curve], title: str, limit: float | None = None
 def sides_limit(curves: Sequence[Curve]) -> float:
     """Right end of the axis of `sides_figure` that leaves room for the numbers [m s]."""
     ends = [max(float(np.mean(c.S)), float(np.quantile(c.S, 0.9))) for c in curves if c.S.size]
-    return 1.5 * max([*ends, 1e-3])
+    return 1.4 * max([*ends, 1e-3])
 
 
 def distribution_figure(curves: Sequence[Curve], title: str) -> Figure:

@@ -158,7 +158,8 @@ def _ticks(axes, x: Axis, y: Axis) -> None:  # type: ignore[no-untyped-def]
     for axis, which in ((x, "x"), (y, "y")):
         places = list(range(len(axis.values)))
         every = -(-len(places) // 12)  # at most twelve labels
-        labels = [shorten(compact(axis.values[i]), 14) for i in places[::every]]
+        every_label = tick_labels(axis)
+        labels = [every_label[i] for i in places[::every]]
         if which == "x":
             crowded = sum(len(label) for label in labels) > 34
             axes.set_xticks(places[::every], labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
@@ -166,6 +167,19 @@ def _ticks(axes, x: Axis, y: Axis) -> None:  # type: ignore[no-untyped-def]
         else:
             axes.set_yticks(places[::every], labels)
             axes.set_ylabel(axis.label)
+
+
+def tick_labels(axis: Axis) -> list[str]:
+    """The values as short as they stay distinct.
+
+    Examples
+    --------
+    >>> tick_labels(Axis("K_y", "rad/m", (-0.00422949, -0.002)))
+    ['\N{MINUS SIGN}0.00423', '\N{MINUS SIGN}0.002']
+    """
+    rounded = [float(f"{v:.3g}") if isinstance(v, float) else v for v in axis.values]
+    values = rounded if len(set(rounded)) == len(rounded) else axis.values
+    return [shorten(compact(v), 14) for v in values]
 
 
 def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figure:
@@ -198,7 +212,7 @@ def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figur
                       ha="center", fontsize=8.5, fontweight="bold")  # fmt: skip
         axes.margins(x=0.08, y=0.18)
         if not x.numeric or len(x.values) <= 8:
-            axes.set_xticks(places, [shorten(compact(v), 14) for v in x.values])
+            axes.set_xticks(places, tick_labels(x))
         axes.set_xlabel(x.label)
         axes.set_ylabel("Mean S [m·s]")
         axes.set_title(shorten(landscape.title, 44))

@@ -58,6 +58,8 @@ class Example:
         Of the winner on this departure.
     t, y : (k,) [s], [m]
         The recorded path.
+    far_line : float [m]
+        y at which the vehicle's other edge is on the lane's other line.
     paths : tuple of ControlledPath
         The winner first.
     """
@@ -69,6 +71,7 @@ class Example:
     reduction: float
     t: FloatArray
     y: FloatArray
+    far_line: float
     paths: tuple[ControlledPath, ...]
 
 
@@ -76,7 +79,7 @@ def path_limits(examples: Sequence[Example]) -> tuple[tuple[float, float], tuple
     """Common ranges of y [m] and of the steering angle [deg] for a set of examples."""
     recorded = np.concatenate([e.y for e in examples])
     y = np.concatenate([recorded, *(p.y for e in examples for p in e.paths)])
-    y = np.clip(y, -2.0, max(2.0 * float(recorded.max()), 0.5))  # a path that diverges may leave the panel
+    y = np.clip(y, -2.4, max(2.0 * float(recorded.max()), 0.5))  # a path that diverges may leave the panel
     delta = np.degrees(np.concatenate([[0.0], *(p.delta for e in examples for p in e.paths)]))
     return _padded(y), _padded(delta)
 
@@ -108,7 +111,7 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
     with figure_settings():
         figure = Figure(figsize=(PANEL[0], 3.9), layout="constrained")
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-        above.axhspan(y_low, 0.0, color="#f1f4f7", linewidth=0, zorder=0)
+        above.axhspan(max(y_low, example.far_line), 0.0, color="#f1f4f7", linewidth=0, zorder=0)
         above.axhline(0.0, color="#222222", linewidth=2.2, dashes=(7, 4), zorder=1.5)
         above.plot(example.t, example.y, zorder=2, **RECORDED.line())
         below.axhline(0.0, color="#9a9a9a", linewidth=0.8, zorder=1)
@@ -134,9 +137,12 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
         above.set_ylim(y_low, y_high)
         below.set_ylim(d_low, d_high)
         above.set_xlim(-0.02 * float(example.t[-1]), float(example.t[-1]))
+        if y_low < example.far_line:
+            above.axhline(example.far_line, color="#222222", linewidth=1.1, dashes=(7, 4), zorder=1.5)
         if y_low < -0.12 * (y_high - y_low):
-            above.text(0.015, 0.03, "inside the lane", transform=above.transAxes, ha="left", va="bottom", fontsize=8,
-                       color="#5f6b76", zorder=1)  # fmt: skip
+            lowest = max(y_low, example.far_line)
+            above.annotate("inside the lane", (0.015, lowest), xycoords=("axes fraction", "data"), xytext=(0, 3),
+                           textcoords="offset points", fontsize=8, color="#5f6b76", zorder=1)  # fmt: skip
         above.set_ylabel("Edge beyond line y [m]")
         below.set_ylabel("Steering δ [°]")
         below.set_xlabel("Time since the crossing t [s]")

@@ -76,6 +76,7 @@ def _environment() -> jinja2.Environment:
         "number": text.number,
         "signed": text.signed,
         "percent": text.percent,
+        "change": text.change,
         "symbols": text.symbols,
         "printable": text.printable,
         "compact": text.compact,
@@ -120,6 +121,8 @@ def render(report: ReportInput) -> str:
         )
     tables = [case_table(results, i, ranking) for i, ranking in enumerate(report.rankings)]
     primary = tables[0]
+    elsewhere = {warning for table in tables[1:] for warning in table.warnings}  # told beside their own tables
+    warnings = dict.fromkeys((*report.warnings, *primary.warnings))
     panels = Panels(report, primary)
     replayed = panels.replay()
     return _environment().get_template("report.html").render(
@@ -129,6 +132,7 @@ def render(report: ReportInput) -> str:
         script=_asset("report.js"),
         tables=tables,
         primary=primary,
+        warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
         tiles=_tiles(primary),
         answer=prose.answer(report, primary),
         limitations=prose.limitations(report, primary),

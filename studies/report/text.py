@@ -100,6 +100,17 @@ def percent(value: float, digits: int = 1) -> str:
     return f"{number(100.0 * value, digits)}\u00a0%"
 
 
+def change(reduction: float) -> str:
+    r"""The change that a reduction means, with its sign.
+
+    Examples
+    --------
+    >>> change(-0.05)
+    '+5.0\xa0%'
+    """
+    return f"{signed(-100.0 * reduction, 1)}\u00a0%"
+
+
 def compact(value: GainValue) -> str:
     """The value of a gain as it is written in a study file.
 

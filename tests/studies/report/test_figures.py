@@ -202,7 +202,7 @@ def test_replayed_paths_start_at_the_trigger_and_score_as_stored(make: ModuleTyp
 def test_path_that_never_triggers_is_left_out() -> None:
     empty = np.empty(0)
     t = np.linspace(0.0, 2.0, 5)
-    example = Example(0, "Left", "median reduction", "", 0.0, t, 0.1 * t * (2 - t),
+    example = Example(0, "Left", "median reduction", "", 0.0, t, 0.1 * t * (2 - t), -1.7,
                       (ControlledPath("law", STYLE, empty, empty, empty),))  # fmt: skip
     assert len(path_figure(example).axes[0].lines) == 2  # lane line and recorded path
 

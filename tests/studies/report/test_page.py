@@ -20,7 +20,7 @@ from studies.design import Design
 from studies.ranking import Ranking
 from studies.report import ReportInput, write_report
 from studies.report.page import SECTIONS, render
-from studies.report.text import number, percent, signed
+from studies.report.text import change, number, percent, signed
 from studies.results import Case, StudyResults
 
 PRIMARY = Case("departure", "consistent")
@@ -125,13 +125,13 @@ def test_ranking_tables_show_the_ranking(report: ReportInput, drawn: tuple[str, 
                 assert row[2] == f"{design.y_s:g}"
             assert row[4].startswith(number(ranking.S[k]))
             assert f"[{number(ranking.S_low[k])} to {number(ranking.S_high[k])}]" in row[4]
-            assert row[5] == percent(-ranking.reduction[k])
-            assert row[6] == number(ranking.S_left[k]) + percent(-ranking.reduction_left[k])
-            assert row[7] == number(ranking.S_right[k]) + percent(-ranking.reduction_right[k])
+            assert row[5] == change(ranking.reduction[k])
+            assert row[6] == number(ranking.S_left[k]) + change(ranking.reduction_left[k])
+            assert row[7] == number(ranking.S_right[k]) + change(ranking.reduction_right[k])
             if k:
                 assert row[8].startswith(signed(ranking.difference[k]))
                 assert f"[{number(ranking.difference_low[k])} to {number(ranking.difference_high[k])}]" in row[8]
-            assert row[9] == percent(ranking.triggered[k])
+            assert row[9] == ("–" if design.law == "none" else percent(ranking.triggered[k]))
             assert row[10] == percent(ranking.deeper[k])
             assert row[11] == "0"
 
