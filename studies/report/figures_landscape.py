@@ -125,7 +125,16 @@ def heat_map(landscape: Landscape, low: float, high: float, uncorrected: float) 
         row, column = landscape.best
         for color, width in (("#000000", 3.6), ("#ffffff", 1.8)):
             axes.add_patch(
-                Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=width, zorder=3)
+                Rectangle(
+                    (column - 0.5, row - 0.5),
+                    1,
+                    1,
+                    fill=False,
+                    edgecolor=color,
+                    linewidth=width,
+                    zorder=3,
+                    clip_on=False,
+                )
             )
         if landscape.winner and S.size > _ANNOTATED_CELLS:
             axes.plot(column, row, marker="*", markersize=9, markerfacecolor="#ffffff", markeredgecolor="#000000",

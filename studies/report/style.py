@@ -71,6 +71,7 @@ def figure_settings() -> Iterator[None]:
         "axes.edgecolor": "#767676",
         "axes.grid": True,
         "axes.labelcolor": "#333333",
+        "axes.labelpad": 6,
         "axes.labelsize": 9,
         "axes.linewidth": 0.8,
         "axes.spines.right": False,
