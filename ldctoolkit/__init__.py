@@ -4,7 +4,10 @@ from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, Reco
 from ldctoolkit.departures import DepartureParameters, Departures, DepartureSignals, rebuild_signals, reduce_signals
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, write_departures
 from ldctoolkit.registry import controller_class, controller_names, register
+from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Outcome, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
@@ -12,6 +15,7 @@ from ldctoolkit.version import __version__
 
 __all__ = [
     "BicycleModel",
+    "BoundedGaussianMixture",
     "Controller",
     "DepartureParameters",
     "DepartureSignals",
@@ -24,16 +28,24 @@ __all__ = [
     "Plant",
     "Preview",
     "RecordedPath",
+    "ScenarioModel",
     "Scenarios",
     "SteeringLaw",
     "VehicleParameters",
     "__version__",
+    "bundled_models",
     "controller_class",
     "controller_names",
+    "extract_departures",
+    "fit_scenario_model",
     "gain",
+    "load_model",
     "option",
+    "read_departures",
+    "read_recordings",
     "rebuild_signals",
     "reduce_signals",
     "register",
     "simulate",
+    "write_departures",
 ]

@@ -104,7 +104,20 @@ def gain(
     upper: float = math.inf,
     scale: Literal["linear", "log"] = "linear",
 ) -> Any:
-    """Declare a numeric gain as a dataclass field; an ``int`` default makes it a whole number.
+    """Declare a numeric gain as a dataclass field; an ``int`` default makes it a whole number, a ``bool`` a switch.
+
+    Parameters
+    ----------
+    default : float, int or bool
+        Value of a design that does not set it.
+    unit : str
+        SI unit, ``"1"`` for a pure number.
+    description : str
+        One line.
+    lower, upper : float
+        Allowed range, ends included.
+    scale : {"linear", "log"}
+        How a sweep should space its values.
 
     Examples
     --------
@@ -119,7 +132,17 @@ def gain(
 
 
 def option(default: str, *, choices: tuple[str, ...], description: str) -> Any:
-    """Declare an option with named choices as a dataclass field."""
+    """Declare an option with named choices as a dataclass field.
+
+    Parameters
+    ----------
+    default : str
+        Choice of a design that does not set it.
+    choices : tuple of str
+        Allowed words.
+    description : str
+        One line.
+    """
     return _field(default, "1", -math.inf, math.inf, "linear", choices, description)
 
 

@@ -95,4 +95,4 @@ def _check(column: dict[str, npt.NDArray[np.float64]]) -> None:
 
 def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Lowest speed [m/s] of a departure whose speed changes linearly: v_mean - |a_mean| T/2."""
-    return np.asarray(v_mean, dtype=float) - 0.5 * np.abs(np.asarray(a_mean)) * np.asarray(T)
+    return np.asarray(np.asarray(v_mean) - 0.5 * np.abs(np.asarray(a_mean)) * np.asarray(T), dtype=np.float64)

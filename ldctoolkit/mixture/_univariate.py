@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import log_ndtr, ndtri_exp
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,6 +28,8 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
     >>> round(float(log_mass(np.array([30.0]), np.array([np.inf]))[0]), 6)
     -454.321244
     """
+    from scipy.special import log_ndtr  # here, so that importing the package stays fast
+
     low, high, _ = _to_left_tail(a, b)
     return _log_mass_left(low, high, log_ndtr(low), log_ndtr(high))
 
@@ -62,6 +63,8 @@ def mass_and_quantile(
     a: FloatArray, b: FloatArray, log_u: FloatArray, log_1mu: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """`log_mass`, and the z in (a, b) below which a share u of that mass lies; u is given as log u and log(1 - u)."""
+    from scipy.special import log_ndtr, ndtri_exp
+
     low, high, flip = _to_left_tail(a, b)
     log_low, log_high = log_ndtr(low), log_ndtr(high)
     mass = _log_mass_left(low, high, log_low, log_high)
