@@ -17,7 +17,7 @@ def model_notes(model: ScenarioModel) -> tuple[str, ...]:
 
 def _notes(model: ScenarioModel) -> Iterator[str]:
     origin = model.provenance
-    if origin.synthetic:
+    if origin.synthetic and not str(origin.source.get("description", "")).lower().startswith("synthetic"):
         yield "Synthetic: fitted to departures drawn from a stated population, not to recorded driving."
     for key, value in _flat(origin.source):
         text = f"{key}: {value}" if key else str(value)
@@ -27,7 +27,8 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
         ("left", model.left_side, origin.left),
         ("right", model.right_side, origin.right),
     ):
-        yield f"{name}: {len(side.mixture.weights_)} components{_fitted(summary)}"
+        count = len(side.mixture.weights_)
+        yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
     if origin.software:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
     yield from (f"warning: {text}" for text in origin.warnings)

@@ -109,7 +109,11 @@ _simulator: Simulator | None = None
 def start_worker(job: Job, controllers: Sequence[type[Controller]]) -> None:
     """Make a fresh process ready; classes that were only registered in the parent are registered here too."""
     global _simulator
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
+    # the parent decides what an interrupt means; a group of its own, because solvers (OSQP) catch the signal themselves
+    # and would report an interrupted solve as a failed one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     for controller in controllers:
         if controller.name not in controller_names():

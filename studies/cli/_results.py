@@ -23,7 +23,7 @@ def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
         out.print(ranking.table(top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
         ties = int(ranking.tied_with_best.sum()) - 1
         if ties:
-            out.print(f"=: not told apart from the best on these scenarios ({ties} designs)")
+            out.print(f"=: not told apart from the best on these scenarios ({ties} design{'s' if ties > 1 else ''})")
         for warning in ranking.warnings:
             out.print(f"Warning: {warning}", style="yellow")
         out.print()

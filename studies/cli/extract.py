@@ -52,7 +52,9 @@ def run(chosen: argparse.Namespace) -> None:
 
     for warning in found.warnings:
         warn(warning)
-    table = Table(title=f"{found.candidates} candidates in {found.recordings} recordings, {found.hours:.1f} h")
+    out = console()
+    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {found.hours:.1f} h")
+    table = Table()
     table.add_column("candidate")
     table.add_column("count", justify="right")
     left = int((found.departures.side == LEFT).sum())
@@ -60,7 +62,7 @@ def run(chosen: argparse.Namespace) -> None:
     table.add_row("departure, right", str(len(found.departures) - left), end_section=True)
     for reason, count in found.refused.items():
         table.add_row(f"refused: {reason.replace('_', ' ')}", str(count))
-    console().print(table)
+    out.print(table)
     if len(found.departures) == 0:
         warn("no departures were found")
     print(f"{len(found.departures)} departures written to {target}")

@@ -80,10 +80,12 @@ def _source(provenance: Provenance) -> dict[str, Any]:
 def _print_fits(model: ScenarioModel) -> None:
     from rich.table import Table
 
+    out = console()
     for label, summary in (("left", model.provenance.left), ("right", model.provenance.right)):
         if summary is None:
             continue
-        table = Table(title=f"{label}: {summary.events} departures", title_justify="left")
+        out.print(f"{label}: {summary.events} departures")
+        table = Table()
         for heading in ("K", "BIC", "log-likelihood an event"):
             table.add_column(heading, justify="right")
         for K, bic, mean in _fits(summary):
@@ -91,7 +93,7 @@ def _print_fits(model: ScenarioModel) -> None:
             table.add_row(
                 f"{K}", f"{bic:.1f}{' *' if chosen else '  '}", f"{mean:.4f}", style="bold" if chosen else None
             )
-        console().print(table)
+        out.print(table)
     print("*: smallest BIC, taken")
 
 

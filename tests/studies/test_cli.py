@@ -1,0 +1,298 @@
+"""The command line as people meet it: real processes, exit codes, one message for wrong input, no traces of failure."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HEADER = "recording,t,lane_offset,lane_width,speed\n"
+STUDY = """
+name = "tiny"
+[scenarios]
+left = 6
+right = 6
+[ranking]
+bootstrap = 100
+[[design]]
+law = "none"
+[[design]]
+law = "preview_proportional"
+y_s = [0.1, 0.2]
+"""
+
+
+def ldc(*arguments: object, cwd: Path, stdin: object = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def good(*arguments: object, cwd: Path) -> str:
+    done = ldc(*arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout
+
+
+def bad(*arguments: object, cwd: Path) -> str:
+    """Run what must fail: exit code 2, one message, nothing on stdout, no file added or changed."""
+    before = {path: path.stat().st_mtime_ns for path in cwd.rglob("*")}
+    done = ldc(*arguments, cwd=cwd)
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    assert done.stdout == ""
+    assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
+    assert {path: path.stat().st_mtime_ns for path in cwd.rglob("*")} == before
+    return done.stderr
+
+
+def recordings(n: int = 120) -> str:
+    """n recordings of one departure each, alternating sides, all different."""
+    generator = np.random.default_rng(0)
+    lines = [HEADER]
+    for i in range(n):
+        T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
+        t = np.arange(0, 8, 0.1)
+        y = peak * (1 - (2 * (t - 4) / T) ** 2)
+        offset = (-1) ** i * (np.maximum(y, -0.6) + 0.9 + 0.01 * generator.normal(size=t.size))
+        speed = v + 0.1 * generator.normal(size=t.size) + generator.normal() * 0.1 * t
+        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{c:.4f}\n" for a, b, c in zip(t, offset, speed, strict=True)]
+    return "".join(lines)
+
+
+def test_from_recordings_to_a_report(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_text(recordings())
+    (tmp_path / "s.toml").write_text(STUDY)
+    out = good("extract", "r.csv", "--vehicle-width", "1.8", "-o", "d.parquet", cwd=tmp_path)
+    assert "departures written to d.parquet" in out
+    assert "refused: too short" in out
+    out = good("fit", "d.parquet", "-o", "m.json", "--components", "1:2", cwd=tmp_path)
+    assert "BIC" in out
+    assert json.loads((tmp_path / "m.json").read_text())["provenance"]["source"]["recordings"] == 120
+    assert "recordings: 120" in good("models", "m.json", cwd=tmp_path)
+    good("sample", "m.json", "-n", "9", "-o", "s.csv", cwd=tmp_path)
+    assert len((tmp_path / "s.csv").read_text().splitlines()) == 10
+
+    out = good("run", "s.toml", "--model", "m.json", "-o", "o", "--workers", "1", cwd=tmp_path)
+    assert "3 designs x 12 scenarios" in out
+    assert f"ranking: {Path('o') / 'ranking.csv'}" in out
+    assert f"report:  {Path('o') / 'report.html'}" in out
+    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
+        "manifest.json", "ranking.csv", "report.html", "results", "scenarios.parquet"
+    ]  # fmt: skip
+    with (tmp_path / "o" / "ranking.csv").open(newline="") as stream:
+        assert [row["rank"] for row in csv.DictReader(stream)] == ["1", "2", "3"]
+    manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
+    assert manifest["model"] == "m.json"
+    assert manifest["command"].endswith("run s.toml --model m.json -o o --workers 1")
+
+    ranking = (tmp_path / "o" / "ranking.csv").read_bytes()
+    (tmp_path / "o" / "ranking.csv").unlink()
+    (tmp_path / "o" / "report.html").unlink()
+    assert "by mean S" in good("rank", "o", "--top", "2", cwd=tmp_path)
+    assert (tmp_path / "o" / "ranking.csv").read_bytes() == ranking
+    good("report", "o", cwd=tmp_path)
+    assert (tmp_path / "o" / "report.html").read_text().lstrip().lower().startswith("<!doctype html>")
+
+    # the same folder with another model is refused, with the same one it resumes
+    assert "holds another study (tiny): model: m.json" in bad("run", "s.toml", "-o", "o", cwd=tmp_path)
+    good("run", "s.toml", "--model", "m.json", "-o", "o", "--quiet", cwd=tmp_path)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "s.toml").write_text(STUDY)
+    return tmp_path
+
+
+GOOD_ROWS = "a,0.0,0.1,3.6,25\na,0.1,0.2,3.6,25\n"
+BAD_RECORDINGS = {
+    "missing column": (b"recording,t,lane_offset,speed\na,0,0,25\n", "lane_width"),
+    "empty": (b"", "r.csv"),
+    "unsorted": ((HEADER + "a,1.0,0.1,3.6,25\na,0.5,0.2,3.6,25\n").encode(), "r.csv"),
+    "repeated": ((HEADER + "a,1.0,0.1,3.6,25\na,1.0,0.2,3.6,25\n").encode(), "r.csv"),
+    "words": ((HEADER + "a,0.0,x,3.6,25\na,0.1,0.2,3.6,25\n").encode(), "lane_offset"),
+    "binary": (bytes(range(256)), "r.csv"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_RECORDINGS)
+def test_bad_recordings(kind: str, tmp_path: Path) -> None:
+    content, word = BAD_RECORDINGS[kind]
+    (tmp_path / "r.csv").write_bytes(content)
+    assert word in bad("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "not gzip"])
+def test_broken_gzip(damage: str, tmp_path: Path) -> None:
+    content = gzip.compress(recordings(5).encode())
+    (tmp_path / "r.csv.gz").write_bytes(content[: len(content) // 2] if damage == "truncated" else b"plain text")
+    assert "r.csv.gz" in bad("extract", "r.csv.gz", "-o", "d.parquet", cwd=tmp_path)
+
+
+def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> None:
+    """A NaN invalidates its sample and is told; it never reaches the departures table."""
+    text = recordings(40).splitlines(keepends=True)
+    text[41] = re.sub(r"^(r0,[^,]*),[^,]*", r"\1,NaN", text[41])
+    (tmp_path / "r.csv").write_text("".join(text))
+    out = good("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
+    assert re.search(r"refused: invalid +│ +1 ", out)
+
+
+def test_wrong_units_are_warned_about(tmp_path: Path) -> None:
+    rows = [line.split(",") for line in recordings(40).splitlines()[1:]]
+    km_h = HEADER + "".join(f"{r},{t},{y},{w},{float(v) * 1000:.1f}\n" for r, t, y, w, v in rows)
+    (tmp_path / "r.csv").write_text(km_h)
+    done = ldc("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
+    assert re.search(r"ldc: (warning|error): .*speed", done.stderr)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "papr"], "study 'papr': neither a file nor in the catalog; did you mean 'paper'?"),
+        (["run", "none.toml"], "none.toml: cannot be read: No such file or directory"),
+        (["run", "s.toml", "--model", "referenc"], "did you mean 'reference'"),
+        (["run", "s.toml", "--model", "none.json"], "none.json"),
+        (["run", "s.toml", "--workers", "0"], "--workers"),
+        (["run", "s.toml", "-o", "s.toml"], "s.toml: exists and is not the folder of a study"),
+        (["run"], "required: STUDY"),
+        (["rnu"], "invalid choice: 'rnu'"),
+        ([], "required: COMMAND"),
+        (["rank", "nowhere"], "nowhere: holds no study"),
+        (["report", "."], "holds no study"),
+        (["controllers", "lqq"], "did you mean 'lqr'"),
+        (["models", "none.json"], "none.json"),
+        (["sample", "reference", "-o", "x.csv"], "no departures asked for"),
+        (["sample", "reference", "-n", "3", "--left", "2", "-o", "x.csv"], "-n goes with neither"),
+        (["sample", "reference", "-n", "-3", "-o", "x.csv"], "-n"),
+        (["sample", "reference", "-n", "3", "-o", "x.txt"], "must end in .parquet or .csv"),
+        (["sample", "reference", "-n", "3", "-o", "nowhere/x.csv"], "the folder nowhere does not exist"),
+        (["fit", "none.parquet", "-o", "m.json"], "none.parquet"),
+        (["fit", "s.toml", "-o", "m.json"], "s.toml"),
+        (["fit", "s.toml", "-o", "m.json", "--components", "3:1"], "allowed: K or FIRST:LAST"),
+        (["extract", "none.csv", "-o", "d.parquet"], "none.csv"),
+        (["extract", "s.toml", "-o", "d.parquet"], "s.toml"),
+        (["extract", "s.toml", "-o", "d.csv"], "must end in .parquet"),
+        (["extract", "s.toml", "-o", "d.parquet", "--vehicle-width", "wide"], "allowed: a number"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_arguments_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
+    assert message in bad(*arguments, cwd=folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("sedd = 1\n" + STUDY, "s.toml: sedd: no such key; did you mean 'seed'?"),
+        (STUDY + "[design.gains]\nK_y = 0.5\n", "design[1].gains.K_y: 0.5; allowed: a number from -1 to 0 rad/m"),
+        (STUDY + "[design.gains]\nK_yy = -0.5\n", "design[1].gains.K_yy: no such gain; did you mean 'K_y'?"),
+        ("name = ", "not a TOML file"),
+    ],
+)
+def test_a_wrong_study_gets_one_message(change: str, message: str, folder: Path) -> None:
+    (folder / "s.toml").write_text(change)
+    assert message in bad("run", "s.toml", "-o", "o", cwd=folder)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", "{}", '{"format": "x"}', "\x00"], ids=["empty", "cut", "list", "bare", "other", "nul"]
+)
+def test_a_broken_model_gets_one_message(content: str, folder: Path) -> None:
+    (folder / "m.json").write_text(content)
+    assert "m.json" in bad("run", "s.toml", "--model", "m.json", "-o", "o", cwd=folder)
+    assert "m.json" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
+
+
+def test_a_model_with_a_number_that_is_not_one(folder: Path) -> None:
+    import ldctoolkit
+
+    text = (Path(ldctoolkit.__file__).parent / "models" / "reference.json").read_text()
+    model = json.loads(text)
+    model["left"]["weights"][0] = None
+    (folder / "m.json").write_text(json.dumps(model))
+    assert "weights" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
+
+
+def test_what_is_there_stays_when_a_command_fails(folder: Path) -> None:
+    (folder / "d.parquet").write_text("old")
+    (folder / "r.csv").write_text(HEADER)
+    bad("extract", "none.csv", "-o", "d.parquet", cwd=folder)
+    assert (folder / "d.parquet").read_text() == "old"
+
+
+def test_lists_and_version(tmp_path: Path) -> None:
+    out = good("controllers", cwd=tmp_path)
+    for word in ("preview_proportional", "K_psi", "rad/rad", "-5 .. 0", "lqr", "r_delta", "linear_mpc", "horizon"):
+        assert word in out
+    assert "reference" in good("models", cwd=tmp_path)
+    assert re.fullmatch(r"ldc \d+\.\d+\.\d+\S*\n", good("--version", cwd=tmp_path))
+    for command in ("extract", "fit", "sample", "run", "rank", "report", "controllers", "models"):
+        assert command in good("--help", cwd=tmp_path)
+        assert "usage: ldc " + command in good(command, "--help", cwd=tmp_path)
+
+
+def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "ldctoolkit", "--help"],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    heavy = {"polars", "pydantic", "scipy", "matplotlib", "casadi", "control", "osqp", "jinja2", "rich", "qpsolvers"}
+    assert not loaded & heavy
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ldctoolkit", "controllers"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    message = process.stderr.read().decode()
+    process.stderr.close()
+    assert process.wait(60) == 1
+    assert message == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="interrupts are sent in another way on Windows")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, folder: Path) -> None:
+    study = STUDY.replace("left = 6", "left = 400").replace("right = 6", "right = 400")
+    study += '[[design]]\nlaw = "linear_mpc"\ny_s = [0.05, 0.06, 0.07, 0.08]\n[design.gains]\nalways_solve = true\n'
+    (folder / "s.toml").write_text(study)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "-o", "o", "--workers", str(workers)],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (folder / "o" / "manifest.json").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(2.0)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert error == "ldc: interrupted\n"
+    assert out == ""
+    # the three quick designs were finished and are there
+    assert list((folder / "o" / "results").glob("part-*.parquet"))
+    assert "runs are not there yet" in bad("rank", "o", cwd=folder)
