@@ -31,6 +31,9 @@ _log = logging.getLogger("studies")
 _STORE_EVERY = 5.0
 """Seconds between parts: what a kill can cost at most."""
 
+_LISTEN_EVERY = 0.2
+"""Seconds after which an interrupt is noticed at the latest."""
+
 _SCENARIO_RUNS_A_BLOCK = 2000
 """Scenarios times designs in one task: enough to hide the cost of sending it, little enough to spread slow designs."""
 
@@ -177,8 +180,13 @@ def _run_in_processes(
             workers, mp_context=context, initializer=start_worker, initargs=(job, kinds)
         )
         try:
-            for future in concurrent.futures.as_completed([pool.submit(work, block) for block in blocks]):
-                yield future.result()
+            pending = {pool.submit(work, block) for block in blocks}
+            while pending:
+                # never an endless wait: polars installs a signal handler that restarts system calls, so that an
+                # interrupt is seen only once Python code runs again
+                finished, pending = concurrent.futures.wait(pending, _LISTEN_EVERY, concurrent.futures.FIRST_COMPLETED)
+                for future in finished:
+                    yield future.result()
             pool.shutdown()
         except BrokenProcessPool:
             raise LdcError(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+import threading
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -114,11 +116,19 @@ def start_worker(job: Job, controllers: Sequence[type[Controller]]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setpgrp"):
         os.setpgrp()
+    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     for controller in controllers:
         if controller.name not in controller_names():
             register(controller)
     _simulator = Simulator(job)
+
+
+def _leave_with(parent: int) -> None:
+    """End this process soon after its parent was killed: nobody would read what it computes."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def work(block: Block) -> list[RunResult]:

@@ -75,6 +75,7 @@ def recordings(n: int = 120) -> str:
     return "".join(lines)
 
 
+@pytest.mark.slow
 def test_from_recordings_to_a_report(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_text(recordings())
     (tmp_path / "s.toml").write_text(STUDY)
@@ -226,7 +227,7 @@ def test_a_model_with_a_number_that_is_not_one(folder: Path) -> None:
 
     text = (Path(ldctoolkit.__file__).parent / "models" / "reference.json").read_text()
     model = json.loads(text)
-    model["left"]["weights"][0] = None
+    model["sides"]["left"]["weights"][0] = None
     (folder / "m.json").write_text(json.dumps(model))
     assert "weights" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
 
@@ -273,26 +274,33 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     assert message == ""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="interrupts are sent in another way on Windows")
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, folder: Path) -> None:
-    study = STUDY.replace("left = 6", "left = 400").replace("right = 6", "right = 400")
-    study += '[[design]]\nlaw = "linear_mpc"\ny_s = [0.05, 0.06, 0.07, 0.08]\n[design.gains]\nalways_solve = true\n'
+    study = STUDY.replace("left = 6", "left = 20000").replace("right = 6", "right = 20000")
+    study += '[[design]]\nlaw = "lqr"\ny_s = 0.05\n[design.gains]\nr_delta = { from = 10, to = 5000, count = 60 }\n'
     (folder / "s.toml").write_text(study)
+    # a test runner in the background passes ignored interrupts on to its children: ask for the usual handler
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code += "from ldctoolkit.launcher import main; sys.exit(main())"
     process = subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "-o", "o", "--workers", str(workers)],
+        [sys.executable, "-c", code, "run", "s.toml", "-o", "o", "--workers", str(workers)],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not (folder / "o" / "manifest.json").exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    time.sleep(2.0)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
-    out, error = process.communicate(timeout=60)
+    try:
+        deadline = time.monotonic() + 60
+        while not (folder / "o" / "manifest.json").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        time.sleep(4.0)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
+        out, error = process.communicate(timeout=30)
+    finally:
+        process.kill()
     assert process.returncode == 130, error
     assert error == "ldc: interrupted\n"
     assert out == ""
-    # the three quick designs were finished and are there
+    # what was finished is there
     assert list((folder / "o" / "results").glob("part-*.parquet"))
     assert "runs are not there yet" in bad("rank", "o", cwd=folder)
