@@ -219,17 +219,21 @@ class MPCLaw(SteeringLaw):
         else:
             solver.update(l=lower, u=upper)
         result = solver.solve(raise_error=False)
+        solved, interrupted = _statuses()
+        if result.info.status_val == interrupted:
+            raise KeyboardInterrupt  # OSQP catches the signal itself while it solves
         # only a solved QP is used: OSQP leaves NaN or a placeholder in x for anything else
-        if result.info.status_val != _solved() or not np.isfinite(result.x[0]):
+        if result.info.status_val != solved or not np.isfinite(result.x[0]):
             solver.warm_start(x=np.zeros(self.horizon), y=np.zeros(2 * self.horizon))
             return None
         return float(result.x[0])
 
 
-def _solved() -> int:
+def _statuses() -> tuple[int, int]:
+    """OSQP's numbers for solved, and for interrupted by the user."""
     import osqp
 
-    return int(osqp.SolverStatus.OSQP_SOLVED)
+    return int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
 
 
 def _make_solver(impulse: FloatArray, lower: FloatArray, upper: FloatArray) -> Any:

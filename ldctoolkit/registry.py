@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import importlib.util
 import sys
 from pathlib import Path
 
@@ -97,23 +98,21 @@ def controller_class(name: str) -> type[Controller]:
     point = _installed().get(name)
     if point is None:
         raise UnknownNameError(f"law {name!r}: no such controller; {nearest(name, controller_names())}")
-    package = point.value.partition(":")[0].partition(".")[0]
+    check_not_shadowed(point.value.partition(":")[0].partition(".")[0])
     try:
         loaded = point.load()
     except (ImportError, AttributeError) as error:
-        check_not_shadowed(package)
         raise LdcError(f"controller {name!r} ({point.value}) cannot be loaded: {error}") from error
-    check_not_shadowed(package)
     if not (isinstance(loaded, type) and issubclass(loaded, Controller)):
         raise LdcError(f"controller {name!r} ({point.value}) is not a subclass of Controller")
     return loaded
 
 
 def check_not_shadowed(package: str) -> None:
-    """Raise if one of the toolkit's own packages was imported from a user's folder of the same name.
+    """Raise if one of the toolkit's own packages is, or would be, imported from a user's folder of the same name.
 
     ``controllers`` and ``studies`` are general names; a folder so called in the working directory or on
-    ``PYTHONPATH`` comes before the installed one.
+    ``PYTHONPATH`` comes before the installed one. Nothing of the user's is run to find out.
 
     Raises
     ------
@@ -124,10 +123,16 @@ def check_not_shadowed(package: str) -> None:
         return
     home = Path(__file__).resolve().parent.parent / package
     module = sys.modules.get(package)
-    places = [Path(place).resolve() for place in getattr(module, "__path__", [])]
-    if module is None or home in places:
+    if module is not None:
+        places = [*getattr(module, "__path__", []), getattr(module, "__file__", None) or package]
+    else:
+        spec = importlib.util.find_spec(package)
+        if spec is None:
+            return  # not there at all: the import itself says so
+        places = [*(spec.submodule_search_locations or []), spec.origin or package]
+    place = Path(places[0]).resolve()
+    if place == home:
         return
-    place = places[0] if places else Path(getattr(module, "__file__", None) or package)
     raise ShadowedPackageError(
         f"{place} shadows the toolkit's own package {package!r} at {home}: rename it, or start Python elsewhere"
     )

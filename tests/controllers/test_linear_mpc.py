@@ -6,6 +6,7 @@ from typing import Any
 
 import control
 import numpy as np
+import osqp
 import pytest
 import qpsolvers
 import scipy.sparse as sp
@@ -162,6 +163,22 @@ def test_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.Monkey
     assert np.nanmax(np.abs(delta)) <= 0.02 + 1e-12
     assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-12
     assert np.isfinite(out.S).all()
+
+
+def test_an_interrupt_during_a_solve_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OSQP catches Ctrl-C and reports a status; that must not become a counted failure."""
+
+    class Interrupted:
+        class info:  # noqa: N801 - OSQP's own name
+            status_val = int(osqp.SolverStatus.OSQP_SIGINT)
+
+        def solve(self, raise_error: bool) -> Interrupted:
+            return self
+
+    monkeypatch.setattr(module, "_make_solver", lambda *_: Interrupted())
+    scenarios = Scenarios.from_arrays(T=3.0, d_y=0.6, v_mean=25.0)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0), scenarios)
 
 
 def test_limits_hold_in_the_closed_loop() -> None:
