@@ -169,7 +169,7 @@ def test_an_interrupt_during_a_solve_is_an_interrupt(monkeypatch: pytest.MonkeyP
     """OSQP catches Ctrl-C and reports a status; that must not become a counted failure."""
 
     class Interrupted:
-        class info:  # noqa: N801 - OSQP's own name
+        class info:
             status_val = int(osqp.SolverStatus.OSQP_SIGINT)
 
         def solve(self, raise_error: bool) -> Interrupted:
