@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, expectation
-from ldctoolkit.mixture._maximisation import Prior, Step, maximise
+from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
 from ldctoolkit.mixture.truncated_normal import MOMENT_POINTS, TruncatedNormal
 
@@ -18,6 +18,15 @@ _SMALL_DIMENSION: Final = 6
 
 _WINDOW: Final = 5
 _LEAST_WEIGHT: Final = 1e-12
+
+_STATIONARY: Final = 1e-6
+"""A component that finds no step is at its optimum if its mean could add less than this per event [nats]: about 1e-3
+standard deviations. The lattice's moments are its likelihood's gradient no better than to about 1e-4."""
+
+_FALL: Final = 1e-8
+"""A relative fall of the objective beyond this is no rounding: the E-step has lost its digits."""
+
+StopReason = Literal["converged", "max_iter", "stuck", "collapsed"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,11 +48,15 @@ class EMSettings:
 
 @dataclasses.dataclass(frozen=True)
 class EMResult:
-    """Components at the end of a run, the penalised log-likelihood per event after each pass, and its end."""
+    """Components at the end of a run, the penalised log-likelihood per event after each pass, and why it ended.
+
+    "stuck": no step raised the objective, though it is not at a maximum. "collapsed": the objective fell, because a
+    component had become too thin for the arithmetic; the components before that pass are kept.
+    """
 
     components: Components
     history: FloatArray
-    converged: bool
+    stop_reason: StopReason
 
 
 def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
@@ -94,14 +107,21 @@ def _run(
 
     stats, value = look()
     history = [value]
-    converged = False
+    reason: StopReason = "max_iter"
     for _ in range(passes):
-        t = maximise(stats, prior, t, s.step, points)
+        kept = weights, t
+        new, moved = maximise(stats, prior, t, s.step, points)
+        stuck = bool(np.any(~moved & (predicted_gain(stats, t) > _STATIONARY * n)))
+        t = new
         weights = np.maximum(stats.counts, _LEAST_WEIGHT)
         weights = weights / weights.sum()
         stats, value = look()
+        if not value >= history[-1] - _FALL * max(abs(history[-1]), 1.0):
+            weights, t = kept
+            reason = "collapsed"
+            break
         history.append(value)
         if len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW:
-            converged = True
+            reason = "stuck" if stuck else "converged"
             break
-    return EMResult(Components(weights, t.mu, t.Sigma, t.log_probability), np.array(history), converged)
+    return EMResult(Components(weights, t.mu, t.Sigma, t.log_probability), np.array(history), reason)

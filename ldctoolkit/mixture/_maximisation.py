@@ -8,12 +8,14 @@ pseudo-events with covariance S0 about the component's own mean. Two steps are o
   (Lee and Scott 2012: weighted mean minus m, weighted scatter about the new mean plus H);
 - ``newton``: a Newton step with the Fisher matrix on the bounded dimensions, exact regression on the open ones.
 
-Either is shortened until Q does not fall, so the penalised log-likelihood never falls.
+Either is shortened until Q does not fall, so the penalised log-likelihood never falls. Where no length of the one will
+do, the other is tried: near a bound the fixed-point step need not point uphill, and a Newton step may be very short.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
@@ -24,10 +26,14 @@ from ldctoolkit.mixture._separation import IntArray
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 Step = Literal["newton", "lee_scott"]
 
-_HALVINGS: Final = 8
-_NEWTON_TRIALS: Final = 4
+_TRIALS: Final = 16
+"""Lengths tried of the chosen step; only those that keep Sigma positive definite are counted."""
+
+_OTHER_TRIALS: Final = 8
+_VALID_HALVINGS: Final = 40
 _LEAST_EIGENVALUE: Final = 0.1
 _LARGEST_GROWTH: Final = 3.0
 """A Newton step may shrink a whitened variance to the one share, and grow it by the other; the next goes further."""
@@ -69,7 +75,9 @@ def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray
     return out
 
 
-def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, points: int) -> TruncatedNormal:
+def maximise(
+    stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, points: int
+) -> tuple[TruncatedNormal, BoolArray]:
     """New components; those whose objective cannot be raised stay as they are.
 
     Parameters
@@ -87,34 +95,58 @@ def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, 
 
     Returns
     -------
-    TruncatedNormal
+    components : TruncatedNormal
         K components.
+    moved : (K,) bool
+        False where no step was found.
     """
-    K = now.mu.shape[0]
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
-    fixed_point = _LeeScottPath(stats, prior, now)
-    newton = _newton_path(stats, prior, now) if step == "newton" else None
-    path: _NewtonPath | _LeeScottPath = fixed_point if newton is None else newton
-    t = np.ones(K) if newton is None else newton.trusted()
+    makers: list[Callable[[Statistics, Prior, TruncatedNormal], _NewtonPath | _LeeScottPath]]
+    makers = [_newton_path, _LeeScottPath] if step == "newton" else [_LeeScottPath, _newton_path]
     result = now
-    waiting = np.ones(K, dtype=bool)
-    for trial_number in range(_HALVINGS):
-        if trial_number == _NEWTON_TRIALS and newton is not None:
-            path, t = fixed_point, np.ones(K)  # far from the optimum the fixed-point step may be the safer one
-        mu_t, Sigma_t, valid = path.at(t)
-        rows = np.flatnonzero(waiting & valid)
-        if rows.size:
+    waiting = np.ones(now.mu.shape[0], dtype=bool)
+    for make, trials in zip(makers, (_TRIALS, _OTHER_TRIALS), strict=True):
+        path = make(stats, prior, now)
+        t = path.trusted()
+        for _ in range(trials):
+            mu_t, Sigma_t, valid = _shortened(path, t, waiting)
+            rows = np.flatnonzero(waiting & valid)
+            if rows.size == 0:
+                break
             rows_order = order[rows] if order is not None else None
             trial = TruncatedNormal(mu_t[rows], Sigma_t[rows], now.lower, now.upper, points=points, order=rows_order)
             after = objective(_rows(stats, rows), Prior(prior.strength, prior.covariance[rows]), trial)
             which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]))
             result = result.with_components(rows[which], trial, which)
             waiting[rows[which]] = False
+            t[waiting] *= 0.5
         if not waiting.any():
             break
-        t[waiting] *= 0.5
-    return result
+    return result, ~waiting
+
+
+def _shortened(
+    path: _NewtonPath | _LeeScottPath, t: FloatArray, waiting: BoolArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Points on the path, steps `t` halved in place where they leave the positive definite matrices."""
+    for _ in range(_VALID_HALVINGS):
+        mu, Sigma, valid = path.at(t)
+        short = waiting & ~valid
+        if not short.any():
+            break
+        t[short] *= 0.5
+    return mu, Sigma, valid
+
+
+def predicted_gain(stats: Statistics, now: TruncatedNormal) -> FloatArray:
+    """What the mean alone could still add to the log-likelihood, (K,), to second order; zero at a fixed point.
+
+    The prior does not depend on mu, so at a fixed point the weighted mean of the data is the mean inside the box.
+    """
+    residual = (stats.mean - now.mean) ** 2 / np.maximum(np.diagonal(now.covariance, axis1=1, axis2=2), 1e-300)
+    out: FloatArray = 0.5 * stats.counts * residual.max(axis=1)
+    return out
 
 
 def _rows(stats: Statistics, rows: IntArray) -> Statistics:
@@ -127,7 +159,11 @@ class _LeeScottPath:
     prior: Prior
     now: TruncatedNormal
 
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    def trusted(self) -> FloatArray:
+        """The whole step, (K,)."""
+        return np.ones(self.now.mu.shape[0])
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         n = self.stats.counts[:, None, None]
         n0 = self.prior.strength
         mu = self.now.mu + t[:, None] * (self.stats.mean - self.now.mean)
@@ -163,7 +199,7 @@ class _NewtonPath:
         out: FloatArray = np.minimum(1.0, np.minimum(0.9 * shrink, np.minimum(grow, shift)))
         return out
 
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         b, f = self.bounded, self.free
         mu, Sigma = self.now.mu.copy(), self.now.Sigma.copy()
         valid = np.ones(mu.shape[0], dtype=bool)
@@ -243,9 +279,9 @@ def _symmetric(S: FloatArray) -> FloatArray:
     return out
 
 
-def _positive(Sigma: FloatArray) -> npt.NDArray[np.bool_]:
+def _positive(Sigma: FloatArray) -> BoolArray:
     """Whether each Sigma is safely positive definite: correlations bounded away from one by rounding."""
     deviation = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 1e-300))
     least = np.linalg.eigvalsh(Sigma / (deviation[:, :, None] * deviation[:, None, :]))[:, 0]
-    out: npt.NDArray[np.bool_] = least > 1e-11
+    out: BoolArray = least > 1e-11
     return out

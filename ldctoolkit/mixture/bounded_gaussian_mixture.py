@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, Self
 
 import numpy as np
@@ -74,7 +74,10 @@ class BoundedGaussianMixture:
     log_probabilities_ : (K,)
         ln P_k, the logarithm of each normal's probability of the box.
     converged_ : bool
-        Whether `tol` was reached.
+        Whether `tol` was reached at a maximum.
+    stop_reason_ : str
+        "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became
+        too thin for the arithmetic; the pass before is kept).
     n_iter_ : int
         Passes of the final run.
     lower_bound_ : float
@@ -95,7 +98,8 @@ class BoundedGaussianMixture:
     It is a fixed-point step on the likelihood equations and converges slowly where much of a component lies outside.
     The default ``"newton"`` solves the same equations by Newton's method with the Fisher matrix from the same
     moments; dimensions open on both sides are a regression on the others, exact in one step. Either step is
-    shortened until the objective does not fall. Both have the same fixed points.
+    shortened until the objective does not fall, and where no length gains the other is tried. Both have the same
+    fixed points.
 
     References
     ----------
@@ -115,6 +119,7 @@ class BoundedGaussianMixture:
     covariances_: FloatArray
     log_probabilities_: FloatArray
     converged_: bool
+    stop_reason_: str
     n_iter_: int
     lower_bound_: float
     lower_bounds_: FloatArray
@@ -260,7 +265,8 @@ class BoundedGaussianMixture:
         result = fit_components((x - location) / scale, settings)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale)
-        self.converged_, self.n_iter_ = result.converged, result.history.size - 1
+        self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
+        self.n_iter_ = result.history.size - 1
         self.lower_bounds_, self.lower_bound_ = result.history, float(result.history[-1])
         return self
 
@@ -346,21 +352,10 @@ class BoundedGaussianMixture:
         self._check_fitted()
         check_number("n_samples", n_samples, 0, integer=True)
         seed = seed_of(self.random_state if random_state is None else random_state)
-        parts: list[tuple[FloatArray, IntArray]] = []
-        for part in self._blocks(seed, ()):
-            if len(parts) * SAMPLE_BLOCK >= n_samples:
-                break
-            parts.append(part)
+        parts = [self.sample_block(seed, (block,)) for block in range(-(-int(n_samples) // SAMPLE_BLOCK))]
         if not parts:
             return np.empty((0, self.n_features_in_)), np.empty(0, dtype=np.int64)
         return np.concatenate([p[0] for p in parts])[:n_samples], np.concatenate([p[1] for p in parts])[:n_samples]
-
-    def _blocks(self, seed: int, key: tuple[int, ...]) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Endless blocks of `SAMPLE_BLOCK` events; block i has its own stream from (seed, key, i)."""
-        block = 0
-        while True:
-            yield self.sample_block(seed, (*key, block))
-            block += 1
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """`SAMPLE_BLOCK` events from the random stream named by (seed, key)."""

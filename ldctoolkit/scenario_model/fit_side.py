@@ -23,6 +23,12 @@ LEAST_EVENTS: Final = 30
 EVENTS_PER_PARAMETER: Final = 2
 """A range of K is cut where fewer events than this would stand behind each free parameter."""
 
+_STOPPED: Final = {
+    "max_iter": "had not converged",
+    "stuck": "is not at a maximum: no step raised the likelihood",
+    "collapsed": "is not at a maximum: a component became too thin for the arithmetic",
+}
+
 
 @dataclasses.dataclass(frozen=True)
 class SideFit:
@@ -104,7 +110,7 @@ def fit_side(
     )
     best = selection.best
     if not best.converged_:
-        notes.append(f"{label}: the fit stopped after {best.n_iter_} passes before it converged")
+        notes.append(f"{label}: the fit stopped after {best.n_iter_} passes and {_STOPPED[best.stop_reason_]}")
     summary = SideSummary(
         events=n,
         n_components=tuple(int(K) for K in selection.n_components),

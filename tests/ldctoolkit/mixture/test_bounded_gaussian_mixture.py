@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, truncnorm
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import BoundedGaussianMixture, select_components
+from ldctoolkit.mixture import BoundedGaussianMixture, TruncatedNormal, _em, select_components
 from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
 
 INF = np.inf
@@ -124,6 +124,37 @@ def test_units_do_not_matter():
     two = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X * scale)
     np.testing.assert_allclose(two.means_, one.means_ * scale, rtol=1e-6)
     np.testing.assert_allclose(two.score(X * scale), one.score(X) - np.log(scale).sum(), rtol=1e-8)
+
+
+def mean_residual(model, X):
+    """Weighted data mean minus mean inside the box, in standard deviations of the data: 0 at a maximum.
+
+    The prior does not depend on mu, so this holds with and without it.
+    """
+    share = model.predict_proba(X)
+    weighted = (share.T @ X) / share.sum(axis=0)[:, None]
+    inside = TruncatedNormal(model.means_, model.covariances_, *model._bounds(X.shape[1])).mean
+    return np.abs((weighted - inside) / X.std(axis=0))
+
+
+@pytest.mark.parametrize("K", [1, 2])
+def test_a_fit_ends_at_a_maximum(K):
+    """Data that pile up at the corner: long Newton steps leave the valid range there, and only short ones gain."""
+    X = np.random.default_rng(1).gamma(0.8, size=(300, 4))
+    model = BoundedGaussianMixture(K, lower=0.0, random_state=0, n_init=4).fit(X)
+    assert model.converged_
+    # 1e-3: what the last gains below `tol` and the lattice's error still leave; a stalled fit has 0.03 to 0.08
+    assert mean_residual(model, X).max() < 1e-3
+
+
+def test_a_fit_that_finds_no_step_does_not_say_that_it_converged(monkeypatch):
+    X = np.random.default_rng(1).gamma(0.8, size=(300, 2))
+    still = lambda stats, prior, now, step, points: (now, np.zeros(now.mu.shape[0], dtype=bool))  # noqa: E731
+    monkeypatch.setattr(_em, "maximise", still)
+    model = BoundedGaussianMixture(1, lower=0.0, random_state=0).fit(X)
+    assert (model.converged_, model.stop_reason_) == (False, "stuck")
+    monkeypatch.undo()
+    assert BoundedGaussianMixture(1, lower=0.0, random_state=0, max_iter=3).fit(X).stop_reason_ == "max_iter"
 
 
 @pytest.mark.parametrize("kind", ["exponential", "half_normal", "gamma", "duplicated", "correlated", "near_K"])
