@@ -22,6 +22,7 @@ LEVELS = (
     ("ldctoolkit.gains", "ldctoolkit.vehicle"),
     ("ldctoolkit.control",),
     ("ldctoolkit.registry",),
+    ("ldctoolkit.law_checks",),
     ("ldctoolkit.metrics",),
     ("ldctoolkit.simulation",),
     ("ldctoolkit",),

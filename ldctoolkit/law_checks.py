@@ -1,0 +1,173 @@
+"""Checks of what a controller hands over, before its numbers are used: the design, its law, the result of each step.
+
+A type checker finds these mistakes too; here they end in one message that names the controller and what is allowed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, RecordedPath, StatusArray, SteeringLaw
+from ldctoolkit.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def check_controller(controller: object) -> Controller:
+    """Return the design, with its class and every gain checked again: its own ``__post_init__`` may have left it out.
+
+    Parameters
+    ----------
+    controller : object
+        What was given as a design.
+
+    Returns
+    -------
+    Controller
+
+    Raises
+    ------
+    InputError
+        If it is no instance of a controller, or its class or a gain is outside what is allowed.
+
+    Examples
+    --------
+    >>> check_controller("lqr")
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.InputError: controller: 'lqr'; allowed: a controller instance, e.g. controller_class('lqr')()
+    """
+    if isinstance(controller, Controller):
+        for declared in type(controller).gains():
+            declared.check(getattr(controller, declared.name), controller.name)
+        return controller
+    example = "LQR()"
+    if isinstance(controller, type) and issubclass(controller, Controller):
+        example = f"{controller.__name__}()"
+    elif isinstance(controller, str):
+        example = f"controller_class({controller!r})()"
+    raise InputError(f"controller: {_shown(controller)}; allowed: a controller instance, e.g. {example}")
+
+
+def check_law(law: object, n: int, name: str) -> Law:
+    """Return the law that ``prepare`` gave for n scenarios, with its type, shapes and preview times checked.
+
+    Gains that are not finite pass: the loop counts the commands that they give.
+
+    Parameters
+    ----------
+    law : object
+        What ``prepare`` returned.
+    n : int
+        Number of scenarios of its plant.
+    name : str
+        The controller, for the message.
+
+    Returns
+    -------
+    LinearLaw, SteeringLaw or RecordedPath
+
+    Raises
+    ------
+    InputError
+        Naming the controller, the field, what it is and what is allowed.
+    """
+    where = f"controller {name!r}"
+    if isinstance(law, RecordedPath):
+        return law
+    if not isinstance(law, LinearLaw | SteeringLaw):
+        raise InputError(
+            f"{where}: prepare returned {_shown(law)}; allowed: a LinearLaw, a RecordedPath, "
+            "or an instance of a subclass of SteeringLaw"
+        )
+    times: Any = law.preview_times
+    if callable(times):
+        raise InputError(f"{where}: {type(law).__name__}.preview_times is a method; write @property above it")
+    _check_array(times, "preview_times", ("p",), where)
+    wrong = ~(np.isfinite(times) & (times >= 0))
+    if wrong.any():
+        raise InputError(f"{where}: preview_times holds {times[wrong][0]:g}; allowed: finite times >= 0 [s]")
+    if isinstance(law, LinearLaw):
+        p = times.size
+        for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():
+            _check_array(getattr(law, field), field, shape, where)
+    return law
+
+
+def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, StatusArray]:
+    """Return what ``SteeringLaw.step`` gave for n scenarios, with its types, shapes and status values checked.
+
+    Commands that are not finite pass: the loop counts them.
+
+    Parameters
+    ----------
+    result : object
+        What ``step`` returned.
+    n : int
+        Number of scenarios.
+    name : str
+        The controller, for the message.
+
+    Returns
+    -------
+    delta : (n,) [rad]
+        A copy, free to be changed.
+    state : object
+        As it came.
+    status : (n,) int8
+
+    Raises
+    ------
+    InputError
+        Naming the controller, what was returned and what is allowed.
+    """
+    where = f"controller {name!r}"
+    if not (isinstance(result, tuple) and len(result) == 3):
+        shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
+        raise InputError(f"{where}: step returned {shown}; allowed: a tuple (delta, state, status)")
+    delta, status = _reals(result[0], "delta", where), _reals(result[2], "status", where)
+    if delta.shape != (n,) or status.shape != (n,):
+        raise InputError(f"{where}: step returned shapes {delta.shape}, {status.shape}; allowed: {(n,)}")
+    unknown = (status != EventStatus.OK) & (status != EventStatus.SOLVER_FAILED)
+    if unknown.any():
+        raise InputError(
+            f"{where}: step returned status {status[unknown][0]}; "
+            f"allowed: EventStatus.OK ({EventStatus.OK:d}) or EventStatus.SOLVER_FAILED ({EventStatus.SOLVER_FAILED:d})"
+        )
+    return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
+
+
+def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: str) -> None:
+    """Raise if the value is no array of real numbers of that shape; a word stands for any length."""
+    allowed = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+    if not isinstance(value, np.ndarray):
+        raise InputError(f"{where}: {field} is {_shown(value)}; allowed: an array of shape {allowed}")
+    same = (isinstance(length, str) or length == own for length, own in zip(shape, value.shape, strict=False))
+    if value.ndim != len(shape) or not all(same):
+        raise InputError(f"{where}: {field} has shape {value.shape}; allowed: {allowed}")
+    _reals(value, field, where)
+
+
+def _reals(value: Any, field: str, where: str) -> npt.NDArray[Any]:
+    """The value as an array of real numbers of whatever kind."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.asarray(None)
+    if array.dtype.kind not in "iufb":
+        raise InputError(f"{where}: {field} is {_shown(value)}; allowed: an array of real numbers")
+    return array
+
+
+def _shown(value: object) -> str:
+    """Short words for whatever was given."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and dtype {value.dtype}"
+    if value is None or isinstance(value, str | int | float):
+        return repr(value)
+    return f"an object of type {type(value).__name__}"
