@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Final
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
@@ -13,6 +13,8 @@ from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, checked_b
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import ModelProvenance, whole_number
 from ldctoolkit.version import __version__
+
+_SEED_END: Final = 10**18
 
 
 def fit_scenario_model(
@@ -62,6 +64,8 @@ def fit_scenario_model(
     column's standard deviation.
     """
     seed = whole_number("seed", seed)
+    if seed >= _SEED_END:
+        raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
     box = checked_bounds(bounds)
     wanted = components if isinstance(components, int) else tuple(components)
     rows = {"left": departures.side == LEFT, "right": departures.side == RIGHT}

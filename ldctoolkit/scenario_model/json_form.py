@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,9 @@ FloatArray = npt.NDArray[np.float64]
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 1
+
+_WHOLE_DIGITS: Final = 18
+"""Longest whole number of a file: it must fit a float and 64 bits."""
 
 _LEAST_LOG_PROBABILITY: Final = -1e4
 """Components of a fit keep ln P above about -100; far below, a file is broken rather than extreme."""
@@ -84,20 +88,36 @@ class _Reader:
 
     def array(self, owner: Mapping[str, Any], key: str, path: str, shape: tuple[int, ...]) -> FloatArray:
         value = self.member(owner, key, path, list, f"numbers of shape {shape}")
+        here = f"{path}.{key}"
         try:
-            out = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            raise self.wrong(f"{path}.{key}", f"not numbers of shape {shape}") from None
-        if out.shape != shape:
-            raise self.wrong(f"{path}.{key}", f"shape {out.shape}; allowed: {shape}")
-        if not np.isfinite(out).all():
-            at = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(out))[0])
-            raise self.wrong(f"{path}.{key}{at}", "not a finite number")
-        return out
+            cells = np.array(value, dtype=object)
+        except ValueError:
+            raise self.wrong(here, f"not numbers of shape {shape}") from None
+        for at, cell in zip(np.ndindex(cells.shape), cells.flat, strict=True):
+            if cell is None:
+                raise self.wrong(here + "".join(f"[{i}]" for i in at), "null is not a finite number")
+            if not _is_number(cell):
+                raise self.wrong(here, f"not numbers of shape {shape}: {_short(cell)}")
+        if cells.shape != shape:
+            raise self.wrong(here, f"shape {cells.shape}; allowed: {shape}")
+        return cells.astype(float)
+
+
+def _is_number(value: object) -> bool:
+    """A JSON number; `read_json` has seen to it that all of them are finite."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_whole(value: object) -> bool:
+    """A count."""
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _short(value: object) -> str:
-    text = repr(value)
+    return _clipped(repr(value))
+
+
+def _clipped(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -105,10 +125,21 @@ def read_json(text: str, file: str) -> Mapping[str, Any]:
     """Parse, and check format and version."""
 
     def refuse(token: str) -> float:
-        raise ModelError(f"{file}: {token} is not a finite number; allowed: finite numbers, null for an open bound")
+        raise ModelError(
+            f"{file}: {_clipped(token)} is not a finite number; allowed: finite numbers, null for an open bound"
+        )
+
+    def whole(token: str) -> int:
+        if len(token.lstrip("-")) > _WHOLE_DIGITS:
+            raise ModelError(f"{file}: {_clipped(token)}; allowed: whole numbers of at most {_WHOLE_DIGITS} digits")
+        return int(token)
+
+    def number(token: str) -> float:
+        value = float(token)
+        return value if math.isfinite(value) else refuse(token)
 
     try:
-        data = json.loads(text, parse_constant=refuse)
+        data = json.loads(text, parse_constant=refuse, parse_int=whole, parse_float=number)
     except json.JSONDecodeError as error:
         message = f"{file}, line {error.lineno}, column {error.colno}: broken JSON ({error.msg})"
         raise ModelError(message) from None
@@ -147,8 +178,7 @@ def _side(reader: _Reader, data: Mapping[str, Any], path: str) -> SideModel:
             f"{path}.parameters", f"must name each of {', '.join(PARAMETER_NAMES)} once, or constants must"
         )
     for name, value in constants.items():
-        bad = isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value)
-        if bad or (name in LEAST_LOWER and value < LEAST_LOWER[name]):
+        if not _is_number(value) or (name in LEAST_LOWER and value < LEAST_LOWER[name]):
             raise reader.wrong(f"{path}.constants.{name}", f"{_short(value)}; allowed: a finite number in range")
     d = len(names)
     lower, upper = _bound(reader, data, path, "lower", names), _bound(reader, data, path, "upper", names)
@@ -218,17 +248,19 @@ def _summary(reader: _Reader, data: object, path: str) -> SideSummary | None:
     tried = reader.member(data, "n_components", path, list, "a list of integers")
     m = (len(tried),)
     moved = reader.member(data, "moved_inside", path, list, "a list of [name, count]")
-    try:
-        pairs = tuple((str(name), int(count)) for name, count in moved)
-    except (TypeError, ValueError):
-        raise reader.wrong(f"{path}.moved_inside", "allowed: a list of [name, count]") from None
+    for pair in moved:
+        if not (isinstance(pair, list) and len(pair) == 2 and pair[0] in PARAMETER_NAMES and _is_whole(pair[1])):
+            raise reader.wrong(f"{path}.moved_inside", f"{_short(pair)}; allowed: a list of [name, count]")
+    for K in tried:
+        if not _is_whole(K):
+            raise reader.wrong(f"{path}.n_components", f"{_short(K)}; allowed: a list of integers")
     return SideSummary(
         events=reader.member(data, "events", path, int, "an integer"),
-        n_components=tuple(int(K) for K in reader.array(data, "n_components", path, m)),
+        n_components=tuple(tried),
         bic=tuple(reader.array(data, "bic", path, m).tolist()),
         log_likelihood=tuple(reader.array(data, "log_likelihood", path, m).tolist()),
         converged=reader.member(data, "converged", path, bool, "true or false"),
-        moved_inside=pairs,
+        moved_inside=tuple((name, count) for name, count in moved),
         redrawn_share=float(reader.member(data, "redrawn_share", path, (int, float), "a number")),
     )
 

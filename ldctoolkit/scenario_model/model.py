@@ -149,7 +149,8 @@ class ScenarioModel:
         Raises
         ------
         ModelError
-            If the file cannot be written, or the provenance holds values that JSON does not know.
+            If the file cannot be written, the provenance holds values that JSON does not know, or `load` would refuse
+            the file.
         """
         target = Path(path)
         try:
@@ -157,6 +158,7 @@ class ScenarioModel:
             text = json.dumps(data, indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
+        self._parse(text, target.name)  # what cannot be read back is not written
         part = target.with_name(f".{target.name}.{os.getpid()}.part")
         try:
             part.write_text(text + "\n", encoding="utf-8")

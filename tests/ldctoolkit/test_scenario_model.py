@@ -209,6 +209,8 @@ def test_few_or_wrong_departures_are_refused():
         fit_scenario_model(d, bounds={"d_y": (-1.0, 1.0)})
     with pytest.raises(InputError, match="seed"):
         fit_scenario_model(d, seed=-1)
+    with pytest.raises(InputError, match=r"seed: 1000.*allowed: below 10\^18"):
+        fit_scenario_model(d, seed=10**18)
 
 
 def test_bounds_can_be_given():
@@ -234,6 +236,13 @@ def test_a_file_that_cannot_be_written_leaves_nothing(model, tmp_path):
         model.save(tmp_path / "no" / "m.json")
     odd = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source={"x": object()}))
     with pytest.raises(ModelError, match="cannot be written as JSON"):
+        odd.save(tmp_path / "m.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_could_not_be_read_back_is_not_written(model, tmp_path):
+    odd = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source={"bytes": 10**30}))
+    with pytest.raises(ModelError, match=r"m\.json: 1000.*at most 18 digits"):
         odd.save(tmp_path / "m.json")
     assert list(tmp_path.iterdir()) == []
 
@@ -264,7 +273,7 @@ LEFT_SIDE = ("sides", "left")
         ((*LEFT_SIDE, "weights"), [], r"sides\.left\.weights: empty"),
         ((*LEFT_SIDE, "means"), [[1.0]], r"sides\.left\.means: shape \(1, 1\); allowed: \(1, 8\)"),
         ((*LEFT_SIDE, "means", 0), ["a"] * 8, r"sides\.left\.means: not numbers"),
-        ((*LEFT_SIDE, "means", 0, 2), None, r"sides\.left\.means\[0\]\[2\]: not a finite number"),
+        ((*LEFT_SIDE, "means", 0, 2), None, r"sides\.left\.means\[0\]\[2\]: null is not a finite number"),
         ((*LEFT_SIDE, "covariances", 0, 0, 0), -1.0, r"sides\.left\.covariances\[0\]: not positive definite"),
         ((*LEFT_SIDE, "covariances", 0, 0, 1), 9.0, r"sides\.left\.covariances\[0\]: not positive definite"),
         ((*LEFT_SIDE, "lower", 0), 11.0, r"sides\.left: bounds: lower\[0\]"),
@@ -276,6 +285,15 @@ LEFT_SIDE = ("sides", "left")
         (("provenance", "synthetic"), 1, r"provenance\.synthetic: 1; allowed: true or false"),
         (("provenance", "left", "bic"), [1.0, 2.0, 3.0], r"provenance\.left\.bic: shape"),
         (("provenance", "left", "moved_inside"), [1], r"provenance\.left\.moved_inside"),
+        (("provenance", "left", "moved_inside"), [["T", 1.5]], r"provenance\.left\.moved_inside: \['T', 1\.5\]"),
+        (("provenance", "left", "n_components"), [1, "2"], r"provenance\.left\.n_components: '2'"),
+        (("provenance", "left", "redrawn_share"), 10**400, "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "means", 0, 0), 10**400, "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "weights", 0), -(10**400), "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "lower", 0), 10**18, "10{18}; allowed: whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "means", 0, 0), "3.0", r"sides\.left\.means: not numbers of shape \(1, 8\): '3\.0'"),
+        ((*LEFT_SIDE, "weights", 0), True, r"sides\.left\.weights: not numbers"),
+        ((*LEFT_SIDE, "upper", 0), "10", r"sides\.left\.upper: not numbers"),
     ],
 )
 def test_a_broken_file_is_one_clear_message(model, tmp_path, path, value, message):
@@ -297,6 +315,9 @@ def test_a_broken_file_is_one_clear_message(model, tmp_path, path, value, messag
         ("[1]", "not a scenario model"),
         ('{"x": NaN}', "NaN is not a finite number"),
         ("[" * 100_000, "broken JSON"),
+        ('{"x": 1e999}', "1e999 is not a finite number"),
+        ('{"x": -1e999}', "-1e999 is not a finite number"),
+        ('{"version": ' + "1" * 5000 + "}", r"111\.\.\.; allowed: whole numbers of at most 18 digits"),
     ],
 )
 def test_broken_json(tmp_path, text, message):
@@ -310,7 +331,13 @@ def test_broken_json(tmp_path, text, message):
 
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.floats(-10, 10) | st.text(max_size=5),
+    st.none()
+    | st.booleans()
+    | st.sampled_from([10**400, -(10**400), 10**18 - 1, "3.0", "FAR"])
+    | st.integers()
+    | st.floats()
+    | st.floats(-10, 10)
+    | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=8,
 )
@@ -329,7 +356,7 @@ def test_any_value_anywhere_is_a_model_or_a_model_error(tmp_path_factory, model,
         path.append(key)
         target = target[key]
     changed(content, path, data.draw(JSON))
-    file.write_text(json.dumps(content))
+    file.write_text(json.dumps(content).replace('"FAR"', "1e999"))
     with contextlib.suppress(ModelError):
         ScenarioModel.load(file).sample(3, 3, 0)
 
