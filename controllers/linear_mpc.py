@@ -9,10 +9,14 @@ Form of the QP. With the LQR gain K and w_j = -K z_j + c_j the cost is s sum (c_
 s = r + B'PB (completion of squares along the Riccati recursion; c* is the feedforward from the preview). So the QP is:
 the smallest correction e = c - c* of the unconstrained plan that meets the limits, with an identity Hessian whatever
 the weights and the speed. Where the unconstrained plan meets every limit over the horizon, e = 0 is the QP's solution
-and no solver is called; elsewhere OSQP solves it to 1e-6, warm started from the scenario's own last solution.
+and no solver is called; elsewhere OSQP solves it to 1e-6, warm started from the scenario's own last solution. Weights
+far more aggressive than the limits allow make the rows of the limits ill conditioned; where OSQP does not reach 1e-6,
+the QP, a least distance problem, is solved by non-negative least squares (C. Lawson, R. Hanson, *Solving Least Squares
+Problems*, chapter 23), and taken if it meets the limits to 1e-6.
 
-A QP that is not solved gives `EventStatus.SOLVER_FAILED` and the fallback: the unconstrained command, clipped to
-+-delta_max and then moved towards from the previous command by at most rate_max dt (the rate limit has priority).
+The QP is feasible exactly if |delta_prev| <= delta_max + rate_max dt. A QP that is infeasible, or that neither route
+solves, gives `EventStatus.SOLVER_FAILED` and the fallback: the unconstrained command, clipped to +-delta_max and then
+moved towards from the previous command by at most rate_max dt (the rate limit has priority).
 """
 
 from __future__ import annotations
@@ -126,7 +130,10 @@ def _apply(M: FloatArray, x: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class MPCState:
-    """Solvers of one run, one per scenario that ever needed one; each keeps its own last solution as warm start."""
+    """Solvers of one run, one per scenario that ever needed one; each keeps its own last solution as warm start.
+
+    They belong to the run that `MPCLaw.init` started: a state that is passed twice goes on from the later solution.
+    """
 
     solvers: dict[int, Any]
 
@@ -193,13 +200,14 @@ class MPCLaw(SteeringLaw):
         """First command of the optimal plan, for every scenario."""
         U = self.unconstrained(x, preview.yaw_rate)
         change = np.diff(U, axis=1, prepend=delta_prev[:, None])
+        feasible = np.abs(delta_prev) <= self.delta_max + self.rate_step
         inside = (np.abs(U) <= self.delta_max + _ROUNDING).all(axis=1)
         inside &= (np.abs(change) <= self.rate_step + _ROUNDING).all(axis=1)
         delta = U[:, 0].copy()
         status = np.zeros(delta.size, dtype=np.int8)
         needed = np.ones_like(inside) if self.always_solve else ~inside
         for i in np.flatnonzero(needed):
-            correction = self._solve(int(i), U[i], change[i], state)
+            correction = self._solve(int(i), U[i], change[i], state) if feasible[i] else None
             if correction is None:
                 wanted = min(max(delta[i], -self.delta_max), self.delta_max)
                 reach = min(max(wanted - delta_prev[i], -self.rate_step), self.rate_step)
@@ -223,10 +231,10 @@ class MPCLaw(SteeringLaw):
         if result.info.status_val == interrupted:
             raise KeyboardInterrupt  # OSQP catches the signal itself while it solves
         # only a solved QP is used: OSQP leaves NaN or a placeholder in x for anything else
-        if result.info.status_val != solved or not np.isfinite(result.x[0]):
-            solver.warm_start(x=np.zeros(self.horizon), y=np.zeros(2 * self.horizon))
-            return None
-        return float(result.x[0])
+        if result.info.status_val == solved and np.isfinite(result.x[0]):
+            return float(result.x[0])
+        solver.warm_start(x=np.zeros(self.horizon), y=np.zeros(2 * self.horizon))
+        return _least_distance(_rows(self.impulse[i]), lower, upper)
 
 
 def _statuses() -> tuple[int, int]:
@@ -237,24 +245,22 @@ def _statuses() -> tuple[int, int]:
 
 
 def _make_solver(impulse: FloatArray, lower: FloatArray, upper: FloatArray) -> Any:
-    """OSQP for: minimise |e|^2/2 subject to limits on the angles M e and their changes, M lower triangular Toeplitz."""
+    """OSQP for: minimise |e|^2/2 subject to limits on the rows of `_rows`."""
     import osqp
-    import scipy.linalg
     import scipy.sparse
 
     N = impulse.size
-    M = scipy.linalg.toeplitz(impulse, np.zeros(N))
-    rows = np.vstack([M, np.diff(M, axis=0, prepend=0.0)])
     solver = osqp.OSQP()
     solver.setup(
         P=scipy.sparse.eye(N, format="csc"),
         q=np.zeros(N),
-        A=scipy.sparse.csc_matrix(rows),
+        A=scipy.sparse.csc_matrix(_rows(impulse)),
         l=lower,
         u=upper,
         eps_abs=1e-6,
         eps_rel=1e-6,
-        max_iter=20000,
+        max_iter=4000,
+        eps_prim_inf=1e-10,  # what is called is feasible; the default takes slow progress for infeasibility
         warm_starting=True,
         scaling=0,  # the QP is scaled as it stands
         # a fixed interval (a timed one would depend on the machine's load), short since the factorisation is small
@@ -263,3 +269,30 @@ def _make_solver(impulse: FloatArray, lower: FloatArray, upper: FloatArray) -> A
         verbose=False,
     )
     return solver
+
+
+def _rows(impulse: FloatArray) -> FloatArray:
+    """Angles M e and their changes that a correction e causes, (2 N, N); M is lower triangular Toeplitz."""
+    import scipy.linalg
+
+    M = scipy.linalg.toeplitz(impulse, np.zeros(impulse.size))
+    return np.vstack([M, np.diff(M, axis=0, prepend=0.0)])
+
+
+def _least_distance(rows: FloatArray, lower: FloatArray, upper: FloatArray) -> float | None:
+    """First entry of the smallest e with lower <= rows e <= upper, by non-negative least squares; None if not found."""
+    import scipy.optimize
+
+    G, h = np.vstack([rows, -rows]), np.concatenate([lower, -upper])
+    E = np.vstack([G.T, h])
+    f = np.zeros(E.shape[0])
+    f[-1] = 1.0
+    try:
+        weights, _ = scipy.optimize.nnls(E, f, maxiter=20 * E.shape[1])
+    except RuntimeError:  # scipy's word for too many iterations
+        return None
+    residual = E @ weights - f
+    if not residual[-1] < 0:
+        return None
+    e = -residual[:-1] / residual[-1]
+    return float(e[0]) if np.min(G @ e - h) >= -1e-6 else None

@@ -66,7 +66,7 @@ def regulator(plant: Plant, q: tuple[float, float, float, float], r: float) -> R
     outside = (plant.v < low) | (plant.v > high)
     if outside.any():
         i = int(np.argmax(outside))
-        raise InputError(f"v[{i}] = {plant.v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g} m/s")
+        raise InputError(f"speed at the trigger: {plant.v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g}")
     coefficients = _coefficients(plant.model, plant.dt, q, r)
     z = 2.0 * np.log(plant.v / low) / math.log(high / low) - 1.0
     values = np.asarray(np.polynomial.chebyshev.chebval(z, coefficients).T, dtype=np.float64)
@@ -85,7 +85,7 @@ def _coefficients(model: BicycleModel, dt: float, q: tuple[float, float, float, 
         scale = np.abs(coefficients).max(axis=0)
         if np.all(np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)):
             return coefficients
-    raise LdcError(f"LQR gains for q = {q}, r = {r} change too sharply with speed to be scheduled")
+    raise LdcError(f"LQR gains for q = {q}, r = {r} change too sharply with speed to be scheduled at dt = {dt:g} s")
 
 
 def _solve(model: BicycleModel, v: FloatArray, dt: float, q: tuple[float, float, float, float], r: float) -> FloatArray:
@@ -97,6 +97,6 @@ def _solve(model: BicycleModel, v: FloatArray, dt: float, q: tuple[float, float,
         try:
             K, P, _ = control.dlqr(step.A[i], step.B[i][:, None], np.diag(q), np.array([[r]]))
         except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
-            raise LdcError(f"no LQR at {v[i]:.3g} m/s for q = {q}, r = {r}: {error}") from error
+            raise LdcError(f"no LQR at {v[i]:.3g} m/s for q = {q}, r = {r}, dt = {dt:g} s: {error}") from error
         rows.append(np.concatenate([K[0], P.ravel()]))
     return np.array(rows)

@@ -8,72 +8,66 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
-def absolute_area_step(
-    e_0: FloatArray, rate_0: FloatArray, e_1: FloatArray, rate_1: FloatArray, area: FloatArray, h: FloatArray | float
-) -> FloatArray:
-    """Integral of |e| over one step from its end values, end slopes and exact signed integral.
+def crossing_of_step(
+    e_0: FloatArray, rate_0: FloatArray, e_1: FloatArray, rate_1: FloatArray, area: FloatArray, h: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where e changes its sign within a step, and the integral of e up to there.
 
     Parameters
     ----------
     e_0, e_1 : (n,) [m]
-        Values at the start and the end of the step.
+        Values at the start and the end of the step, of opposite signs.
     rate_0, rate_1 : (n,) [m/s]
         Slopes there.
     area : (n,) [m s]
         Exact integral of e over the step.
-    h : float or (n,) [s]
+    h : (n,) [s]
         Length of the step.
 
     Returns
     -------
-    (n,) [m s]
-        |area| where e keeps its sign: exact. Where it changes sign, the crossing is the root of the quartic with the
-        same end values, end slopes and area; since e is zero there, an error in the crossing enters only squared.
+    s : (n,) [s]
+        Time of the crossing since the step's start.
+    before : (n,) [m s]
+        Integral of e over [0, s]. The integral of |e| over the step is |before| + |area - before|.
 
     Notes
     -----
-    A path that touches zero twice inside one step is counted by its net area.
+    e is replaced by the quartic with the same end values, end slopes and integral: the Hermite cubic plus a multiple of
+    u^2 (1 - u)^2, u = s/h. Since e is zero at the crossing, an error in s enters only squared. A path that touches zero
+    twice inside one step is not seen.
 
     Examples
     --------
     >>> import numpy as np
     >>> one = np.array([1.0])
-    >>> absolute_area_step(one, -2 * one, -one, -2 * one, 0 * one, 1.0)  # 1 - 2 s crosses in the middle
-    array([0.5])
+    >>> s, before = crossing_of_step(one, -2 * one, -one, -2 * one, 0 * one, one)  # 1 - 2 s
+    >>> float(s[0]), float(before[0])
+    (0.5, 0.25)
     """
-    out: FloatArray = np.abs(area)
-    rows = np.flatnonzero(e_0 * e_1 < 0)
-    if rows.size:
-        step = np.broadcast_to(np.asarray(h, dtype=float), e_0.shape)[rows]
-        before = _area_to_root(e_0[rows], rate_0[rows] * step, e_1[rows], rate_1[rows] * step, area[rows] / step) * step
-        out[rows] = np.abs(before) + np.abs(area[rows] - before)
-    return out
-
-
-def _area_to_root(e_0: FloatArray, m_0: FloatArray, e_1: FloatArray, m_1: FloatArray, mean: FloatArray) -> FloatArray:
-    """Integral over the unit step up to the root of the quartic with these end values, end slopes and mean."""
-    # the Hermite cubic e_0 + m_0 s + b s^2 + a s^3, plus q s^2 (1 - s)^2, which changes the mean alone
+    m_0, m_1 = rate_0 * h, rate_1 * h
     a = 2.0 * (e_0 - e_1) + m_0 + m_1
     b = 3.0 * (e_1 - e_0) - 2.0 * m_0 - m_1
-    q = 30.0 * (mean - (0.5 * (e_0 + e_1) + (m_0 - m_1) / 12.0))
+    q = 30.0 * (area / h - (0.5 * (e_0 + e_1) + (m_0 - m_1) / 12.0))
     c_2, c_3, c_4 = b + q, a - 2.0 * q, q
     low, high = np.zeros_like(e_0), np.ones_like(e_0)
-    s = e_0 / (e_0 - e_1)
+    u = e_0 / (e_0 - e_1)
     for _ in range(60):  # Newton kept inside a shrinking bracket: safe for any polynomial, a few passes for most
-        value = e_0 + s * (m_0 + s * (c_2 + s * (c_3 + s * c_4)))
-        slope = m_0 + s * (2.0 * c_2 + s * (3.0 * c_3 + s * 4.0 * c_4))
+        value = e_0 + u * (m_0 + u * (c_2 + u * (c_3 + u * c_4)))
+        slope = m_0 + u * (2.0 * c_2 + u * (3.0 * c_3 + u * 4.0 * c_4))
         beyond = value * e_0 < 0
-        high = np.where(beyond, s, high)
-        low = np.where(beyond, low, s)
+        high = np.where(beyond, u, high)
+        low = np.where(beyond, low, u)
         with np.errstate(divide="ignore", invalid="ignore"):
-            newton = s - value / slope
+            newton = u - value / slope
         inside = (newton > low) & (newton < high)
         following = np.where(inside, newton, 0.5 * (low + high))
-        following = np.where((value == 0) | (np.abs(following - s) < 1e-15), s, following)
-        if np.array_equal(following, s):
+        following = np.where((value == 0) | (np.abs(following - u) < 1e-15), u, following)
+        if np.array_equal(following, u):
             break
-        s = following
-    return s * (e_0 + s * (m_0 / 2.0 + s * (c_2 / 3.0 + s * (c_3 / 4.0 + s * c_4 / 5.0))))
+        u = following
+    before = u * (e_0 + u * (m_0 / 2.0 + u * (c_2 / 3.0 + u * (c_3 / 4.0 + u * c_4 / 5.0))))
+    return u * h, before * h
 
 
 def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
-from ldctoolkit.metrics import absolute_area_step
+from ldctoolkit.simulation.crossings import absolute_area
 from ldctoolkit.simulation.outcome import Run, Trajectories
 from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.vehicle import Discretization
@@ -104,29 +104,39 @@ class _Loop:
         new[0] += x0
         signed = area_x[:, 0] * x0 + area_x[:, 1] * x1 + area_x[:, 2] * x2 + area_x[:, 3] * x3
         signed += step.area_delta[:k] * delta + step.area_r_0[:k] * r_0 + step.area_r_1[:k] * r_1
-        part = absolute_area_step(x0, x1, new[0], new[1], signed, h)
-        if not self.all_alive:
-            part[~self.alive[:k]] = 0.0
-        self.area[:k] += part
         if not np.max(np.abs(new[0]), initial=0.0) <= BOUND:  # also true for NaN
-            self._end_diverged(new, part, t)
+            self._end_diverged(new, t)
         if not self.all_alive:
-            for column in new:
+            for column in (*new, signed):
                 column[~self.alive[:k]] = 0.0
+        part = np.abs(signed)
+        rows = np.flatnonzero(x0 * new[0] < 0)
+        if rows.size:
+            start, end = (np.column_stack([column[rows] for column in state]) for state in ((x0, x1, x2, x3), new))
+            v, model = self.takeover.plant.v[rows], self.takeover.plant.model
+            part[rows] = absolute_area(model, v, start, end, signed[rows], delta[rows], r_0[rows], r_1[rows], h[rows])
+        self.area[:k] += part
         for column, value in zip(self.x, new, strict=True):
             column[:k] = value
         self.deepest[:k] = np.maximum(self.deepest[:k], new[0])
         self.delta_prev[:k] = delta
 
-    def _end_diverged(self, new: list[FloatArray], part: FloatArray, t: FloatArray) -> None:
+    def _end_diverged(self, new: list[FloatArray], t: FloatArray) -> None:
+        """Score the bound from the start of the step that leaves it."""
         k = new[0].size
         rows = np.flatnonzero(self.alive[:k] & ~(np.abs(new[0]) <= BOUND))
-        self.area[rows] -= part[rows]  # the step that left the bound is scored at the bound as a whole
-        self.area[rows] = np.where(np.isfinite(self.area[rows]), self.area[rows], 0.0)
         self.area[rows] += BOUND * (self.takeover.triggered.T[rows] - t[rows])
-        self.deepest[rows] = BOUND
+        inwards = new[0][rows] < 0
+        self.deepest[rows] = np.where(inwards, self.deepest[rows], BOUND)
         self.alive[rows] = False
         self.all_alive = False
+
+    def record(self, sample: IntArray | int, rows: IntArray, t: FloatArray, delta: FloatArray) -> None:
+        """Command from `sample` on, and the state it led to at time t, for those that have not diverged."""
+        if self.log is not None:
+            alive = self.alive[rows]
+            at = sample if isinstance(sample, int) else sample[alive]
+            self.log.put(at, rows[alive], t[alive], self.x, delta[alive])
 
     def finish(self) -> Run:
         status = np.where(self.failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
@@ -153,9 +163,7 @@ class _Log:
         log.x[:, 0] = takeover.x_0
         return log
 
-    def put(
-        self, k: IntArray | int, rows: IntArray | slice, t: FloatArray, x: list[FloatArray], delta: FloatArray
-    ) -> None:
+    def put(self, k: IntArray | int, rows: IntArray, t: FloatArray, x: list[FloatArray], delta: FloatArray) -> None:
         """Command `delta` from sample k on, which leads to state x at time t of sample k + 1."""
         self.delta[rows, k] = delta
         self.t[rows, k + 1] = t
@@ -184,7 +192,7 @@ def _drive_linear(law: LinearLaw, takeover: Takeover, loop: _Loop) -> None:
     uses_rate, uses_heading = bool(np.any(G_rate)), bool(np.any(G_heading))
     uses_previous = bool(np.any(law.f_u))
 
-    def command(k: int, t: FloatArray) -> FloatArray:
+    def command(k: int, t: FloatArray, driven: npt.NDArray[np.bool_]) -> FloatArray:
         x0, x1, x2, x3 = (column[:k] for column in loop.x)
         delta = F[0, :k] * x0 + F[1, :k] * x1 + F[2, :k] * x2 + F[3, :k] * x3
         if uses_rate or uses_heading:
@@ -199,26 +207,26 @@ def _drive_linear(law: LinearLaw, takeover: Takeover, loop: _Loop) -> None:
         if not np.isfinite(delta).all():
             bad = ~np.isfinite(delta)
             delta[bad] = loop.delta_prev[:k][bad]
-            loop.failed[:k][bad & loop.alive[:k]] += 1
+            loop.failed[:k][bad & loop.alive[:k] & driven[:k]] += 1
         return delta
 
+    everyone = np.ones(takeover.m, dtype=bool)
     for sample, k in enumerate(_counts(takeover)):
         t = takeover.start[:k] + sample * dt
-        delta = command(int(k), t)
+        delta = command(int(k), t, everyone)
         h = np.full(int(k), dt)
         loop.advance(step, delta, t, h)
-        if loop.log is not None:
-            loop.log.put(sample, slice(0, int(k)), t + dt, loop.x, delta)
-    _last_step(takeover, loop, command(takeover.m, takeover.start + takeover.full_steps * dt))
+        loop.record(sample, np.arange(int(k)), t + dt, delta)
+    end = takeover.start + takeover.full_steps * dt
+    _last_step(takeover, loop, command(takeover.m, end, takeover.rest > 0))
 
 
 def _last_step(takeover: Takeover, loop: _Loop, delta: FloatArray) -> None:
     """The step of length `rest` that brings every scenario to its own T."""
     t = takeover.start + takeover.full_steps * takeover.plant.dt
     loop.advance(_contiguous(takeover.last), delta, t, takeover.rest)
-    if loop.log is not None:
-        rows = np.flatnonzero(takeover.rest > 0)
-        loop.log.put(takeover.full_steps[rows], rows, takeover.triggered.T[rows], loop.x, delta[rows])
+    rows = np.flatnonzero(takeover.rest > 0)
+    loop.record(takeover.full_steps[rows], rows, takeover.triggered.T[rows], delta[rows])
 
 
 def _contiguous(step: Discretization) -> Discretization:
@@ -239,7 +247,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, loop: _Loop, name: str)
     for sample in range(counts.size + 1):
         k = int(counts[sample]) if sample < counts.size else 0
         # a scenario takes part while it has a whole step or its last one left
-        part = takeover.full_steps >= sample
+        part = (takeover.full_steps > sample) | ((takeover.full_steps == sample) & (takeover.rest > 0))
         t = takeover.start + np.minimum(sample, takeover.full_steps) * dt
         preview = takeover.preview(t, times)
         x = np.column_stack(loop.x)
@@ -257,6 +265,5 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, loop: _Loop, name: str)
         last = np.where(takeover.full_steps == sample, delta, last)
         if k:
             loop.advance(step, delta[:k], t[:k], np.full(k, dt))
-            if loop.log is not None:
-                loop.log.put(sample, slice(0, k), t[:k] + dt, loop.x, delta[:k])
+            loop.record(sample, np.arange(k), t[:k] + dt, delta[:k])
     _last_step(takeover, loop, last)

@@ -20,7 +20,7 @@ Window = Literal["departure", "control"]
 
 @dataclasses.dataclass(frozen=True)
 class Trajectories:
-    """Paths under control at the controller's samples, NaN after each departure's end.
+    """Paths under control at the controller's samples, NaN after each departure's end, or once it has diverged.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Outcome:
     failed_solves : (n,) int
         Commands that came from the fallback law.
     trajectories : Trajectories or None
-        On request.
+        On request; None where nobody intervened, since there is no path but the recorded one.
     """
 
     window: Window

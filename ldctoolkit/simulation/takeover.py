@@ -155,7 +155,8 @@ class Takeover:
             ]
         )
         plant = Plant.build(model, v, dt)
-        delta_0 = plant.steady_state().delta * (v * curvature(chosen, start) + x_0[:, 3])
+        path_yaw_rate = v * curvature(chosen, start) + lateral_acceleration(chosen, start) / v
+        delta_0 = plant.steady_state().delta * path_yaw_rate
         return cls(
             scenarios=scenarios,
             y_s=float(y_s),

@@ -136,8 +136,6 @@ def _path(outcome: Outcome, k: int, label: str, style: LineStyle, edge_offset: f
         return ControlledPath(label, style, empty, empty, empty)
     t, x, delta = (values[k] for values in dataclasses.astuple(outcome.trajectories))
     driven = np.isfinite(t)
-    if outcome.status[k] == EventStatus.DIVERGED:
-        driven &= np.any(x != 0.0, axis=1)  # the simulation goes on with zeros once a path has left its bound
     delta = delta[driven]
     if delta.size > 1 and not np.isfinite(delta[-1]):
         delta = np.concatenate([delta[:-1], delta[-2:-1]])  # held to the end

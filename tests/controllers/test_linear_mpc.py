@@ -136,26 +136,39 @@ def test_an_infeasible_qp_gives_a_status_a_fallback_and_a_count() -> None:
     assert (np.abs(delta - prev) <= 0.2 * DT + 1e-6).all()
 
 
-def test_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver that gives up, with OSQP's placeholder in its answer, never reaches the plant."""
+class GivesUp:
+    """An OSQP that reaches its maximum of iterations, with its placeholder in the answer."""
 
-    class GivesUp:
-        class info:
-            status_val = 7  # maximum iterations reached
+    class info:
+        status_val = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
 
-        x = np.full(20, 2.1e9)
+    x = np.full(20, 2.1e9)
 
-        def solve(self, raise_error: bool) -> GivesUp:
-            return self
+    def solve(self, raise_error: bool) -> GivesUp:
+        return self
 
-        def update(self, **_: object) -> None: ...
+    def update(self, **_: object) -> None: ...
 
-        def warm_start(self, **_: object) -> None: ...
+    def warm_start(self, **_: object) -> None: ...
 
+
+TIGHT = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0)
+TWO = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.8], v_mean=[25.0, 15.0])
+
+
+def test_where_osqp_gives_up_least_squares_solves_the_same_qp(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = simulate(TIGHT, TWO, y_s=0.1)
     monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
-    scenarios = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.8], v_mean=[25.0, 15.0])
-    design = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0)
-    out = simulate(design, scenarios, y_s=0.1, trajectories=True)
+    rescued = simulate(TIGHT, TWO, y_s=0.1)
+    assert (rescued.status == EventStatus.OK).all()
+    np.testing.assert_allclose(rescued.S, usual.S, rtol=2e-5)  # OSQP's eps
+
+
+def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a solver leaves behind when it gives up never reaches the plant."""
+    monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
+    monkeypatch.setattr(module, "_least_distance", lambda *_: None)
+    out = simulate(TIGHT, TWO, y_s=0.1, trajectories=True)
     assert (out.status == EventStatus.SOLVER_FAILED).all()
     assert (out.failed_solves > 0).all()
     assert out.trajectories is not None
@@ -163,6 +176,54 @@ def test_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.Monkey
     assert np.nanmax(np.abs(delta)) <= 0.02 + 1e-12
     assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-12
     assert np.isfinite(out.S).all()
+
+
+@pytest.mark.parametrize(
+    ("horizon", "r_delta", "q_y", "size"),
+    [(20, 1.0, 1.0, 1.0), (20, 0.01, 1.0, 1.0), (60, 1.0, 1.0, 3.0), (40, 1e-3, 1.0, 1.0), (20, 100.0, 1e4, 1.0)],
+)
+def test_every_feasible_qp_is_solved_whatever_the_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
+    """Weights far beyond what the limits allow; Clarabel on the QP in commands is the reference."""
+    design = LinearMPC(horizon=horizon, r_delta=r_delta, q_y=q_y, delta_max=0.04, rate_max=0.05)
+    plant, x, preview, prev = situations(12, horizon, seed=7, size=size)
+    prev = np.clip(prev, -0.0424, 0.0424)  # up to just inside what the rate limit can bring back
+    law = design.prepare(plant)
+    delta, _, status = law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+    assert (status == EventStatus.OK).all()
+    U = law.unconstrained(x, preview.yaw_rate)
+    change = np.diff(np.eye(horizon), axis=0, prepend=0.0)
+    first = np.zeros(horizon)
+    for i in range(plant.n):
+        first[0] = prev[i]
+        back = np.linalg.inv(module._rows(law.impulse[i])[:horizon])  # e = back (u - U)
+        C = np.vstack([np.eye(horizon), -np.eye(horizon), change, -change])
+        h = np.concatenate([np.full(2 * horizon, 0.04), 0.05 * DT + first, 0.05 * DT - first])
+        P = back.T @ back
+        p = qpsolvers.Problem(sp.csc_matrix((P + P.T) / 2), -P @ U[i], sp.csc_matrix(C), h)
+        reference = qpsolvers.solve_problem(p, solver="clarabel", tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+        assert reference.x is not None
+        assert delta[i] == pytest.approx(reference.x[0], abs=1e-5)
+
+
+def test_the_previewed_road_reaches_the_law() -> None:
+    """In the closed loop the command is the plan for the lane's true yaw rate at each sample ahead."""
+    scenarios = Scenarios.from_arrays(
+        T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 15.0], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3]
+    )
+    design = LinearMPC(horizon=12, delta_max=1.0, rate_max=10.0)
+    out = simulate(design, scenarios, y_s=0.1, trajectories=True)
+    paths = out.trajectories
+    assert paths is not None
+    for i in range(2):
+        t_s = out.t_s[i]
+        v = scenarios.v_mean[i]
+        law = design.prepare(Plant.build(BicycleModel(), [v], DT))
+        for k in (0, 7, 20):
+            ahead = paths.t[i, k] + DT * np.arange(13)
+            r = v * (scenarios.c_0[i] + scenarios.dc[i] * np.minimum(ahead / scenarios.T[i], 1.0))
+            expected = law.unconstrained(paths.x[i, k][None], r[None])[0, 0]
+            assert paths.t[i, k] == pytest.approx(t_s + k * DT)
+            assert paths.delta[i, k] == pytest.approx(expected, abs=1e-12)
 
 
 def test_an_interrupt_during_a_solve_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:

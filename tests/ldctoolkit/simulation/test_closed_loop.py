@@ -7,8 +7,10 @@ import importlib.util
 from pathlib import Path
 from types import ModuleType
 
+import control
 import numpy as np
 import pytest
+import scipy.linalg
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import (
@@ -117,23 +119,18 @@ def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
     np.testing.assert_allclose(simulate(law, scenarios).S, simulate(law, mirrored).S, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("law", ALL_LAWS[1:], ids=lambda law: law.name)
-def test_laws_are_odd(law: Controller) -> None:
-    """The command for the mirrored situation is the mirrored command: why one outward frame serves both sides."""
+def test_laws_with_a_step_are_odd() -> None:
+    """The command for the mirrored situation is the mirrored command; a `LinearLaw` is odd by its type."""
     rng = np.random.default_rng(2)
     plant = Plant.build(BicycleModel(), rng.uniform(8, 35, 50), 0.05)
+    law = LinearMPC(horizon=12).prepare(plant)
     x = rng.normal(size=(50, 4)) * [0.8, 0.4, 0.03, 0.1]
-    prepared = law.prepare(plant)
-    assert isinstance(prepared, LinearLaw | SteeringLaw)
-    p = prepared.preview_times.size
-    preview = Preview(rng.normal(0, 0.02, (50, p)), rng.normal(0, 0.02, (50, p)))
+    preview = Preview(rng.normal(0, 0.02, (50, 13)), rng.normal(0, 0.02, (50, 13)))
     mirrored = Preview(-preview.yaw_rate, -preview.heading)
     delta_prev = rng.uniform(-0.05, 0.05, 50)
-    if isinstance(prepared, LinearLaw):
-        return  # linear: odd by its type
     t = np.zeros(50)
-    left, _, _ = prepared.step(t, x, preview, delta_prev, prepared.init(50))
-    right, _, _ = prepared.step(t, -x, mirrored, -delta_prev, prepared.init(50))
+    left, _, _ = law.step(t, x, preview, delta_prev, law.init(50))
+    right, _, _ = law.step(t, -x, mirrored, -delta_prev, law.init(50))
     np.testing.assert_allclose(right, -left, atol=1e-12)
 
 
@@ -217,11 +214,12 @@ class _Stepped(Controller):
     inner: Controller = dataclasses.field(default_factory=LQR)
     nan_at: int = -1
     wrong_shape: bool = False
+    kick: float = 0.0
 
     def prepare(self, plant: Plant) -> SteeringLaw:
         law = self.inner.prepare(plant)
         assert isinstance(law, LinearLaw)
-        return _SteppedLaw(law, self.nan_at, self.wrong_shape)
+        return _SteppedLaw(law, self.nan_at, self.wrong_shape, self.kick)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,6 +227,7 @@ class _SteppedLaw(SteeringLaw):
     law: LinearLaw
     nan_at: int
     wrong_shape: bool
+    kick: float
 
     @property
     def preview_times(self) -> np.ndarray:
@@ -242,6 +241,8 @@ class _SteppedLaw(SteeringLaw):
         delta = delta + (self.law.G_yaw_rate * preview.yaw_rate + self.law.G_heading * preview.heading).sum(axis=1)
         if state == self.nan_at:
             delta[0] = np.nan
+        if state == 20 and self.kick:
+            delta[:] = self.kick
         if self.wrong_shape:
             delta = delta[:-1]
         return delta, state + 1, np.zeros(x.shape[0], dtype=np.int8)
@@ -271,18 +272,129 @@ def test_a_law_that_returns_nan_is_counted_and_holds_its_last_command() -> None:
     assert np.isfinite(linear.S).all()
 
 
+UNSTABLE = _Constant((0.5, 0.0, 2.0, 0.0))
+
+
 def test_an_unstable_law_is_scored_at_the_bound_and_counted() -> None:
     scenarios = make_scenarios(60, seed=9)
-    out = simulate(_Constant((0.5, 0.0, 2.0, 0.0)), scenarios, y_s=0.05, trajectories=True)
+    out = simulate(UNSTABLE, scenarios, y_s=0.05, trajectories=True)
     diverged = out.status == EventStatus.DIVERGED
     assert diverged.sum() > 5
     assert np.isfinite(out.S).all()
-    longest = BOUND * scenarios.T
-    assert (out.S[diverged] < longest[diverged]).all()
-    assert (out.S[diverged] > out.S_uncorrected[diverged]).all()
+    assert out.trajectories is not None
+    for i in np.flatnonzero(diverged):
+        # the same run cut off at the last sample inside the bound, then the bound to the end
+        path = out.trajectories.x[i, :, 0]
+        last = np.flatnonzero(~np.isnan(path))[-1]
+        assert np.abs(path[: last + 1]).max() <= BOUND
+        t = out.trajectories.t[i, : last + 1]
+        inside = np.trapezoid(np.abs(path[: last + 1]), t)
+        before = out.S_uncorrected[i] - simulate(NoControl(), scenarios.take([i]), y_s=0.05, window="control").S[0]
+        expected = before + inside + BOUND * (scenarios.T[i] - t[-1])
+        # the trapezoid rule on an exponential that grows tenfold in half a second
+        assert out.S[i] == pytest.approx(expected, rel=0.02)
+        assert np.isnan(out.trajectories.delta[i, last:]).all()
     # a neighbour that diverges changes nothing for the others
-    alone = simulate(_Constant((0.5, 0.0, 2.0, 0.0)), scenarios.take(np.flatnonzero(~diverged)), y_s=0.05)
+    alone = simulate(UNSTABLE, scenarios.take(np.flatnonzero(~diverged)), y_s=0.05)
     np.testing.assert_array_equal(alone.S, out.S[~diverged])
+
+
+@pytest.mark.parametrize("size", [1e6, 1e17, 1e300])
+def test_the_score_before_a_divergence_is_kept(size: float) -> None:
+    """One absurd command at sample 20: S up to there is that of the sane law."""
+    scenarios = Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0)
+    sane = simulate(LQR(), Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), y_s=0.1, trajectories=True)
+    for sign in (1.0, -1.0):
+        out = simulate(_Stepped(LQR(), kick=sign * size), scenarios, y_s=0.1)
+        assert out.count(EventStatus.DIVERGED) == 1
+        assert sane.trajectories is not None
+        path, t = sane.trajectories.x[0, :21, 0], sane.trajectories.t[0, :21]
+        rate = sane.trajectories.x[0, :21, 1]
+        area = np.trapezoid(path, t) + np.sum(np.diff(t) ** 2 * (rate[:-1] - rate[1:]) / 12)  # Hermite, path > 0
+        assert (path > 0).all()
+        before = sane.S_uncorrected[0] - simulate(LQR(), scenarios, y_s=0.1, window="control").S_uncorrected[0]
+        assert out.S[0] == pytest.approx(before + area + BOUND * (4.0 - t[-1]), rel=1e-6)
+        # the edge is deepest where it left, or where it was before leaving inwards
+        deepest = BOUND - 0.85 if sign > 0 else path.max() - 0.85
+        assert out.deepest[0] == pytest.approx(deepest, abs=1e-12)
+
+
+def test_deepest_is_the_deepest_sample() -> None:
+    scenarios = make_scenarios(40, seed=12)
+    out = simulate(PreviewProportional(), scenarios, y_s=0.1, trajectories=True)
+    assert out.trajectories is not None
+    for i in np.flatnonzero(out.triggered):
+        assert out.deepest[i] == pytest.approx(np.nanmax(out.trajectories.x[i, :, 0]) - 0.85, abs=1e-12)
+    np.testing.assert_array_equal(out.deepest[~out.triggered], scenarios.d_y[~out.triggered])
+
+
+def test_the_command_before_the_first_holds_the_recorded_path() -> None:
+    """Steady steering angle for the yaw rate of the recorded path, from the bicycle model's textbook formula."""
+    scenarios = Scenarios.from_arrays(T=[2.0, 5.0], d_y=[0.4, 0.5], v_mean=[20.0, 28.0], c_0=[2e-3, -1e-3])
+    hold = _Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
+    for option in ("path", "zero"):
+        out = simulate(hold, scenarios, y_s=0.0, trajectories=True, initial_yaw_rate=option)  # type: ignore[arg-type]
+        assert out.trajectories is not None
+        for i in range(2):
+            v, T, d_y = scenarios.v_mean[i], scenarios.T[i], scenarios.d_y[i]
+            yaw_rate = v * scenarios.c_0[i] + (-8 * d_y / T**2) / v
+            K_V = (1.47 - 1.43) * 1000.0 / (2 * 80000.0 * 2.9)
+            assert out.trajectories.delta[i, 0] == pytest.approx((2.9 / v + K_V * v) * yaw_rate, rel=1e-10)
+
+
+def test_a_command_that_is_never_driven_is_not_counted() -> None:
+    """T is a whole number of samples after the trigger: there is no last part step, and no command for it."""
+    scenarios = Scenarios.from_arrays(T=1.0, d_y=0.3, v_mean=20.0)
+    assert simulate(_Stepped(LQR(), nan_at=20), scenarios, y_s=0.0).failed_solves[0] == 0
+    assert simulate(_Stepped(LQR(), nan_at=19), scenarios, y_s=0.0).failed_solves[0] == 1
+
+
+def test_mean_reduction_is_that_of_the_means() -> None:
+    out = simulate(LQR(), make_scenarios(30))
+    assert out.mean_reduction == pytest.approx(1.0 - out.S.mean() / out.S_uncorrected.mean(), rel=1e-12)
+
+
+def test_lqr_of_right_departures_equals_the_road_frame(road: ModuleType) -> None:
+    """Right departures driven as such: negative offsets, the lane's own curvature, gains from control.dlqr."""
+    scenarios = dataclasses.replace(make_scenarios(6, seed=5), side=-np.ones(6, dtype=np.int64))
+    out = simulate(LQR(), scenarios, y_s=0.05)
+    for i in np.flatnonzero(out.triggered):
+        v = scenarios.v_mean[i] + scenarios.a_mean[i] * (out.t_s[i] - scenarios.T[i] / 2)
+        A, B, _ = road.matrices(v)
+        M = np.zeros((5, 5))
+        M[:4, :4], M[:4, 4] = A, B
+        phi = scipy.linalg.expm(0.05 * M)
+        K, _, _ = control.dlqr(phi[:4, :4], phi[:4, 4:], np.diag([1.0, 0, 1.0, 0]), np.array([[100.0]]))
+        ss = BicycleModel().steady_state([v])
+
+        def law(t, x, yaw_rate, heading, K=K[0], ss=ss):  # type: ignore[no-untyped-def]
+            r = yaw_rate(t)
+            return ss.delta[0] * r - K @ (x - np.array([0, 0, ss.e_psi[0] * r, 0]))
+
+        S, *_ = road.drive(
+            side=-1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=scenarios.a_mean[i],
+            c_0=-scenarios.c_0[i], dc=-scenarios.dc[i], law=law, y_s=0.05, dt=0.05,
+        )  # fmt: skip
+        assert out.S[i] == pytest.approx(S, abs=1e-8)
+
+
+@pytest.mark.parametrize(("v", "dt"), [(1.5, 0.05), (3.0, 0.2), (12.0, 0.5)])
+def test_S_is_exact_at_low_speed_and_long_steps(road: ModuleType, v: float, dt: float) -> None:
+    """The lateral mode dies within one step here: nothing that interpolates over the step would do."""
+    scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3])
+    K_y = -0.9 / v
+    out = simulate(PreviewProportional(K_y=K_y, K_psi=-0.5, T_lp=0.0), scenarios, y_s=0.1, dt=dt, trajectories=True)
+    assert out.trajectories is not None
+    crossings = 0
+    for i in range(2):
+        S, *_ = road.drive(
+            side=1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=v, a_mean=0.0, c_0=scenarios.c_0[i], dc=0.0,
+            y_s=0.1, dt=dt, law=lambda t, x, r, h: K_y * x[0] - 0.5 * x[2],
+        )  # fmt: skip
+        path = out.trajectories.x[i, :, 0]
+        crossings += int((path[:-1] * path[1:] < 0).sum())
+        assert out.S[i] == pytest.approx(S, rel=2e-8)
+    assert crossings > 0
 
 
 def test_shapes_and_arguments_are_checked() -> None:
