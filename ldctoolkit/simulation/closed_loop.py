@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, SteeringLaw
-from ldctoolkit.errors import LdcError
+from ldctoolkit.law_checks import check_controller, check_law, check_step
 from ldctoolkit.simulation.crossings import absolute_area
 from ldctoolkit.simulation.outcome import Run, Trajectories
 from ldctoolkit.simulation.takeover import Takeover
@@ -43,16 +43,16 @@ def drive(controller: Controller, takeover: Takeover, *, trajectories: bool = Fa
 
     Raises
     ------
-    LdcError
-        If the law's arrays do not have the shapes that its type promises.
+    InputError
+        If the design, its law or the result of a step is not what the interface promises.
     """
-    law = controller.prepare(takeover.plant)
+    check_controller(controller)
+    law = check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
     if isinstance(law, RecordedPath):
         zeros = np.zeros(takeover.m, dtype=np.int64)
         return Run(takeover, None, zeros.astype(np.int8), zeros, takeover.triggered.d_y.copy(), None)
     loop = _Loop.start(takeover, trajectories)
     if isinstance(law, LinearLaw):
-        _check_linear(law, takeover.m, controller.name)
         _drive_linear(law, takeover, loop)
     else:
         _drive_general(law, takeover, loop, controller.name)
@@ -171,14 +171,6 @@ class _Log:
             self.x[rows, k + 1, i] = column[rows]
 
 
-def _check_linear(law: LinearLaw, m: int, name: str) -> None:
-    p = law.preview_times.size
-    shapes = {"F": (m, 4), "preview_times": (p,), "G_yaw_rate": (m, p), "G_heading": (m, p), "f_u": (m,)}
-    for field, shape in shapes.items():
-        if getattr(law, field).shape != shape:
-            raise LdcError(f"controller {name!r}: {field} has shape {getattr(law, field).shape}; allowed: {shape}")
-
-
 def _counts(takeover: Takeover) -> IntArray:
     """How many scenarios still have a whole step at each sample; they are the first ones, the order is descending."""
     longest = int(takeover.full_steps[0]) if takeover.m else 0
@@ -240,7 +232,7 @@ def _contiguous(step: Discretization) -> Discretization:
 
 def _drive_general(law: SteeringLaw, takeover: Takeover, loop: _Loop, name: str) -> None:
     m, dt, step = takeover.m, takeover.plant.dt, _contiguous(takeover.plant.step)
-    times = np.asarray(law.preview_times, dtype=float)
+    times = law.preview_times
     state = law.init(m)
     last = takeover.delta_0.copy()
     counts = _counts(takeover)
@@ -255,10 +247,8 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, loop: _Loop, name: str)
         x[idle] = 0.0
         preview.yaw_rate[idle] = 0.0
         preview.heading[idle] = 0.0
-        delta, state, status = law.step(t, x, preview, np.where(idle, 0.0, loop.delta_prev), state)
-        delta, status = np.array(delta, dtype=float), np.asarray(status)
-        if delta.shape != (m,) or status.shape != (m,):
-            raise LdcError(f"controller {name!r}: step returned shapes {delta.shape}, {status.shape}; allowed: {(m,)}")
+        result = law.step(t, x, preview, np.where(idle, 0.0, loop.delta_prev), state)
+        delta, state, status = check_step(result, m, name)
         bad = ~np.isfinite(delta)
         delta[bad] = loop.delta_prev[bad]
         loop.failed[(bad | (status == EventStatus.SOLVER_FAILED)) & ~idle] += 1
