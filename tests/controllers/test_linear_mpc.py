@@ -161,7 +161,7 @@ def test_where_osqp_gives_up_least_squares_solves_the_same_qp(monkeypatch: pytes
     monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
     rescued = simulate(TIGHT, TWO, y_s=0.1)
     assert (rescued.status == EventStatus.OK).all()
-    np.testing.assert_allclose(rescued.S, usual.S, rtol=2e-5)  # OSQP's eps
+    np.testing.assert_allclose(rescued.S, usual.S, rtol=5e-5)  # eps = 1e-6 in each command, summed over the path
 
 
 def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.MonkeyPatch) -> None:
