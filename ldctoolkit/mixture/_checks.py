@@ -42,7 +42,8 @@ def refuse(bad: npt.NDArray[np.bool_], x: FloatArray, allowed: str, names: Seque
     others = [column_name(int(k), names) for k in np.flatnonzero(bad.any(axis=0)) if k != j]
     also = f"; also in {', '.join(others)}" if others else ""
     raise InputError(
-        f"X: {column_name(j, names)}, row {row}: {x[row, j]!r}; allowed: {allowed} ({count} of {x.shape[0]} rows{also})"
+        f"X: {column_name(j, names)}, row {row}: {float(x[row, j])!r}; allowed: {allowed} "
+        f"({count} of {x.shape[0]} rows{also})"
     )
 
 
@@ -62,7 +63,8 @@ def check_constant(x: FloatArray, names: Sequence[str] | None) -> None:
     if flat.any():
         j = int(np.argmax(flat))
         raise InputError(
-            f"X: {column_name(j, names)} is constant ({x[0, j]!r} in all {x.shape[0]} rows); leave it out of the fit"
+            f"X: {column_name(j, names)} is constant ({float(x[0, j])!r} in all {x.shape[0]} rows); "
+            "leave it out of the fit"
         )
 
 

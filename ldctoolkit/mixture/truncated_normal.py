@@ -246,4 +246,6 @@ def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
     bad = ~(lower < upper)
     if bad.any():
         j = int(np.argmax(bad))
-        raise InputError(f"bounds: lower[{j}] = {lower[j]!r}, upper[{j}] = {upper[j]!r}; allowed: lower < upper")
+        raise InputError(
+            f"bounds: lower[{j}] = {float(lower[j])!r}, upper[{j}] = {float(upper[j])!r}; allowed: lower < upper"
+        )

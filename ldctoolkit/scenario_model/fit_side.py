@@ -69,7 +69,9 @@ def fit_side(
     n = x.shape[0]
     if not np.isfinite(x).all():
         row, j = np.argwhere(~np.isfinite(x))[0]
-        raise InputError(f"departures ({label}): {PARAMETER_NAMES[j]}[{row}] = {x[row, j]!r}; allowed: finite numbers")
+        raise InputError(
+            f"departures ({label}): {PARAMETER_NAMES[j]}[{row}] = {float(x[row, j])!r}; allowed: finite numbers"
+        )
     varies = np.array([np.ptp(x[:, j]) > 1e-12 * np.max(np.abs(x[:, j])) for j in range(x.shape[1])])
     constants = tuple((PARAMETER_NAMES[j], float(x[0, j])) for j in np.flatnonzero(~varies))
     names = tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(varies))
@@ -83,7 +85,7 @@ def fit_side(
         if outside.any():
             row = int(np.argmax(outside))
             raise InputError(
-                f"departures ({label}): {PARAMETER_NAMES[j]} = {x[row, j]!r} in event {row}; allowed: "
+                f"departures ({label}): {PARAMETER_NAMES[j]} = {float(x[row, j])!r} in event {row}; allowed: "
                 f"{lower[j]:g} to {upper[j]:g} ({int(outside.sum())} of {n} events)"
             )
         if varies[j]:

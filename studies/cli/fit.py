@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 from studies.cli._console import Subparsers, console, output_file, progress_bar, warn, whole_number
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings import Provenance
+    from ldctoolkit.recordings import Criteria, Provenance
     from ldctoolkit.scenario_model import ScenarioModel, SideSummary
 
 
@@ -54,6 +55,7 @@ def run(chosen: argparse.Namespace) -> None:
             departures,
             components=chosen.components,
             seed=chosen.seed,
+            bounds=_bounds(provenance.criteria),
             source_provenance=_source(provenance),
             progress=None if advance is None else lambda _, done, total: advance(done, total),
         )
@@ -62,6 +64,14 @@ def run(chosen: argparse.Namespace) -> None:
         warn(warning)
     _print_fits(model)
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
+
+
+def _bounds(criteria: Criteria) -> dict[str, tuple[float, float]]:
+    """The box that the extraction left: no event outside it could have been found."""
+    return {
+        "T": (criteria.min_duration, criteria.max_duration),
+        "v_mean": (criteria.min_speed, math.inf),
+    }
 
 
 def _source(provenance: Provenance) -> dict[str, Any]:
