@@ -21,12 +21,16 @@ REASONS: Final = (
     "too_few_samples",
     "slow",
     "intended",
+    "implausible",
 )
 """Why a candidate is refused; when several hold, the first in this order counts."""
 
 CODE: Final = {reason: code for code, reason in enumerate(REASONS)}
 ACCEPTED: Final = len(REASONS)
 _NONE: Final = ACCEPTED
+
+LARGEST_ACCELERATION: Final = 9.81
+"""m/s^2. A mean acceleration beyond it, either way, is more than tyres can do on a road: the speeds are wrong."""
 
 GAP_FLOOR: Final = 0.25
 GAP_STEPS: Final = 2.5

@@ -15,6 +15,7 @@ from ldctoolkit.recordings.events import (
     CODE,
     GAP_FLOOR,
     GAP_STEPS,
+    LARGEST_ACCELERATION,
     REASONS,
     breaks,
     find_runs,
@@ -176,12 +177,14 @@ def _extract_table(
     )
     run = chosen[good]
     parameters = reduce_signals(kept, runs.side[run])
+    plausible = np.abs(parameters.a_mean) <= LARGEST_ACCELERATION
+    reason[run[~plausible]] = CODE["implausible"]
     departures = Departures(
         **{field.name: getattr(parameters, field.name) for field in dataclasses.fields(parameters)},
         recording=table.names[table.recording_index[runs.first[run]]],
         start_time=start_time[good],
         samples=kept.samples,
-    )
+    ).take(plausible)
     # a candidate's reason is the strongest of its runs'
     by_candidate: IntArray = np.full(int(runs.candidate.max(initial=-1)) + 1, ACCEPTED, dtype=np.int64)
     np.minimum.at(by_candidate, runs.candidate, reason)
@@ -191,7 +194,7 @@ def _extract_table(
 def _judge(
     table: RecordingTable, side: IntArray, signals: DepartureSignals, source: IntArray, criteria: Criteria
 ) -> IntArray:
-    """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings."""
+    """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings; "implausible" is seen only later."""
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
     verdict = np.full(signals.n, ACCEPTED)
     if signals.n == 0:

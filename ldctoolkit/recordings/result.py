@@ -64,6 +64,8 @@ class Refused:
         A criterion was not met; fewer than three samples cannot be reduced to the eight parameters.
     intended : int
         The turn signal was on towards the departed side.
+    implausible : int
+        The mean acceleration is beyond 9.81 m/s^2 either way, more than tyres can do: noise in the speeds.
     """
 
     lane_change: int = 0
@@ -76,6 +78,7 @@ class Refused:
     too_few_samples: int = 0
     slow: int = 0
     intended: int = 0
+    implausible: int = 0
 
     @property
     def total(self) -> int:

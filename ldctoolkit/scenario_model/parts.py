@@ -20,7 +20,7 @@ PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
     "d_y": (0.0, np.inf),  # m
     "sigma_y": (0.0, np.inf),  # m
     "v_mean": (5.0, np.inf),  # m/s, the extraction criteria
-    "a_mean": (-np.inf, np.inf),  # m/s^2
+    "a_mean": (-9.81, 9.81),  # m/s^2, what tyres can do; the extraction refuses more as implausible
     "sigma_v": (0.0, np.inf),  # m/s
     "c_0": (-np.inf, np.inf),  # 1/m
     "dc": (-np.inf, np.inf),  # 1/m

@@ -109,6 +109,10 @@ REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("too_few_samples", {}, {"min_duration": 0.0, "vehicle_width": 1.202}, 1),
     ("intended", {"turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
     ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
+    ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}, 1),
+    ("implausible", {"speed": 5.0 + 9.82 * T}, {}, 1),
+    # every other reason is stronger
+    ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
     ("lane_change", {"lane": with_value(1, slice(50, None), 2)}, {}, 1),
     ("invalid", {"valid": with_value(1, 50, 0)}, {}, 1),
     ("invalid", {"valid": with_value(1, 40, 0)}, {}, 1),  # the sample before the crossing
@@ -143,6 +147,12 @@ def test_refused_with_one_reason(bump, reason, columns, criteria, count, side):
     found = extract(bump(**changed), **criteria)
     assert len(found.departures) == 0
     assert reasons(found) == {reason: count}
+
+
+@pytest.mark.parametrize("a", [-9.8, 9.8])
+def test_hard_braking_is_a_departure_all_the_same(bump, a):
+    found = extract(bump(lane_offset=OFFSET, speed=60.0 + a * (T - 5.0)))
+    np.testing.assert_allclose(found.departures.a_mean, [a], rtol=1e-9)
 
 
 @pytest.mark.parametrize("rows", [slice(None, 50), slice(50, None)])
@@ -246,5 +256,8 @@ def test_real_recordings(ngsim_recordings):
     # 412 lane changes; some of them within one manoeuvre, or with the edge inside on both of their samples
     assert 330 <= found.refused.lane_change <= 412
     assert found.candidates == len(found.departures) + found.refused.total
+    # two events of half a second with -24 and -19 m/s^2, the noise of five or six speeds
+    assert found.refused.implausible == 2
+    assert np.abs(found.departures.a_mean).max() <= 9.81
     assert found.warnings == ()
     assert found.provenance.sources == recordings.sources

@@ -37,6 +37,7 @@ def random_table(seed: int, with_lane: bool, yaw: bool = False) -> RecordingTabl
     speed = np.round(rng.uniform(-1.0, 30.0) * 64) / 64 + rng.integers(-64, 64, n) / 64
     bend = rng.normal(0.0, 1e-3, n)
     speed[rng.random(n) < 0.01] = np.nan
+    speed += 16.0 * (rng.random(n) < 0.02)
     return RecordingTable.from_arrays(
         recording=np.repeat([f"r{i}" for i in range(lengths.size)], lengths),
         t=np.concatenate([np.cumsum(part) for part in np.split(step, np.cumsum(lengths)[:-1])]),
@@ -130,6 +131,8 @@ def one_by_one(table: RecordingTable) -> tuple[list[tuple[float, ...]], Counter[
                 refused["slow"] += 1
             elif any(table.turn_signal[i] == side for i in [first - 1, *rows]):  # type: ignore[index]
                 refused["intended"] += 1
+            elif abs(np.polyfit(table.t[rows] - start, table.speed[rows], 1)[0]) > 9.81:
+                refused["implausible"] += 1
             else:
                 events.append((first, side, start, stop - start, len(rows)))
     return sorted(events, key=lambda event: (event[0], -event[1])), refused
