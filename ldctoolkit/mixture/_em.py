@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, expectation
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
@@ -62,12 +63,28 @@ class EMResult:
 def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
     """Fit K components to standardised data (n, d) strictly inside the box.
 
+    Raises
+    ------
+    InputError
+        If a component shrinks onto so few distinct events that its covariance is singular: without a prior the
+        likelihood has no maximum there.
+
     Notes
     -----
     The points and the order of integration are frozen during a run, so the likelihood is one smooth function. The
     prior's target is frozen too: for a short run the clusters' covariances, for the final run the covariances of the
     events around each component at its start.
     """
+    try:
+        return _fit(x, s)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
+            f"prior_strength = {s.prior_strength:g}; raise prior_strength or fit fewer components"
+        ) from None
+
+
+def _fit(x: FloatArray, s: EMSettings) -> EMResult:
     n = x.shape[0]
     rng = np.random.default_rng([s.seed, 0])
     short = x if n <= s.subsample else x[np.sort(rng.choice(n, s.subsample, replace=False))]

@@ -234,7 +234,8 @@ class BoundedGaussianMixture:
         ------
         InputError
             Data on or outside a bound, not finite, a constant column, fewer rows than ``K (d + 1)``, or a setting out
-            of range; the message names the column, the row and the count.
+            of range; the message names the column, the row and the count. Also without a prior, where the likelihood
+            has no maximum.
         """
         del y
         self._check_settings()

@@ -176,6 +176,50 @@ def test_awkward_data_give_a_model_that_samples(kind):
     assert np.min(np.diff(model.lower_bounds_)) >= -1e-8 * max(abs(model.lower_bound_), 1.0)
 
 
+@pytest.mark.parametrize("kind", ["barely", "outlier", "same_columns", "two_rows", "thin"])
+@pytest.mark.parametrize("step", ["newton", "lee_scott"])
+def test_without_a_prior_there_may_be_no_maximum(kind, step):
+    """Plain maximum likelihood may be unbounded: a clear message, or a fit that does not claim to have converged."""
+    rng = np.random.default_rng(0)
+    base = np.abs(rng.normal(size=(200, 3))) + 0.001
+    x = {
+        "barely": base[:12],
+        "outlier": np.vstack([base, [[1e4, 1.0, 1.0]]]),
+        "same_columns": base[:, [0, 0, 1]],
+        "two_rows": np.repeat(base[:2], 50, axis=0),
+        "thin": np.column_stack([base[:, 0], 2 * base[:, 0] + 1e-6 * base[:, 1], base[:, 2]]),
+    }[kind]
+    settings = {"lower": 0.0, "random_state": 0, "n_init": 2, "step": step, "max_iter": 100}
+    try:
+        model = BoundedGaussianMixture(3, prior_strength=0.0, **settings).fit(x)
+    except InputError as error:
+        assert "raise prior_strength" in str(error)  # noqa: PT017
+    else:
+        history = model.lower_bounds_
+        assert np.min(np.diff(history), initial=0.0) >= -1e-8 * np.abs(history).max()
+        assert np.isfinite(model.score(x))
+    BoundedGaussianMixture(3, **settings).fit(x)  # the prior makes all of them well posed
+
+
+def test_a_fall_is_no_convergence(monkeypatch):
+    """A pass that loses ground ends the fit and is taken back."""
+    X = np.random.default_rng(1).gamma(0.8, size=(300, 2))
+    true, seen = _em.maximise, []
+
+    def worse(stats, prior, now, step, points):
+        new, moved = true(stats, prior, now, step, points)
+        seen.append(now)
+        if len(seen) < 20:
+            return new, moved
+        return TruncatedNormal(now.mu + 5.0, now.Sigma, now.lower, now.upper), moved
+
+    monkeypatch.setattr(_em, "maximise", worse)
+    model = BoundedGaussianMixture(1, lower=0.0, random_state=0).fit(X)
+    assert (model.converged_, model.stop_reason_, model.n_iter_) == (False, "collapsed", 19 - 15)
+    np.testing.assert_allclose((model.means_ - X.mean(axis=0)) / X.std(axis=0), seen[-1].mu)
+    assert np.min(np.diff(model.lower_bounds_)) >= 0.0
+
+
 def test_bic_finds_three_groups():
     rng = np.random.default_rng(0)
     centres = np.array([[1.0, 1.0], [6.0, 1.0], [3.0, 8.0]])
