@@ -13,12 +13,14 @@ from __future__ import annotations
 import abc
 import dataclasses
 import enum
+import inspect
 from typing import Any, ClassVar, final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.gains import Gain, declared_gains
+from ldctoolkit.errors import InputError
+from ldctoolkit.gains import Gain, check_declarations, declared_gains
 from ldctoolkit.vehicle import Plant
 
 FloatArray = npt.NDArray[np.float64]
@@ -37,7 +39,7 @@ class EventStatus(enum.IntEnum):
     DIVERGED = 3
     """|e_y| left the bound of the simulation; from there on the bound counts."""
     TIMED_OUT = 4
-    """A time limit ended the scenario."""
+    """A time limit ended the scenario; no law sets one at present."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +142,7 @@ class Controller(abc.ABC):
     Raises
     ------
     InputError
-        From the constructor, for a value outside its declaration.
+        From the constructor, for a value outside its declaration, or a class that is not made as described here.
     """
 
     name: ClassVar[str]
@@ -150,6 +152,7 @@ class Controller(abc.ABC):
     """Name for people: tables and legends."""
 
     def __post_init__(self) -> None:
+        check_class(type(self))
         for declared in self.gains():
             checked = declared.check(getattr(self, declared.name), self.name)
             object.__setattr__(self, declared.name, checked)
@@ -172,3 +175,38 @@ class Controller(abc.ABC):
         -------
         LinearLaw, SteeringLaw or RecordedPath
         """
+
+
+def check_class(controller: type[Controller]) -> None:
+    """Raise if a controller class is not made as `Controller` asks for.
+
+    Parameters
+    ----------
+    controller : type
+        A subclass of `Controller`.
+
+    Raises
+    ------
+    InputError
+        Naming the class and what to write.
+    """
+    called = controller.__name__
+    # a field that is still there as an attribute was never seen by @dataclass
+    unseen = any(isinstance(value, dataclasses.Field) for base in controller.__mro__ for value in vars(base).values())
+    if unseen or not dataclasses.is_dataclass(controller):
+        raise InputError(
+            f"{called}: not a dataclass; write @dataclasses.dataclass(frozen=True) directly above the class"
+        )
+    if not controller.__dataclass_params__.frozen:
+        raise InputError(f"{called}: a dataclass that is not frozen; write @dataclasses.dataclass(frozen=True)")
+    for attribute in ("name", "title"):
+        if any(field.name == attribute for field in dataclasses.fields(controller)):
+            raise InputError(f"{called}.{attribute}: a field of the dataclass; write {attribute}: ClassVar[str] = ...")
+        value = getattr(controller, attribute, None)
+        if not isinstance(value, str) or not value:
+            missing = "missing" if value is None else repr(value)
+            raise InputError(f"{called}.{attribute}: {missing}; allowed: a non-empty string, ClassVar[str]")
+    if inspect.isabstract(controller):
+        abstract = ", ".join(sorted(controller.__abstractmethods__))
+        raise InputError(f"{called}: no {abstract}; allowed: a class that defines it")
+    check_declarations(controller)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from typing import Any, Literal
 
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
@@ -104,12 +105,16 @@ def gain(
     upper: float = math.inf,
     scale: Literal["linear", "log"] = "linear",
 ) -> Any:
-    """Declare a numeric gain as a dataclass field; an ``int`` default makes it a whole number, a ``bool`` a switch.
+    """Declare a numeric gain as a dataclass field.
+
+    The field's annotation says what it is: ``float`` a number, ``int`` a whole number, ``bool`` a switch; with any
+    other annotation the type of the default does. A declaration that contradicts itself is named when a design is made
+    or its class registered.
 
     Parameters
     ----------
     default : float, int or bool
-        Value of a design that does not set it.
+        Value of a design that does not set it, within its bounds.
     unit : str
         SI unit, ``"1"`` for a pure number.
     description : str
@@ -117,7 +122,7 @@ def gain(
     lower, upper : float
         Allowed range, ends included.
     scale : {"linear", "log"}
-        How a sweep should space its values.
+        How a sweep should space its values; "log" needs ``lower > 0``.
 
     Examples
     --------
@@ -155,6 +160,8 @@ def _field(
     choices: tuple[str, ...],
     description: str,
 ) -> Any:
+    if type(default).__hash__ is None:  # a list or an array, for which dataclasses would suggest a factory
+        raise InputError(f"default {default!r} of a gain or option; allowed: one number, truth value or word")
     # the name is known only once the class exists; `declared_gains` fills it in
     declaration = Gain("", unit, default, lower, upper, scale, choices, description)
     return dataclasses.field(default=default, metadata={_KEY: declaration})
@@ -162,11 +169,68 @@ def _field(
 
 def declared_gains(owner: Any) -> tuple[Gain, ...]:
     """The gains declared on a dataclass or an instance of one, in the order of its fields."""
-    return tuple(
-        dataclasses.replace(field.metadata[_KEY], name=field.name)
-        for field in dataclasses.fields(owner)
-        if _KEY in field.metadata
-    )
+    return tuple(_named(field) for field in dataclasses.fields(owner) if _KEY in field.metadata)
+
+
+def undeclared_fields(owner: Any) -> tuple[str, ...]:
+    """Fields of a dataclass that a caller sets but that are made with neither `gain` nor `option`."""
+    return tuple(field.name for field in dataclasses.fields(owner) if field.init and _KEY not in field.metadata)
+
+
+def _kind(field: dataclasses.Field[Any]) -> str:
+    """The annotation, as a word (it is a string already under ``from __future__ import annotations``)."""
+    return field.type if isinstance(field.type, str) else getattr(field.type, "__name__", "")
+
+
+def _named(field: dataclasses.Field[Any]) -> Gain:
+    """The declaration with the field's name, and its default in the type that the annotation asks for."""
+    declared: Gain = dataclasses.replace(field.metadata[_KEY], name=field.name)
+    default, kind = declared.default, _kind(field)
+    if isinstance(default, numbers.Real) and not isinstance(default, bool):
+        if kind == "float" or (kind != "int" and not isinstance(default, numbers.Integral)):
+            return dataclasses.replace(declared, default=float(default))
+        if isinstance(default, numbers.Integral) or float(default).is_integer():
+            return dataclasses.replace(declared, default=int(default))
+    return declared
+
+
+def check_declarations(owner: type) -> None:
+    """Raise if a gain or option of a dataclass contradicts itself.
+
+    Raises
+    ------
+    InputError
+        Naming the class, the field, the value and what is allowed.
+    """
+    for field in dataclasses.fields(owner):
+        if _KEY in field.metadata:
+            declared = _named(field)
+            wrong = _contradiction(declared, _kind(field))
+            if wrong:
+                raise InputError(f"{owner.__name__}.{declared.name}: {wrong}")
+            try:
+                declared.check(declared.default, owner.__name__)
+            except InputError as error:
+                raise InputError(f"default of {error}") from None
+
+
+def _contradiction(declared: Gain, kind: str) -> str:
+    """What is wrong with a declaration, the bounds on its default apart; empty for nothing."""
+    default, lower, upper, choices = declared.default, declared.lower, declared.upper, declared.choices
+    if choices:
+        if not (isinstance(choices, tuple) and all(isinstance(word, str) for word in choices)):
+            return f"choices={choices!r}; allowed: a tuple of words, e.g. ('one', 'other')"
+        return f"an option on a field of type {kind}; allowed: str" if kind in ("float", "int", "bool") else ""
+    if isinstance(default, str):
+        return f"default {default!r}; allowed: a number, or option(...) with choices for words"
+    fits = {"bool": bool, "int": int, "float": float, "str": str}.get(kind)
+    if fits is not None and type(default) is not fits:  # exactly: True is an int too
+        return f"default {default!r} on a field of type {kind}; allowed: a value of that type"
+    if not (isinstance(lower, numbers.Real) and isinstance(upper, numbers.Real) and lower <= upper):
+        return f"lower={lower!r}, upper={upper!r}; allowed: numbers, lower <= upper"
+    if declared.scale not in ("linear", "log"):
+        return f"scale={declared.scale!r}; {nearest(str(declared.scale), ('linear', 'log'))}"
+    return f"scale='log' with lower={lower!r}; allowed: lower > 0" if declared.scale == "log" and lower <= 0 else ""
 
 
 def find_gain(owner: Any, name: str, owner_name: str) -> Gain:

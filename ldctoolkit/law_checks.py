@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, RecordedPath, StatusArray, SteeringLaw
+from ldctoolkit.control import (
+    Controller,
+    EventStatus,
+    Law,
+    LinearLaw,
+    RecordedPath,
+    StatusArray,
+    SteeringLaw,
+    check_class,
+)
 from ldctoolkit.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,6 +50,7 @@ def check_controller(controller: object) -> Controller:
     ldctoolkit.errors.InputError: controller: 'lqr'; allowed: a controller instance, e.g. controller_class('lqr')()
     """
     if isinstance(controller, Controller):
+        check_class(type(controller))
         for declared in type(controller).gains():
             declared.check(getattr(controller, declared.name), controller.name)
         return controller
@@ -157,7 +167,7 @@ def _reals(value: Any, field: str, where: str) -> npt.NDArray[Any]:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
-    if array.dtype.kind not in "iufb":
+    if array.dtype.kind not in "iuf":
         raise InputError(f"{where}: {field} is {_shown(value)}; allowed: an array of real numbers")
     return array
 

@@ -8,8 +8,9 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from ldctoolkit.control import Controller
+from ldctoolkit.control import Controller, check_class
 from ldctoolkit.errors import InputError, LdcError, ShadowedPackageError, UnknownNameError, nearest
+from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
 
@@ -22,7 +23,7 @@ def register(controller: type[Controller]) -> type[Controller]:
     Parameters
     ----------
     controller : type
-        A concrete subclass of `Controller`.
+        A concrete subclass of `Controller`; all that its constructor takes is made with `gain` and `option`.
 
     Returns
     -------
@@ -32,7 +33,8 @@ def register(controller: type[Controller]) -> type[Controller]:
     Raises
     ------
     InputError
-        If it is not a controller, has no name, or another class already has the name.
+        If it is not a controller class as `Controller` asks for, takes anything that is neither gain nor option, or
+        another class already has the name.
 
     Examples
     --------
@@ -48,18 +50,26 @@ def register(controller: type[Controller]) -> type[Controller]:
     """
     if not (isinstance(controller, type) and issubclass(controller, Controller)):
         raise InputError(f"register: {controller!r}; allowed: a subclass of Controller")
-    name = getattr(controller, "name", None)
-    if not isinstance(name, str) or not name:
-        raise InputError(f"register: {controller.__name__}.name is {name!r}; allowed: a non-empty word")
-    known = _registered.get(name)
-    same = known is not None and (known.__module__, known.__qualname__) == (
-        controller.__module__,
-        controller.__qualname__,
-    )
-    if (known is not None and not same) or (known is None and name in _installed()):
+    _check(controller)
+    name, known, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
+    if known is not None:
+        same = (known.__module__, known.__qualname__) == (controller.__module__, controller.__qualname__)
+    else:
+        # the entry point may name the class in its own module, or in a package above that hands it on
+        same = point is None or (
+            point.attr == controller.__qualname__ and f"{controller.__module__}.".startswith(f"{point.module}.")
+        )
+    if not same:
         raise InputError(f"register: a controller named {name!r} is already registered; choose another name")
     _registered[name] = controller
     return controller
+
+
+def _check(controller: type[Controller]) -> None:
+    """Raise if a class cannot be used by name: studies see, write and compare its gains and nothing else."""
+    check_class(controller)
+    for field in undeclared_fields(controller):
+        raise InputError(f"{controller.__name__}.{field}: a plain field; allowed: fields made with gain() or option()")
 
 
 @functools.cache
@@ -91,7 +101,8 @@ def controller_class(name: str) -> type[Controller]:
     ShadowedPackageError
         If a user's own folder hides the package that should hold it.
     LdcError
-        If the installed controller cannot be loaded; the message carries the reason.
+        If the installed controller cannot be loaded, or is not made as `Controller` asks for; the message carries the
+        reason.
     """
     if name in _registered:
         return _registered[name]
@@ -101,10 +112,14 @@ def controller_class(name: str) -> type[Controller]:
     check_not_shadowed(point.value.partition(":")[0].partition(".")[0])
     try:
         loaded = point.load()
-    except (ImportError, AttributeError) as error:
-        raise LdcError(f"controller {name!r} ({point.value}) cannot be loaded: {error}") from error
+    except Exception as error:  # the file may be anybody's code: whatever it raises must name the controller
+        kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
+        raise LdcError(f"controller {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, Controller)):
         raise LdcError(f"controller {name!r} ({point.value}) is not a subclass of Controller")
+    _check(loaded)
+    if loaded.name != name:
+        raise LdcError(f"controller {name!r} ({point.value}): its name is {loaded.name!r}; allowed: the same as here")
     return loaded
 
 

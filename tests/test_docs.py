@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ldctoolkit import Scenarios, simulate
+from ldctoolkit import Scenarios, controller_class, register, registry, simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -25,18 +26,38 @@ def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
-def test_the_guides_controller_runs() -> None:
-    (code,) = blocks("docs/writing-a-controller.md", "python")
+@pytest.fixture
+def guide() -> Iterator[types.ModuleType]:
+    """The controllers of the guide, in a module of their own (dataclasses look their module up)."""
     module = types.ModuleType("guide")
     sys.modules["guide"] = module
-    try:
+    for code in blocks("docs/writing-a-controller.md", "python"):
         exec(compile(code, "writing-a-controller.md", "exec"), module.__dict__)
-        scenarios = Scenarios.from_arrays(T=[3.0, 5.0], d_y=[0.5, 0.6], v_mean=[25.0, 18.0], c_0=1e-3)
-        out = simulate(module.Offset(), scenarios)
-        assert (out.reduction > 0).all()
-        assert np.isfinite(out.S).all()
+    yield module
+    del sys.modules["guide"]
+
+
+SCENARIOS = Scenarios.from_arrays(T=[3.0, 5.0], d_y=[0.5, 0.6], v_mean=[25.0, 18.0], c_0=1e-3)
+
+
+@pytest.mark.parametrize("name", ["Offset", "LimitedOffset"])
+def test_the_guides_controllers_run(guide: types.ModuleType, name: str) -> None:
+    design = getattr(guide, name)()
+    out = simulate(design, SCENARIOS)
+    assert (out.reduction > 0).all()
+    assert np.isfinite(out.S).all()
+    assert not out.failed_solves.any()
+    try:
+        assert controller_class(register(type(design)).name) is type(design)
     finally:
-        del sys.modules["guide"]
+        registry._registered.pop(design.name, None)
+
+
+def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleType) -> None:
+    linear = simulate(guide.Offset(), SCENARIOS)
+    general = simulate(guide.LimitedOffset(K_i=0.0, delta_max=1.0), SCENARIOS)
+    np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)  # same sums, another order
+    assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()
 
 
 def test_readme_names_pages_that_exist() -> None:

@@ -25,6 +25,7 @@ from ldctoolkit import (
     simulate,
 )
 from ldctoolkit.errors import InputError, UnknownNameError
+from ldctoolkit.law_checks import check_controller, check_law, check_step
 
 ZOO = ["linear_mpc", "lqr", "none", "preview_proportional"]
 
@@ -71,11 +72,12 @@ def test_bounds_are_enforced(kind: type[Controller]) -> None:
 
 def test_quiet_on_a_straight_centred_road(kind: type[Controller]) -> None:
     plant = Plant.build(BicycleModel(), [10.0, 20.0, 30.0], 0.05)
-    law = kind().prepare(plant)
+    law = check_law(check_controller(kind()).prepare(plant), 3, kind.name)
     if isinstance(law, LinearLaw | RecordedPath):
         return  # no constant term by its type
     nothing = Preview(*[np.zeros((3, law.preview_times.size))] * 2)
-    delta, _, status = law.step(np.zeros(3), np.zeros((3, 4)), nothing, np.zeros(3), law.init(3))
+    result = law.step(np.zeros(3), np.zeros((3, 4)), nothing, np.zeros(3), law.init(3))
+    delta, _, status = check_step(result, 3, kind.name)
     np.testing.assert_array_equal(delta, 0.0)
     np.testing.assert_array_equal(status, 0)
 

@@ -1,0 +1,422 @@
+"""The mistakes that a controller's author makes: each ends in one message that names the class and what is allowed."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import sys
+import types
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from controllers import LQR
+from ldctoolkit import (
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    RecordedPath,
+    SteeringLaw,
+    controller_class,
+    gain,
+    option,
+    register,
+    registry,
+)
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.gains import declared_gains
+from ldctoolkit.law_checks import check_controller, check_law, check_step
+
+
+class Base(Controller):
+    """All that the mistakes below do not get wrong."""
+
+    name: ClassVar[str] = "mistaken"
+    title: ClassVar[str] = "Mistaken"
+
+    def prepare(self, plant: Plant) -> RecordedPath:
+        return RecordedPath()
+
+
+frozen = dataclasses.dataclass(frozen=True)
+
+
+def K(default: Any = -0.2, lower: Any = -1.0, upper: Any = 0.0, **more: Any) -> Any:
+    return gain(default, unit="rad/rad", lower=lower, upper=upper, description="", **more)
+
+
+def refused(cls: type[Controller], message: str) -> None:
+    """The same message wherever the class is met first."""
+    for use in (lambda: register(cls), lambda: check_controller(cls()), cls):
+        with pytest.raises(InputError, match=rf"^{message}$"):
+            use()
+    assert "mistaken" not in registry._registered
+
+
+def test_a_class_that_is_no_dataclass() -> None:
+    class Plain(Base):
+        K: float = K()
+
+    class Bare(Base):
+        pass
+
+    @frozen
+    class Second(Plain):  # its base's gain is lost on it
+        pass
+
+    wanted = r"not a dataclass; write @dataclasses\.dataclass\(frozen=True\) directly above the class"
+    for cls in (Plain, Bare):
+        with pytest.raises(InputError, match=f"{cls.__name__}: {wanted}"):
+            register(cls)
+        with pytest.raises(InputError, match=f"{cls.__name__}: {wanted}"):
+            check_controller(cls())
+    refused(Second, f"Second: {wanted}")
+
+
+def test_a_subclass_without_fields_of_its_own_needs_no_decorator() -> None:
+    class Renamed(LQR):  # type: ignore[misc]
+        name = "renamed"
+
+    assert check_controller(Renamed(q_y=2.0)).name == "renamed"
+
+
+def test_a_class_that_is_not_frozen() -> None:
+    @dataclasses.dataclass
+    class Thawed(Base):
+        K: float = K()
+
+    refused(Thawed, r"Thawed: a dataclass that is not frozen; write @dataclasses\.dataclass\(frozen=True\)")
+
+
+def test_names() -> None:
+    def prepare(self: Controller, plant: Plant) -> RecordedPath:
+        return RecordedPath()
+
+    def made(**attributes: Any) -> type[Controller]:
+        cls = types.new_class("Made", (Controller,), exec_body=lambda body: body.update(prepare=prepare, **attributes))
+        return frozen(cls)
+
+    refused(made(title="T"), r"Made\.name: missing; allowed: a non-empty string, ClassVar\[str\]")
+    refused(made(name="mistaken"), r"Made\.title: missing; allowed: .*")
+    refused(made(name="", title="T"), r"Made\.name: ''; allowed: .*")
+    refused(made(name="mistaken", title=3), r"Made\.title: 3; allowed: .*")
+
+    @frozen
+    class NameIsAField(Base):
+        name: str = "mistaken"  # type: ignore[misc]
+
+    refused(NameIsAField, r"NameIsAField\.name: a field of the dataclass; write name: ClassVar\[str\] = \.\.\.")
+
+
+def test_no_prepare() -> None:
+    @frozen
+    class Idle(Controller):
+        name = "mistaken"
+        title = "Idle"
+
+    with pytest.raises(InputError, match=r"^Idle: no prepare; allowed: a class that defines it$"):
+        register(Idle)
+    with pytest.raises(TypeError, match=r"abstract class Idle.*prepare"):  # Python's own words say it
+        Idle()  # type: ignore[abstract]
+
+
+@pytest.mark.parametrize(
+    ("annotation", "declared", "message"),
+    [
+        ("float", K(5.0), r"default of D\.K: 5\.0; allowed: a number from -1 to 0 rad/rad"),
+        ("float", K(np.nan), r"default of D\.K: nan; allowed: a number from .*"),
+        ("float", K(-0.5, 0.0, -1.0), r"D\.K: lower=0\.0, upper=-1\.0; allowed: numbers, lower <= upper"),
+        ("float", K(-0.5, None), r"D\.K: lower=None, upper=0\.0; allowed: numbers, lower <= upper"),
+        ("float", K(0.5, 0.0, 1.0, scale="log"), r"D\.K: scale='log' with lower=0\.0; allowed: lower > 0"),
+        ("float", K(scale="logarithm"), r"D\.K: scale='logarithm'; did you mean 'log'\? \(allowed: linear, log\)"),
+        ("float", K("fast"), r"D\.K: default 'fast'; allowed: a number, or option\(\.\.\.\) with choices for words"),
+        ("float", K(True), r"D\.K: default True on a field of type float; allowed: a value of that type"),
+        ("int", K(-0.5), r"D\.K: default -0\.5 on a field of type int; allowed: a value of that type"),
+        (int, K(False), r"D\.K: default False on a field of type int; .*"),
+        ("bool", K(0), r"D\.K: default 0 on a field of type bool; .*"),
+        ("str", K(-0.5), r"D\.K: default -0\.5 on a field of type str; .*"),
+        (float, K(None), r"D\.K: default None on a field of type float; .*"),
+        ("str", option("c", choices=("a", "b"), description=""), r"default of D\.K: 'c'; allowed: a, b"),
+        ("str", option("a", choices="ab", description=""), r"D\.K: choices='ab'; allowed: a tuple of words, .*"),  # type: ignore[arg-type]
+        ("str", option("a", choices=(), description=""), r"D\.K: default 'a'; allowed: .*"),
+        ("int", option("a", choices=("a",), description=""), r"D\.K: an option on a field of type int; allowed: str"),
+    ],
+)
+def test_declarations_that_contradict_themselves(annotation: Any, declared: Any, message: str) -> None:
+    refused(dataclasses.make_dataclass("D", [("K", annotation, declared)], bases=(Base,), frozen=True), message)
+
+
+def test_a_default_that_is_no_single_value() -> None:
+    for default in ([1.0], np.zeros(4)):
+        with pytest.raises(InputError, match=r"default .*; allowed: one number"):
+            K(default)
+
+
+@pytest.mark.parametrize(
+    ("annotation", "default", "kind", "given", "kept"),
+    [
+        ("float", -1, float, -0.5, -0.5),
+        (float, -1, float, np.float32(-0.5), -0.5),
+        ("float", np.float32(-0.5), float, np.int64(0), 0.0),
+        ("int", -1.0, int, np.int64(0), 0),
+        (int, np.int64(-1), int, -1.0, -1),
+        ("bool", False, bool, True, True),
+        ("Any", -1, int, 0, 0),
+        ("Any", -0.5, float, -1, -1.0),
+    ],
+)
+def test_the_annotation_decides_the_kind(annotation: Any, default: Any, kind: type, given: Any, kept: Any) -> None:
+    D: Any = dataclasses.make_dataclass("D", [("K", annotation, K(default))], bases=(Base,), frozen=True)
+    (declared,) = declared_gains(D)
+    assert type(declared.default) is kind
+    assert type(D().K) is kind
+    assert default == D().K
+    assert type(D(K=given).K) is kind
+    assert kept == D(K=given).K
+    if kind is int:
+        with pytest.raises(InputError, match=r"mistaken\.K: -0\.5; allowed: a whole number from -1 to 0"):
+            D(K=-0.5)
+
+
+def test_plain_fields_run_but_have_no_place_in_studies() -> None:
+    @frozen
+    class Tuned(Base):
+        K: float = K()
+        table: str = "a"
+        derived: float = dataclasses.field(init=False, default=0.0)
+
+    check_controller(Tuned(table="b"))
+    with pytest.raises(InputError, match=r"^Tuned\.table: a plain field; allowed: fields made with gain\(\) or option"):
+        register(Tuned)
+
+
+def test_values_are_checked_though_post_init_is_overridden() -> None:
+    @frozen
+    class Silent(Base):
+        K: float = K()
+
+        def __post_init__(self) -> None:
+            pass
+
+    check_controller(Silent(K=-0.3))
+    with pytest.raises(InputError, match=r"mistaken\.K: 7; allowed: a number from -1 to 0 rad/rad"):
+        check_controller(Silent(K=7))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (LQR, r"controller: the class LQR; allowed: a controller instance, e\.g\. LQR\(\)"),
+        ("lqr", r"controller: 'lqr'; allowed: a controller instance, e\.g\. controller_class\('lqr'\)\(\)"),
+        (None, r"controller: None; allowed: a controller instance, e\.g\. LQR\(\)"),
+        ([LQR()], r"controller: an object of type list; allowed: .*"),
+        (int, r"controller: the class int; allowed: .*"),
+    ],
+)
+def test_what_is_no_design(given: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"^{message}$"):
+        check_controller(given)
+
+
+def test_a_design_comes_back() -> None:
+    design = LQR()
+    assert check_controller(design) is design
+
+
+# laws, for n = 3 scenarios and p = 2 lookahead times
+
+
+def linear(**fields: Any) -> LinearLaw:
+    good = {
+        "F": np.zeros((3, 4)),
+        "preview_times": np.array([0.0, 1.0]),
+        "G_yaw_rate": np.zeros((3, 2)),
+        "G_heading": np.zeros((3, 2)),
+        "f_u": np.zeros(3),
+    }
+    return LinearLaw(**(good | fields))
+
+
+class Steps(SteeringLaw):
+    def __init__(self, times: Any) -> None:
+        self.times = times
+
+    @property
+    def preview_times(self) -> Any:
+        return self.times
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, *args: Any) -> Any:
+        raise NotImplementedError
+
+
+class NoProperty(Steps):
+    def preview_times(self) -> Any:  # type: ignore[override]
+        return np.zeros(1)
+
+
+GOOD_LAWS: list[Callable[[], Any]] = [
+    RecordedPath,
+    linear,
+    lambda: linear(F=np.full((3, 4), np.nan)),  # counted by the loop
+    lambda: linear(preview_times=np.arange(2), F=np.zeros((3, 4), dtype=np.float32)),
+    lambda: linear(preview_times=np.zeros(0), G_yaw_rate=np.zeros((3, 0)), G_heading=np.zeros((3, 0))),
+    lambda: Steps(np.zeros(0)),
+    lambda: Steps(np.array([0.0, 2.0])),
+]
+
+
+@pytest.mark.parametrize("make", GOOD_LAWS)
+def test_good_laws_come_back(make: Callable[[], Any]) -> None:
+    law = make()
+    assert check_law(law, 3, "c") is law
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (None, "prepare returned None; allowed: a LinearLaw, a RecordedPath, or an instance of a subclass .*"),
+        (RecordedPath, "prepare returned the class RecordedPath; allowed: .*"),
+        (np.zeros((3, 4)), r"prepare returned an array of shape \(3, 4\) and dtype float64; allowed: .*"),
+        (linear(F=[[0.0] * 4] * 3), r"F is an object of type list; allowed: an array of shape \(3, 4\)"),
+        (linear(F=np.zeros((3, 3))), r"F has shape \(3, 3\); allowed: \(3, 4\)"),
+        (linear(f_u=np.zeros((3, 1))), r"f_u has shape \(3, 1\); allowed: \(3,\)"),
+        (linear(f_u=0.0), r"f_u is 0\.0; allowed: an array of shape \(3,\)"),
+        (linear(G_heading=np.zeros((3, 1))), r"G_heading has shape \(3, 1\); allowed: \(3, 2\)"),
+        (linear(G_yaw_rate=np.full((3, 2), "a")), "G_yaw_rate is an array .*; allowed: an array of real numbers"),
+        (linear(F=np.zeros((3, 4), dtype=complex)), "F is an array .* dtype complex128; allowed: .* real numbers"),
+        (linear(preview_times=np.array(1.0)), r"preview_times has shape \(\); allowed: \(p,\)"),
+        (linear(preview_times=np.array([0.0, -1.0])), r"preview_times holds -1; allowed: finite times >= 0 \[s\]"),
+        (Steps(np.array([np.nan])), "preview_times holds nan; allowed: .*"),
+        (Steps(np.array([np.inf])), "preview_times holds inf; allowed: .*"),
+        (Steps(np.float64(0.5)), r"preview_times is np\.float64\(0\.5\); allowed: an array of shape \(p,\)"),
+        (Steps([0.0]), r"preview_times is an object of type list; allowed: an array of shape \(p,\)"),
+        (NoProperty(None), r"NoProperty\.preview_times is a method; write @property above it"),
+    ],
+)
+def test_bad_laws(law: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"^controller 'c': {message}$"):
+        check_law(law, 3, "c")
+
+
+def test_a_good_step_comes_back_as_arrays_of_its_own() -> None:
+    given, state = np.array([0.1, np.nan, 0.0]), object()
+    delta, same, status = check_step((given, state, [EventStatus.OK, EventStatus.SOLVER_FAILED, 0]), 3, "c")
+    np.testing.assert_array_equal(delta, given)
+    delta[:] = 9.0
+    assert given[0] == 0.1
+    assert same is state
+    assert status.dtype == np.int8
+    np.testing.assert_array_equal(status, [0, 2, 0])
+
+
+ZEROS = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        (ZEROS, r"step returned an array of shape \(3,\) .*; allowed: a tuple \(delta, state, status\)"),
+        (None, r"step returned None; allowed: a tuple .*"),
+        ((ZEROS, None), r"step returned a tuple of 2; allowed: a tuple .*"),
+        ((ZEROS, ZEROS, None), "status is None; allowed: an array of real numbers"),
+        ((ZEROS, None, ZEROS > 0), "status is an array .* dtype bool; allowed: .*"),
+        ((["a"] * 3, None, ZEROS), "delta is an object of type list; allowed: an array of real numbers"),
+        (([[1.0], []], None, ZEROS), "delta is an object of type list; allowed: an array of real numbers"),
+        ((ZEROS + 1j, None, ZEROS), "delta is an array .* dtype complex128; allowed: .*"),
+        ((ZEROS[:2], None, ZEROS), r"step returned shapes \(2,\), \(3,\); allowed: \(3,\)"),
+        ((ZEROS[:, None], None, ZEROS), r"step returned shapes \(3, 1\), \(3,\); allowed: \(3,\)"),
+        ((ZEROS, None, EventStatus.OK), r"step returned shapes \(3,\), \(\); allowed: \(3,\)"),
+        (
+            (ZEROS, None, np.array([0, 2, 3])),
+            r"step returned status 3; allowed: EventStatus\.OK \(0\) or EventStatus\.SOLVER_FAILED \(2\)",
+        ),
+        ((ZEROS, None, ZEROS - 1), r"step returned status -1\.0; allowed: .*"),
+        ((ZEROS, None, ZEROS + np.nan), r"step returned status nan; allowed: .*"),
+        ((ZEROS, None, ZEROS + 256), r"step returned status 256\.0; allowed: .*"),  # 0 as an int8
+    ],
+)
+def test_bad_steps(result: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"^controller 'c': {message}$"):
+        check_step(result, 3, "c")
+
+
+# entry points
+
+
+@frozen
+class Listed(Base):
+    name: ClassVar[str] = "listed"
+
+
+@frozen
+class Unlisted(Base):
+    name: ClassVar[str] = "listed"
+
+
+@pytest.fixture
+def listed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Make an entry point of a given value known as 'listed', as an installed package would."""
+    registered: dict[str, type[Controller]] = {}
+    monkeypatch.setattr(registry, "_registered", registered)
+
+    def install(value: str) -> None:
+        point = importlib.metadata.EntryPoint("listed", value, registry.GROUP)
+        monkeypatch.setattr(registry, "_installed", lambda: {"listed": point})
+
+    return install
+
+
+@pytest.mark.parametrize("extra", ["", " [fast]"])
+def test_a_class_that_is_an_entry_point_may_also_be_registered(listed: Callable[[str], None], extra: str) -> None:
+    listed(f"{__name__}:Listed{extra}")
+    assert register(Listed) is Listed
+    assert register(Listed) is Listed
+    assert controller_class("listed") is Listed
+    with pytest.raises(InputError, match="'listed' is already registered"):
+        register(Unlisted)
+
+
+def test_a_class_handed_on_by_its_package(listed: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Listed, "__module__", "package.inner.module")
+    listed("package.inner:Listed")
+    register(Listed)
+    registry._registered.clear()
+    for other in ("package.in:Listed", "package.inner:Unlisted", "other:Listed"):
+        listed(other)
+        with pytest.raises(InputError, match="'listed' is already registered"):
+            register(Listed)
+
+
+def test_entry_points_are_checked(listed: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = types.ModuleType("fake_package")
+    monkeypatch.setitem(sys.modules, "fake_package", fake)
+    listed("fake_package:Law")
+    with pytest.raises(LdcError, match=r"'listed' \(fake_package:Law\) cannot be loaded: .*Law"):
+        controller_class("listed")
+    for law, message in (
+        (int, "is not a subclass of Controller"),
+        (dataclasses.make_dataclass("D", [("K", float, K(5.0))], bases=(Base,), frozen=True), "default of D.K: 5.0"),
+        (dataclasses.make_dataclass("D", [("K", float, -0.2)], bases=(Base,), frozen=True), "D.K: a plain field"),
+        (LQR, r"its name is 'lqr'; allowed: the same as here"),
+    ):
+        fake.Law = law  # type: ignore[attr-defined]
+        with pytest.raises(LdcError, match=message):
+            controller_class("listed")
+    fake.Law = Listed  # type: ignore[attr-defined]
+    assert controller_class("listed") is Listed
+
+
+def test_whatever_an_installed_file_raises_names_the_controller(
+    listed: Callable[[str], None], tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_law_file.py").write_text("K = 1 / 0\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    listed("broken_law_file:Law")
+    with pytest.raises(LdcError, match=r"'listed' \(broken_law_file:Law\) cannot be loaded: ZeroDivisionError: "):
+        controller_class("listed")
