@@ -36,6 +36,7 @@ class UnitCheck:
         counts: dict[str, int] = {
             "samples": speed.size,
             "speed > 60": _count(speed > 60.0),
+            "speed > 42": _count(speed > 42.0),
             "speed > 1000": _count(speed > 1000.0),
             "speed < 0": _count(speed < 0.0),
             "width > 1000": _count(width > 1000.0),
@@ -69,6 +70,11 @@ class UnitCheck:
             found.append(
                 f"column 'speed': {share:.0%} of the samples are above 60 m/s (216 km/h); the unit looks like km/h, "
                 "m/s is needed (divide by 3.6)"
+            )
+        elif self._share("speed > 42") > 0.5:  # a city driven at 50 km/h stays below 60 in either unit
+            found.append(
+                "column 'speed': most samples are above 42 m/s (150 km/h); if the unit is km/h, divide by 3.6: m/s is "
+                "needed"
             )
         if self._share("speed < 0") > 0.5:
             found.append("column 'speed': most values are negative; speed along the road is positive")

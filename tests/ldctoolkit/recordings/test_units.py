@@ -19,6 +19,7 @@ OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
             "column 'speed': 100% of the samples are above 60 m/s (216 km/h); the unit looks like km/h",
         ),
         ({"speed": np.where(T < 9.7, 40.0, 61.0)}, "the unit looks like km/h"),  # in town, but sometimes 61 km/h
+        ({"speed": 50.0}, "most samples are above 42 m/s"),  # in town, at a steady 50 km/h
         ({"speed": 25_000.0}, "the unit looks like mm/s"),
         ({"speed": -25.0}, "column 'speed': most values are negative"),
         ({"lane_offset": 1000.0 * OFFSET}, "column 'lane_offset': most values are beyond 10; the unit looks like mm"),
@@ -54,4 +55,4 @@ def test_a_vehicle_as_wide_as_the_lane(bump):
 
 
 def test_plausible_recordings_give_none(bump):
-    assert extract_departures([bump(speed=59.0, t=T * 10, curvature=0.05)], vehicle_width=1.8).warnings == ()
+    assert extract_departures([bump(speed=41.0, t=T * 10, curvature=0.05)], vehicle_width=1.8).warnings == ()
