@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,9 @@ from ldctoolkit.errors import InputError
 
 RandomState = int | np.random.Generator | None
 FloatArray = npt.NDArray[np.float64]
+
+LARGEST: Final = 1e100
+"""Squares and their sums must not overflow; nor may the squares of spreads below its inverse vanish."""
 
 
 def column_name(j: int, names: Sequence[str] | None) -> str:
@@ -29,6 +33,7 @@ def check_matrix(X: npt.ArrayLike, dimension: int | None, names: Sequence[str] |
     if dimension is not None and x.shape[1] != dimension:
         raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
     refuse(~np.isfinite(x), x, "finite numbers", names)
+    refuse(np.abs(x) > LARGEST, x, f"at most {LARGEST:g} in size", names)
     return x
 
 
@@ -66,6 +71,10 @@ def check_constant(x: FloatArray, names: Sequence[str] | None) -> None:
             f"X: {column_name(j, names)} is constant ({float(x[0, j])!r} in all {x.shape[0]} rows); "
             "leave it out of the fit"
         )
+    tiny = spread < 1.0 / LARGEST
+    if tiny.any():
+        j = int(np.argmax(tiny))
+        raise InputError(f"X: {column_name(j, names)} spreads over {spread[j]:g}; allowed: {1.0 / LARGEST:g} or more")
 
 
 def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimension: int) -> FloatArray:

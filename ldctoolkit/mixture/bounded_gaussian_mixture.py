@@ -358,6 +358,11 @@ class BoundedGaussianMixture:
             return np.empty((0, self.n_features_in_)), np.empty(0, dtype=np.int64)
         return np.concatenate([p[0] for p in parts])[:n_samples], np.concatenate([p[1] for p in parts])[:n_samples]
 
+    def check_samplable(self) -> None:
+        """Draw from every component: a `ModelError` here rather than in a later `sample`."""
+        for k in np.flatnonzero(self.weights_ > 0.0):
+            self._truncated.sample(4, 0, component=int(k))
+
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """`SAMPLE_BLOCK` events from the random stream named by (seed, key)."""
         self._check_fitted()

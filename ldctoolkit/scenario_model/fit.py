@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
-from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, checked_bounds, fit_side
+from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, checked_bounds, component_numbers, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import ModelProvenance, whole_number
 from ldctoolkit.version import __version__
@@ -35,6 +35,7 @@ def fit_scenario_model(
         Both sides together.
     components : int or iterable of int
         K, or the K to choose from. A range is cut where the events no longer carry it (two events a free parameter).
+        One K is fitted as asked.
     seed : int
         Seed of the fits.
     bounds : mapping, optional
@@ -54,8 +55,10 @@ def fit_scenario_model(
     Raises
     ------
     InputError
-        Fewer than 30 departures on a side (the message gives both counts), a value outside the bounds, or a setting
-        out of range.
+        Fewer than 30 departures on a side (the message gives both counts), a value outside the bounds, a range of
+        which the events carry nothing, or a setting out of range.
+    ModelError
+        If the fitted mixture cannot be sampled.
 
     Notes
     -----
@@ -67,7 +70,7 @@ def fit_scenario_model(
     if seed >= _SEED_END:
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
     box = checked_bounds(bounds)
-    wanted = components if isinstance(components, int) else tuple(components)
+    wanted = component_numbers(components)
     rows = {"left": departures.side == LEFT, "right": departures.side == RIGHT}
     counts = {label: int(mask.sum()) for label, mask in rows.items()}
     if min(counts.values()) < LEAST_EVENTS:

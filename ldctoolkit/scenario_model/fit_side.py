@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import select_components
-from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, SideSummary
+from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, SideSummary, check_usable
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -56,10 +56,27 @@ def checked_bounds(bounds: Mapping[str, tuple[float, float]] | None) -> dict[str
     return out
 
 
+def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
+    """K, or the K to choose from, in ascending order."""
+    allowed = "allowed: an integer >= 1, or several of them"
+    given = (components,) if isinstance(components, int | np.integer) else components
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"components: {components!r}; {allowed}")
+    numbers = tuple(given)
+    for K in numbers:
+        if isinstance(K, bool) or not isinstance(K, int | np.integer) or K < 1:
+            raise InputError(f"components: {K!r}; {allowed}")
+    if not numbers:
+        raise InputError(f"components: an empty range; {allowed}")
+    if isinstance(components, int | np.integer):
+        return int(components)
+    return tuple(sorted({int(K) for K in numbers}))
+
+
 def fit_side(
     departures: Departures,
     label: str,
-    components: int | Iterable[int],
+    components: int | tuple[int, ...],
     seed: int,
     bounds: Mapping[str, tuple[float, float]],
     progress: Progress | None,
@@ -93,23 +110,31 @@ def fit_side(
             if count:
                 moved.append((PARAMETER_NAMES[j], count))
                 notes.append(f"{label}: {count} events had {PARAMETER_NAMES[j]} exactly on a bound, moved just inside")
-    tried = [components] if isinstance(components, int) else sorted(set(components))
+    tried = (components,) if isinstance(components, int) else components
     if not isinstance(components, int):
         d = len(names)
         most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
-        kept = [K for K in tried if most >= K] or tried[:1]
-        if len(kept) < len(tried):
+        tried = tuple(K for K in components if most >= K)
+        if not tried:
+            raise InputError(
+                f"components: {components[0]} and more; allowed: a range that begins at {most} or below, "
+                f"{n} {label} departures carry no more"
+            )
+        if len(tried) < len(components):
             notes.append(f"{label}: {n} events carry at most {most} components; larger numbers were not tried")
-        tried = kept
-    selection = select_components(
-        x[:, varies],
-        tried,
-        progress=None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
-        lower=lower[varies],
-        upper=upper[varies],
-        random_state=seed,
-        names=names,
-    )
+    try:
+        selection = select_components(
+            x[:, varies],
+            tried,
+            progress=None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
+            lower=lower[varies],
+            upper=upper[varies],
+            random_state=seed,
+            names=names,
+        )
+        check_usable(selection.best)
+    except (InputError, ModelError) as error:
+        raise type(error)(f"departures ({label}): {error}") from None
     best = selection.best
     if not best.converged_:
         notes.append(f"{label}: the fit stopped after {best.n_iter_} passes and {_STOPPED[best.stop_reason_]}")

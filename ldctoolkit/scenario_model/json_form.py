@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,18 +16,17 @@ import numpy.typing as npt
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model.parts import LEAST_LOWER, ModelProvenance, SideModel, SideSummary
+from ldctoolkit.scenario_model.parts import LEAST_LOWER, ModelProvenance, SideModel, SideSummary, check_usable
 
 FloatArray = npt.NDArray[np.float64]
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 1
 
+_SIDE_KEYS: Final = ("parameters", "constants", "lower", "upper", "weights", "means", "covariances")
+
 _WHOLE_DIGITS: Final = 18
 """Longest whole number of a file: it must fit a float and 64 bits."""
-
-_LEAST_LOG_PROBABILITY: Final = -1e4
-"""Components of a fit keep ln P above about -100; far below, a file is broken rather than extreme."""
 
 
 def _open(bound: FloatArray) -> list[float | None]:
@@ -85,6 +84,13 @@ class _Reader:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise self.wrong(here, f"{_short(value)}; allowed: {what}")
         return value
+
+    def only(self, owner: Mapping[str, Any], path: str, keys: Iterable[str]) -> None:
+        """Refuse unknown keys: a mistyped one would be passed over."""
+        known = tuple(keys)
+        for key in owner:
+            if key not in known:
+                raise self.wrong(f"{path}.{key}" if path else _clipped(key), f"not known; {nearest(key, known)}")
 
     def array(self, owner: Mapping[str, Any], key: str, path: str, shape: tuple[int, ...]) -> FloatArray:
         value = self.member(owner, key, path, list, f"numbers of shape {shape}")
@@ -159,7 +165,14 @@ def read_json(text: str, file: str) -> Mapping[str, Any]:
 def model_from_json(data: Mapping[str, Any], file: str) -> tuple[SideModel, SideModel, ModelProvenance]:
     """Check and build both sides and the provenance."""
     reader = _Reader(file)
+    reader.only(data, "", ("format", "version", "units", "sides", "provenance"))
     sides = reader.member(data, "sides", "", dict, "an object")
+    reader.only(sides, "sides", ("left", "right"))
+    units = reader.member(data, "units", "", dict, "an object")
+    reader.only(units, "units", PARAMETER_NAMES)
+    for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True):
+        if units.get(name) != unit:
+            raise reader.wrong(f"units.{name}", f"{_short(units.get(name))}; allowed: {unit!r}")
     built = [
         _side(reader, reader.member(sides, name, "sides", dict, "an object"), f"sides.{name}")
         for name in ("left", "right")
@@ -168,6 +181,7 @@ def model_from_json(data: Mapping[str, Any], file: str) -> tuple[SideModel, Side
 
 
 def _side(reader: _Reader, data: Mapping[str, Any], path: str) -> SideModel:
+    reader.only(data, path, _SIDE_KEYS)
     names = tuple(reader.member(data, "parameters", path, list, "a list of parameter names"))
     constants = reader.member(data, "constants", path, dict, "an object")
     for name in (*names, *constants):
@@ -203,12 +217,9 @@ def _side(reader: _Reader, data: Mapping[str, Any], path: str) -> SideModel:
             mixture = BoundedGaussianMixture.from_parameters(
                 weights, means, covariances, lower=lower, upper=upper, names=names
             )
-    except InputError as error:
+        check_usable(mixture)
+    except (InputError, ModelError) as error:
         raise reader.wrong(path, str(error)) from None
-    log_p = mixture.log_probabilities_
-    if not np.all(log_p > _LEAST_LOG_PROBABILITY):
-        k = int(np.argmin(np.where(np.isfinite(log_p), log_p, -np.inf)))
-        raise reader.wrong(f"{path}.means[{k}]", f"far outside the bounds: they hold exp({log_p[k]:.4g}) of it")
     return SideModel(
         mixture, names, tuple((name, float(constants[name])) for name in PARAMETER_NAMES if name in constants)
     )
@@ -227,6 +238,7 @@ def _bound(reader: _Reader, data: Mapping[str, Any], path: str, key: str, names:
 
 def _provenance(reader: _Reader, data: Mapping[str, Any]) -> ModelProvenance:
     path = "provenance"
+    reader.only(data, path, (field.name for field in dataclasses.fields(ModelProvenance)))
     left, right = (_summary(reader, data.get(side), f"{path}.{side}") for side in ("left", "right"))
     return ModelProvenance(
         source=reader.member(data, "source", path, dict, "an object"),
@@ -245,6 +257,7 @@ def _summary(reader: _Reader, data: object, path: str) -> SideSummary | None:
         return None
     if not isinstance(data, dict):
         raise reader.wrong(path, f"{_short(data)}; allowed: an object or null")
+    reader.only(data, path, (field.name for field in dataclasses.fields(SideSummary)))
     tried = reader.member(data, "n_components", path, list, "a list of integers")
     m = (len(tried),)
     moved = reader.member(data, "moved_inside", path, list, "a list of [name, count]")
@@ -269,6 +282,8 @@ def read_text(path: Path) -> str:
     """The file's text; a file that cannot be read is a ModelError."""
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ModelError(f"{path}: cannot read the scenario model ({reason})") from None
+    except UnicodeDecodeError:
+        raise ModelError(f"{path}: cannot read the scenario model (not UTF-8 text)") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ModelError(f"{_clipped(str(path))}: cannot read the scenario model ({reason})") from None

@@ -53,7 +53,11 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
         text = (importlib.resources.files("ldctoolkit") / "models" / f"{name}.json").read_text(encoding="utf-8")
         return ScenarioModel._parse(text, f"{name}.json")
     path = Path(name)
-    if path.exists():
+    try:
+        there = path.exists() and name != ""
+    except OSError as error:  # a name too long for a file
+        raise ModelError(f"{name[:60]}...: cannot read the scenario model ({error.strerror})") from None
+    if there:
         return ScenarioModel.load(path)
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -159,14 +160,17 @@ class ScenarioModel:
         except (TypeError, ValueError) as error:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
         self._parse(text, target.name)  # what cannot be read back is not written
-        part = target.with_name(f".{target.name}.{os.getpid()}.part")
         try:
-            part.write_text(text + "\n", encoding="utf-8")
-            part.replace(target)
-        except OSError as error:
-            raise ModelError(f"{target}: cannot write the scenario model ({error.strerror})") from None
-        finally:
-            part.unlink(missing_ok=True)
+            part = target.with_name(f".{target.name}.{os.getpid()}.part")
+            try:
+                part.write_text(text + "\n", encoding="utf-8")
+                part.replace(target)
+            finally:
+                with contextlib.suppress(OSError, ValueError):
+                    part.unlink()
+        except (OSError, ValueError) as error:  # ValueError: a path without a name, or with a NUL
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ModelError(f"{target}: cannot write the scenario model ({reason})") from None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ScenarioModel:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 
 FloatArray = npt.NDArray[np.float64]
@@ -119,6 +119,24 @@ class SideModel:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of `names`."""
         return np.asarray(self.mixture.lower, dtype=float), np.asarray(self.mixture.upper, dtype=float)
+
+
+def check_usable(mixture: BoundedGaussianMixture) -> None:
+    """Refuse a mixture that cannot be sampled; a fit and a file go through this one check.
+
+    Raises
+    ------
+    ModelError
+        Naming the component, or what overflows.
+    """
+    if not np.isfinite(mixture.log_probabilities_).all():
+        k = int(np.argmin(np.isfinite(mixture.log_probabilities_)))
+        raise ModelError(f"component {k}: the probability of its box is not a number that a computer can hold")
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            mixture.check_samplable()
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
+        raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
 
 
 def whole_number(name: str, value: Any) -> int:

@@ -168,12 +168,68 @@ def test_awkward_data_give_a_model_that_samples(kind):
         "correlated": np.repeat(rng.exponential(size=(600, 1)), 2, axis=1),
         "near_K": rng.exponential(size=(9, 2)),
     }[kind]
-    model = BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=3).fit(x)
+    passes = 60 if kind == "near_K" else 500
+    model = BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=3, max_iter=passes).fit(x)
     new = model.sample(2000, 1)[0]
     assert np.isfinite(new).all()
     assert np.all(new > 0)
     assert np.isfinite(model.score(x))
     assert np.min(np.diff(model.lower_bounds_)) >= -1e-8 * max(abs(model.lower_bound_), 1.0)
+    if kind == "near_K":  # nine events, three components: a long way to the maximum
+        assert model.stop_reason_ == "max_iter"
+    else:
+        assert model.converged_
+        # each component counts by its share; measured up to 2.4e-4
+        assert (model.weights_[:, None] * mean_residual(model, x)).max() < 1e-3
+
+
+def test_parameters_are_counted():
+    """Three components in the plane: 3 x (2 means + 3 covariances) + 2 weights."""
+    mixture = BoundedGaussianMixture.from_parameters(np.full(3, 1 / 3), np.zeros((3, 2)), np.tile(np.eye(2), (3, 1, 1)))
+    assert mixture.n_parameters() == 17
+
+
+def test_the_rule_for_stopping():
+    """Five passes that gain less than 5e-6 together: the last five do, the five before the last pass do not."""
+    _, X = small(n=800)
+    model = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2).fit(X)
+    h = model.lower_bounds_
+    assert model.converged_
+    assert model.n_iter_ > 10
+    assert h[-1] - h[-6] < 5e-6 <= h[-2] - h[-7]
+
+
+def test_the_best_start_is_continued(monkeypatch):
+    X = np.random.default_rng(3).gamma(1.5, size=(400, 2))
+    runs = []
+    run = _em._run
+
+    def spy(x, start, *rest):
+        runs.append((start, run(x, start, *rest)))
+        return runs[-1][1]
+
+    monkeypatch.setattr(_em, "_run", spy)
+    BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=4).fit(X)
+    ends = [result.history[-1] for _, result in runs[:-1]]
+    best = runs[int(np.argmax(ends))][1].components
+    assert len(ends) == 4
+    assert max(ends) > min(ends) + 1e-4
+    np.testing.assert_array_equal(runs[-1][0][1], best.mu)
+
+
+def test_the_prior_is_ten_pseudo_events():
+    """Without bounds, K = 1: Sigma = (n C + 10 S0)/(n + 10), S0 the events' covariance, correlations shrunk by s."""
+    X = np.random.default_rng(0).normal(size=(50, 2)) @ np.array([[1.0, 0.6], [0.0, 1.0]])
+    C = np.cov(X.T, bias=True)
+    s = 3.0 / (50.0 + 3.0)
+    expected = C * (50.0 + 10.0 * (1.0 - s)) / 60.0 + 10.0 * s * np.diag(np.diag(C)) / 60.0
+    np.testing.assert_allclose(BoundedGaussianMixture(1, random_state=0).fit(X).covariances_[0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "message"), [(1e200, "column 0, row .*1e\\+100"), (1e-200, "column 0 spreads over")])
+def test_numbers_whose_squares_are_none(size, message):
+    with pytest.raises(InputError, match=message):
+        BoundedGaussianMixture(1, lower=0.0, random_state=0).fit(np.random.default_rng(0).random((50, 2)) * size)
 
 
 @pytest.mark.parametrize("kind", ["barely", "outlier", "same_columns", "two_rows", "thin"])
@@ -189,7 +245,7 @@ def test_without_a_prior_there_may_be_no_maximum(kind, step):
         "two_rows": np.repeat(base[:2], 50, axis=0),
         "thin": np.column_stack([base[:, 0], 2 * base[:, 0] + 1e-6 * base[:, 1], base[:, 2]]),
     }[kind]
-    settings = {"lower": 0.0, "random_state": 0, "n_init": 2, "step": step, "max_iter": 100}
+    settings = {"lower": 0.0, "random_state": 0, "n_init": 1, "step": step, "max_iter": 20}
     try:
         model = BoundedGaussianMixture(3, prior_strength=0.0, **settings).fit(x)
     except InputError as error:

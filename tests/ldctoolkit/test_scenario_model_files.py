@@ -1,0 +1,211 @@
+"""Scenario model files: what comes back, and how a bad file, a bad path and a bad value are refused."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.errors import ModelError, UnknownNameError
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model import (
+    PHYSICAL_BOUNDS,
+    ModelProvenance,
+    ScenarioModel,
+    SideModel,
+    SideSummary,
+    load_model,
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    """One component a side, numbers that need all their digits."""
+    mean = np.array([[2.1, 0.2, 0.05, 25.0, 0.0, 0.04, 1e-4, 0.0]]) / 0.97
+    cov = np.diag(np.array([1.0, 0.1, 0.03, 4.0, 0.3, 0.02, 1e-3, 5e-4]) ** 2)[None] / 3.0
+    lower, upper = (np.array([PHYSICAL_BOUNDS[name][end] for name in PARAMETER_NAMES]) for end in (0, 1))
+    side = SideModel(
+        BoundedGaussianMixture.from_parameters([1.0], mean, cov, lower=lower, upper=upper), PARAMETER_NAMES
+    )
+    fit = SideSummary(200, (1, 2), (1000.0 / 3.0, 1100.0), (-2.5, -2.4), True, (("T", 2),), 0.0)
+    provenance = ModelProvenance({"description": "made up"}, seed=3, warnings=("one",), left=fit, right=fit)
+    return ScenarioModel(side, side, provenance)
+
+
+def test_a_file_gives_back_every_bit(model, tmp_path):
+    path = tmp_path / "m.json"
+    model.save(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["m.json"]
+    back = ScenarioModel.load(path)
+    assert back.content_hash == model.content_hash
+    assert back.provenance == model.provenance
+    assert np.array_equal(back.sample(100, 100, 1).matrix(), model.sample(100, 100, 1).matrix())
+    assert load_model(path).content_hash == load_model(str(path)).content_hash == model.content_hash
+    later = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, created="later"))
+    assert later.content_hash == model.content_hash
+
+
+def test_unknown_names_and_missing_files(tmp_path):
+    with pytest.raises(UnknownNameError, match="did you mean 'reference'"):
+        load_model("refrence")
+    with pytest.raises(ModelError, match=r"no such file; bundled models: reference"):
+        load_model(tmp_path / "absent.json")
+    with pytest.raises(ModelError, match="no such file"):
+        load_model("absent.json")
+    for path in (tmp_path, "nul\0.json", "x" * 300 + ".json", ""):
+        with pytest.raises(ModelError, match="cannot read"):
+            ScenarioModel.load(path)
+    with pytest.raises(ModelError, match="cannot read"):
+        load_model("x" * 300 + ".json")
+    with pytest.raises(ModelError, match=r"nul.*no such file|cannot read"):
+        load_model("nul\0.json")
+    with pytest.raises(UnknownNameError, match="''"):
+        load_model("")
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing(model, tmp_path):
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "no" / "m.json", tmp_path / "file" / "m.json", tmp_path / "nul\0", "", "x" * 300, tmp_path):
+        with pytest.raises(ModelError, match="cannot write"):
+            model.save(path)
+    (tmp_path / "file").unlink()
+    odd = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source={"x": object()}))
+    with pytest.raises(ModelError, match="cannot be written as JSON"):
+        odd.save(tmp_path / "m.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_could_not_be_read_back_is_not_written(model, tmp_path):
+    odd = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source={"bytes": 10**30}))
+    with pytest.raises(ModelError, match=r"m\.json: 1000.*at most 18 digits"):
+        odd.save(tmp_path / "m.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def changed(data, path, value):
+    *parents, last = path
+    target = data
+    for key in parents:
+        target = target[key]
+    if value is KeyError:
+        del target[last]
+    else:
+        target[last] = value
+
+
+LEFT_SIDE = ("sides", "left")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("format",), "other", r"format: 'other'; allowed: 'ldctoolkit-scenario-model'"),
+        (("version",), 2, r"version: 2; this program reads version 1"),
+        (("sides",), KeyError, r"sides: missing"),
+        (("sides", "right"), [], r"sides\.right: \[\]; allowed: an object"),
+        ((*LEFT_SIDE, "weights"), KeyError, r"sides\.left\.weights: missing"),
+        ((*LEFT_SIDE, "weights"), [0.5], r"sides\.left\.weights: sum 0\.5"),
+        ((*LEFT_SIDE, "weights"), [], r"sides\.left\.weights: empty"),
+        ((*LEFT_SIDE, "means"), [[1.0]], r"sides\.left\.means: shape \(1, 1\); allowed: \(1, 8\)"),
+        ((*LEFT_SIDE, "means", 0), ["a"] * 8, r"sides\.left\.means: not numbers"),
+        ((*LEFT_SIDE, "means", 0, 2), None, r"sides\.left\.means\[0\]\[2\]: null is not a finite number"),
+        ((*LEFT_SIDE, "covariances", 0, 0, 0), -1.0, r"sides\.left\.covariances\[0\]: not positive definite"),
+        ((*LEFT_SIDE, "covariances", 0, 0, 1), 9.0, r"sides\.left\.covariances\[0\]: not positive definite"),
+        ((*LEFT_SIDE, "lower", 0), 11.0, r"sides\.left: bounds: lower\[0\]"),
+        ((*LEFT_SIDE, "lower", 1), None, r"sides\.left\.lower\[1\]: d_y below 0 cannot be replayed"),
+        ((*LEFT_SIDE, "parameters", 0), "TT", r"sides\.left\.parameters: 'TT'"),
+        ((*LEFT_SIDE, "parameters", 0), "d_y", r"sides\.left\.parameters: must name each of"),
+        ((*LEFT_SIDE, "constants"), {"T": -1.0}, r"sides\.left\.parameters: must name each of"),
+        ((*LEFT_SIDE, "wieghts"), [1.0], r"sides\.left\.wieghts: not known; did you mean 'weights'"),
+        (("unit",), {}, r"m\.json: unit: not known; did you mean 'units'"),
+        (("sides", "middle"), {}, r"sides\.middle: not known"),
+        (("provenance", "sed"), 1, r"provenance\.sed: not known; did you mean 'seed'"),
+        (("provenance", "left", "bics"), 1, r"provenance\.left\.bics: not known; did you mean 'bic'"),
+        (("units", "T"), "min", r"units\.T: 'min'; allowed: 's'"),
+        (("units", "T"), KeyError, r"units\.T: None; allowed: 's'"),
+        (("units",), KeyError, r"units: missing"),
+        ((*LEFT_SIDE, "means", 0, 0), 1e300, r"sides\.left: "),
+        (("provenance", "seed"), "x", r"provenance\.seed: 'x'; allowed: an integer"),
+        (("provenance", "synthetic"), 1, r"provenance\.synthetic: 1; allowed: true or false"),
+        (("provenance", "left", "bic"), [1.0, 2.0, 3.0], r"provenance\.left\.bic: shape"),
+        (("provenance", "left", "moved_inside"), [1], r"provenance\.left\.moved_inside"),
+        (("provenance", "left", "moved_inside"), [["T", 1.5]], r"provenance\.left\.moved_inside: \['T', 1\.5\]"),
+        (("provenance", "left", "n_components"), [1, "2"], r"provenance\.left\.n_components: '2'"),
+        (("provenance", "left", "redrawn_share"), 10**400, "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "means", 0, 0), 10**400, "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "weights", 0), -(10**400), "whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "lower", 0), 10**18, "10{18}; allowed: whole numbers of at most 18 digits"),
+        ((*LEFT_SIDE, "means", 0, 0), "3.0", r"sides\.left\.means: not numbers of shape \(1, 8\): '3\.0'"),
+        ((*LEFT_SIDE, "weights", 0), True, r"sides\.left\.weights: not numbers"),
+        ((*LEFT_SIDE, "upper", 0), "10", r"sides\.left\.upper: not numbers"),
+    ],
+)
+def test_a_broken_file_is_one_clear_message(model, tmp_path, path, value, message):
+    file = tmp_path / "m.json"
+    model.save(file)
+    data = json.loads(file.read_text())
+    changed(data, path, value)
+    file.write_text(json.dumps(data))
+    with pytest.raises(ModelError, match=message) as caught:
+        ScenarioModel.load(file)
+    assert str(file) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"format": 1,\n "version" 2}', "line 2, column 12: broken JSON"),
+        ("", "line 1, column 1: broken JSON"),
+        ("[1]", "not a scenario model"),
+        ('{"x": NaN}', "NaN is not a finite number"),
+        ("[" * 100_000, "broken JSON"),
+        ('{"x": 1e999}', "1e999 is not a finite number"),
+        ('{"x": -1e999}', "-1e999 is not a finite number"),
+        ('{"version": ' + "1" * 5000 + "}", r"111\.\.\.; allowed: whole numbers of at most 18 digits"),
+    ],
+)
+def test_broken_json(tmp_path, text, message):
+    file = tmp_path / "m.json"
+    file.write_text(text)
+    with pytest.raises(ModelError, match=message):
+        ScenarioModel.load(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ModelError, match="not UTF-8"):
+        ScenarioModel.load(file)
+
+
+JSON = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.sampled_from([10**400, -(10**400), 10**18 - 1, "3.0", "FAR"])
+    | st.integers()
+    | st.floats()
+    | st.floats(-10, 10)
+    | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(deadline=None, max_examples=150)
+@given(data=st.data())
+def test_any_value_anywhere_is_a_model_or_a_model_error(tmp_path_factory, model, data):
+    """Whatever stands at whatever key of a file, nothing but `ModelError` gets out."""
+    file = tmp_path_factory.getbasetemp() / "fuzzed.json"
+    model.save(file)
+    content = json.loads(file.read_text())
+    target, path = content, []
+    while isinstance(target, dict | list) and target and (not path or data.draw(st.integers(0, 5))):
+        key = data.draw(st.sampled_from(sorted(target) if isinstance(target, dict) else range(len(target))))
+        path.append(key)
+        target = target[key]
+    changed(content, path, data.draw(JSON))
+    file.write_text(json.dumps(content).replace('"FAR"', "1e999"))
+    with contextlib.suppress(ModelError):
+        ScenarioModel.load(file).sample(3, 3, 0)
