@@ -206,6 +206,7 @@ def test_the_number_of_components_is_checked():
     assert one.content_hash == fit_scenario_model(d, components=1).content_hash
 
 
+@pytest.mark.slow
 def test_what_a_fit_gives_can_be_saved_and_loaded(tmp_path):
     """Forty per cent of a column at its bound: nearly nothing of a component is left inside, ln P falls without end."""
     d = plane(120)
