@@ -14,7 +14,7 @@ _ALLOWED = {
     "is_instance_of": "a table of keys",
     "dataclass_type": "a table of keys",
     "dataclass_exact_type": "a table of keys",
-    "tuple_type": "a list",
+    "tuple_type": "a list (of tables: write [[...]] with two brackets)",
     "int_type": "a whole number",
     "float_type": "a number",
     "string_type": "text",

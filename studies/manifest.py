@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
@@ -157,12 +158,16 @@ def _processor() -> str:
 
 
 def _command(arguments: Sequence[str]) -> str:
-    words = []
-    for word in arguments:
-        head, equals, tail = word.partition("=")
-        name = PurePath(tail).name if equals and PurePath(tail).is_absolute() else tail
-        words.append((PurePath(head).name if PurePath(head).is_absolute() else head) + equals + name)
-    return " ".join(words)
+    """The command line in words that can be typed again, without absolute paths."""
+    return shlex.join(["ldc", *(_relative(word) for word in arguments[1:])])
+
+
+def _relative(word: str) -> str:
+    """The word with an absolute path in it cut to its last part: alone, or after ``-o`` or ``--output=``."""
+    for start in (0, 2, word.find("=") + 1):
+        if (start == 0 or word.startswith("-")) and PurePath(word[start:]).is_absolute():
+            return word[:start] + PurePath(word[start:]).name
+    return word
 
 
 def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:

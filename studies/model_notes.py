@@ -5,14 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from ldctoolkit import VehicleParameters
 from ldctoolkit.scenario_model import ScenarioModel, SideSummary
 
 _LONGEST = 400
 
 
-def model_notes(model: ScenarioModel) -> tuple[str, ...]:
-    """Source, size of the fit and warnings of a model, one sentence or line each."""
-    return tuple(_notes(model))
+WARNING = "warning: "
+"""How a note that is a warning begins."""
+
+
+def model_notes(model: ScenarioModel, vehicle: VehicleParameters | None = None) -> tuple[str, ...]:
+    """Source, size of the fit and warnings of a model, one sentence or line each.
+
+    With a vehicle, also whether its width is the one that the departures were found with: a departure is where the
+    vehicle's edge is beyond the line.
+    """
+    notes = tuple(_notes(model))
+    criteria = model.provenance.source.get("criteria")
+    width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
+    if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
+        return notes
+    said = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
+    return (*notes, f"{WARNING}{said} in a lane of w_l = {vehicle.w_l:g} m")
 
 
 def _notes(model: ScenarioModel) -> Iterator[str]:
@@ -31,7 +46,7 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
         yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
     if origin.software:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
-    yield from (f"warning: {text}" for text in origin.warnings)
+    yield from (f"{WARNING}{text}" for text in origin.warnings)
 
 
 def _fitted(summary: SideSummary | None) -> str:

@@ -30,6 +30,10 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 
+_SAME = 1e-6
+"""Differences of mean S [m s] below this are solver tolerance, not design."""
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking:
     """Designs of one case, best first; every array has one entry a design in that order.
@@ -57,7 +61,7 @@ class Ranking:
     difference, difference_low, difference_high : (d,) [m s]
         Mean S minus that of the best, paired on the scenarios, and its bootstrap interval.
     tied_with_best : (d,) bool
-        The interval of the difference contains 0.
+        The interval of the difference comes within 1e-6 m s of 0, the accuracy of an iterative solver.
     triggered : (d,)
         Share of scenarios in which the design took over.
     deeper : (d,)
@@ -187,7 +191,7 @@ class Ranking:
             difference=difference,
             difference_low=difference_low,
             difference_high=difference_high,
-            tied_with_best=(difference_low <= 0.0) & (difference_high >= 0.0),
+            tied_with_best=(difference_low <= _SAME) & (difference_high >= -_SAME),
             triggered=share(case.status != EventStatus.NEVER_TRIGGERED),
             deeper=share(case.deepest > D_y),
             solver_failed=count(EventStatus.SOLVER_FAILED),

@@ -102,7 +102,7 @@ def run_study(
         study,
         model=study.scenarios.model if model is None else "in memory" if generator is model else str(model),
         model_hash=generator.content_hash,
-        model_notes=model_notes(generator),
+        model_notes=model_notes(generator, study.vehicle),
         model_synthetic=generator.provenance.synthetic,
     )
     store = Store.create(Path(directory), fresh, scenarios)

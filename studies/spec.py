@@ -40,7 +40,7 @@ MOST_DESIGNS = 100_000
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 def _fail(path: str, message: str) -> PydanticCustomError:
@@ -100,7 +100,7 @@ class SimulationSettings(_Part):
         de_psi/dt at the trigger.
     """
 
-    dt: float = Field(default=0.05, gt=0, le=1.0)
+    dt: float = Field(default=0.05, ge=1e-3, le=1.0)
     window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
     convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
     initial_yaw_rate: InitialYawRate = "path"

@@ -183,7 +183,7 @@ def _check_columns(path: Path, names: Sequence[str]) -> None:
         if name not in names:
             # the nearest name is looked for among the file's own, which is what its author has to rename
             unknown = [given for given in names if given and given not in COLUMNS]
-            hint = nearest(name, unknown) if unknown else "the file has no other column"
+            hint = nearest(name, unknown) if unknown else "no other column of the file could be it"
             hint = hint.replace("allowed:", "columns not known here:")
             raise RecordingError(f"{path.name}: column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
 

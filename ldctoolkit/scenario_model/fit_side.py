@@ -121,7 +121,7 @@ def fit_side(
                 f"{n} {label} departures carry no more"
             )
         if len(tried) < len(components):
-            notes.append(f"{label}: {n} events carry at most {most} components; larger numbers were not tried")
+            notes.append(f"{label}: {n} events carry no more than K = {most}; larger K were not tried")
     try:
         selection = select_components(
             x[:, varies],

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ldctoolkit.errors import StoreError
 from studies.cli._console import console
 from studies.manifest import Manifest
+from studies.model_notes import WARNING
 from studies.ranking import Ranking, write_csv
 from studies.report import ReportInput, write_report
 from studies.results import StudyResults
@@ -51,7 +53,7 @@ def write_study_report(
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
-        warnings=tuple(dict.fromkeys(text for ranking in rankings for text in ranking.warnings)),
+        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
     )
@@ -60,6 +62,13 @@ def write_study_report(
         return write_report(report, path)
     except OSError as error:
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _of_the_model(manifest: Manifest) -> Iterator[str]:
+    """What the fit of the scenario model warned of, in one sentence."""
+    notes = [note.removeprefix(WARNING) for note in manifest.model_notes if note.startswith(WARNING)]
+    if notes:
+        yield f"Of the scenario model: {'; '.join(notes)}."
 
 
 def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
@@ -72,6 +81,9 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "windows of S", ", ".join(study.simulation.window)
     yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
     yield "initial yaw rate", study.simulation.initial_yaw_rate
+    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
+    for field in dataclasses.fields(study.vehicle):
+        yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
     yield "deep departures, D_y", f"{study.report.D_y:g} m"
     yield "bootstrap", f"{study.ranking.bootstrap} resamples, {100 * study.ranking.confidence:g} % intervals"
     yield "finished", manifest.finished or "not finished"

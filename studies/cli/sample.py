@@ -7,6 +7,9 @@ import argparse
 from ldctoolkit.errors import InputError
 from studies.cli._console import Subparsers, output_file, whole_number
 
+_MOST = 10_000_000
+"""Departures to one side that fit in memory; the same bound as in a study file."""
+
 
 def add_parser(commands: Subparsers) -> None:
     """Declare the command."""
@@ -48,6 +51,8 @@ def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
         left, right = (chosen.n + 1) // 2, chosen.n // 2
     else:
         raise InputError("-n goes with neither --left nor --right")
+    if max(left, right) > _MOST:
+        raise InputError(f"{max(left, right)} departures to one side; allowed: up to {_MOST}")
     if left + right == 0:
         raise InputError("no departures asked for: give -n, or --left and --right")
     return left, right

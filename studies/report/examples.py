@@ -32,10 +32,13 @@ class Replay:
     examples : tuple of Example
     mismatch : float
         Largest relative difference between a score from the replay and the stored one.
+    peak_steering : float [rad] or None
+        Largest steering angle of the first design in the examples; None where it drives none.
     """
 
     examples: tuple[Example, ...]
     mismatch: float
+    peak_steering: float | None = None
 
 
 def choose(reduction: npt.NDArray[np.float64], candidates: IntArray) -> list[tuple[int, str]]:
@@ -95,7 +98,7 @@ def replay(
     chosen = scenarios.take([row for row, _, _ in picks])
     model = BicycleModel(vehicle, convention=results.case.convention)
     paths: list[list[ControlledPath]] = [[] for _ in picks]
-    mismatch = 0.0
+    mismatch, peak = 0.0, None
     for index, design, label, style in shown:
         if design.law == NO_CONTROL:
             continue
@@ -104,6 +107,8 @@ def replay(
         outcome = run.outcome(results.case.window)
         stored = results.S[index][[row for row, _, _ in picks]]
         mismatch = max(mismatch, float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9))))
+        if index == shown[0][0] and outcome.trajectories is not None:
+            peak = float(np.nanmax(np.abs(outcome.trajectories.delta)))
         for k in range(len(picks)):
             paths[k].append(_path(outcome, k, label, style, vehicle.edge_offset))
     examples = []
@@ -127,7 +132,7 @@ def replay(
                 tuple(paths[k]),
             )
         )
-    return Replay(tuple(examples), mismatch)
+    return Replay(tuple(examples), mismatch, peak)
 
 
 def _path(outcome: Outcome, k: int, label: str, style: LineStyle, edge_offset: float) -> ControlledPath:

@@ -135,7 +135,7 @@ def render(report: ReportInput) -> str:
         warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
         tiles=_tiles(primary),
         answer=prose.answer(report, primary),
-        limitations=prose.limitations(report, primary),
+        limitations=prose.limitations(report, primary, replayed.peak_steering),
         partial=prose.partial_grids(report),
         landscape=panels.landscape(),
         sides=panels.sides(),

@@ -160,7 +160,7 @@ class Panels:
         """Lines of the path figures."""
         from studies.report.prose import design_text
 
-        entries = [Legend(line_sample(RECORDED.color, RECORDED.dash), Markup("recorded path, no control"))]
+        entries = [Legend(line_sample(RECORDED.color, RECORDED.dash), Markup("uncorrected path, no control"))]
         for row in self.shown():
             style = self._style(row)
             entries.append(Legend(line_sample(style.color, style.dash), design_text(row)))

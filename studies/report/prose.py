@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from markupsafe import Markup
 
 from ldctoolkit.departures import LEFT
@@ -44,7 +46,7 @@ def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
     sentences.append(_tied(table))
     if winner.triggered == 0 and not is_baseline(winner):
         sentences.append(
-            Markup("No departure went deep enough to trigger it, so the score is that of the recorded paths.")
+            Markup("No departure went deep enough to trigger it, so the score is that of the uncorrected paths.")
         )
     edge = () if is_baseline(winner) else on_the_edge(report.results.designs, winner.index)
     if edge:
@@ -60,7 +62,7 @@ def _lead(report: ReportInput, table: CaseTable) -> Markup:
     has = f"shares with {plural(equal, 'other')}" if equal else "has"
     said = Markup(
         "<strong>{}</strong> {} the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> "
-        "({} interval {}) over {} ({:,} left, {:,} right)."
+        "({} interval {}) over {} ({:,} left, {:,} right), the same for all designs."
     )
     return said.format(
         design_text(winner),
@@ -69,7 +71,7 @@ def _lead(report: ReportInput, table: CaseTable) -> Markup:
         number(winner.S.value),
         percent(table.confidence, 0),
         between(winner.S),
-        plural(n, "departure"),
+        plural(n, "generated departure"),
         left,
         n - left,
     )
@@ -135,9 +137,14 @@ def _tied(table: CaseTable) -> Markup:
 _LIMITS = (
     "The plant is the linear single-track model: tyres do not saturate, and steering takes effect at once.",
     "The speed is frozen at its value at the trigger.",
-    "The recorded path, rebuilt from eight parameters, stands for what happens without control. The driver does not "
+    "The uncorrected path, rebuilt from eight parameters, stands for what happens without control. The driver does not "
     "react to the intervention, and the small residuals about the fitted path are left out.",
-    "Control ends where the recorded departure ended; what follows is not scored.",
+    "Control ends where the uncorrected departure ends; what follows is not scored.",
+    "S puts no price on steering or comfort, and laws have different limits of their own: a design that steers harder "
+    "scores better as long as the linear plant stays stable.",
+    "Intervals hold the chance in drawing departures from the scenario model. They do not hold the uncertainty of the "
+    "model, which was fitted to the numbers of departures given under its name below, and more generated departures do "
+    "not make that smaller.",
 )
 _CHOSEN = (
     "The best of {} is chosen on the departures that it is scored on, so its own mean is slightly optimistic, and "
@@ -154,10 +161,13 @@ _SYNTHETIC = (
 )
 
 
-def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
-    """What the numbers of this study do not say."""
+def limitations(report: ReportInput, table: CaseTable, peak_steering: float | None = None) -> list[Markup]:
+    """What the numbers of this study do not say; `peak_steering` [rad] is the best design's in the example paths."""
     cases = [results.case for results in report.results.cases]
     said = [Markup(sentence) for sentence in _LIMITS]
+    if peak_steering is not None:
+        share = Markup("In the example departures above the best design steers up to {}\u00b0 at the front wheels.")
+        said.append(share.format(number(math.degrees(peak_steering), 1)))
     if len(table.rows) > 1:
         said.append(Markup(_CHOSEN).format(plural(len(table.rows), "design")))
     if any(case.window == "control" for case in cases):

@@ -113,7 +113,7 @@ class CaseTable:
     uncorrected : float [m s]
         Mean S without control, over the window of the best design.
     uncorrected_deeper : float
-        Share of the recorded departures deeper than D_y.
+        Share of the departures deeper than D_y without control.
     D_y : float [m]
     confidence : float
         Of every interval.

@@ -162,7 +162,7 @@ def test_constant_columns_stay_constant():
     assert np.all(s.c_0 == 0.0)
     assert np.all(s.dc == 0.0)
     assert any("c_0 is 0 in every event" in w for w in fitted.provenance.warnings)
-    assert any("larger numbers were not tried" in w for w in fitted.provenance.warnings)
+    assert any("larger K were not tried" in w for w in fitted.provenance.warnings)
 
 
 def test_values_on_a_bound_are_moved_inside_and_counted():
@@ -188,7 +188,7 @@ def test_two_events_stand_behind_each_parameter(n, most):
     fitted = fit_scenario_model(plane(n), components=range(1, 8))
     assert fitted.provenance.left is not None
     assert fitted.provenance.left.n_components == tuple(range(1, most + 1))
-    assert any(f"left: {n} events carry at most {most} components" in w for w in fitted.provenance.warnings)
+    assert any(f"left: {n} events carry no more than K = {most}" in w for w in fitted.provenance.warnings)
 
 
 def test_the_number_of_components_is_checked():

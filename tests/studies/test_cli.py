@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import gzip
 import json
 import os
@@ -314,3 +315,37 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     assert out == ""
     # what was finished is there, and what was being computed is not half there
     assert "runs are not there yet" in bad("rank", "o", cwd=folder)
+
+
+def test_the_report_names_the_vehicle_and_a_width_that_contradicts_the_model(tmp_path: Path) -> None:
+    """A departure depends on the vehicle's width: a model found with another one is a warning, not a footnote."""
+    from ldctoolkit import load_model
+
+    model = load_model("reference")
+    source = {"criteria": {"vehicle_width": 1.8}}
+    text = json.loads(json.dumps(source))
+    changed = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source=text))
+    changed.save(tmp_path / "m.json")
+    study = STUDY.replace("[scenarios]", '[vehicle]\nm = 1234.0\n[scenarios]\nmodel = "m.json"')
+    (tmp_path / "s.toml").write_text(study, encoding="utf-8")
+    good("run", "s.toml", "-o", "with space", "--workers", "1", cwd=tmp_path)
+    page = (tmp_path / "with space" / "report.html").read_text(encoding="utf-8")
+    assert "1234 kg" in page
+    assert "departures were found with a vehicle 1.8 m wide, the study drives one of" in page
+    manifest = json.loads((tmp_path / "with space" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["command"] == "ldc run s.toml -o 'with space' --workers 1"
+
+
+@pytest.mark.parametrize("form", ["-o", "-oX", "--output="])
+def test_the_stored_command_holds_no_absolute_path(tmp_path: Path, form: str) -> None:
+    (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
+    folder = tmp_path / "deep" / "out"
+    words = [form, str(folder)] if form == "-o" else [form.replace("X", "") + str(folder)]
+    good("run", tmp_path / "s.toml", *words, "--workers", "1", "--quiet", cwd=tmp_path)
+    command = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["command"]
+    assert command.startswith("ldc run s.toml ")
+    assert "/" not in command
+
+
+def test_more_departures_than_fit_in_memory_are_refused(tmp_path: Path) -> None:
+    assert "allowed: up to 10000000" in bad("sample", "reference", "-n", "999999999999", "-o", "s.csv", cwd=tmp_path)

@@ -188,3 +188,9 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path, scores: np.ndarray) -> None:
     with pytest.raises(StoreError, match=r"nowhere/r\.csv: cannot be written"):
         rank(results_of(scores, left=9)).to_csv(tmp_path / "nowhere" / "r.csv")
+
+
+def test_differences_below_a_solvers_tolerance_are_ties(scores: np.ndarray) -> None:
+    """5e-9 m s at every scenario is nobody's design; 5e-6 is."""
+    ranking = rank(results_of(np.stack([scores[0], scores[0] + 5e-9, scores[0] + 5e-6]), left=150))
+    assert ranking.tied_with_best.tolist() == [True, True, False]

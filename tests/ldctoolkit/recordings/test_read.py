@@ -145,7 +145,10 @@ REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {
         HEADER.replace("lane_offset", "lane_ofset") + ROWS,
         "drive.csv: column 'lane_offset' is missing; did you mean 'lane_ofset'?",
     ),
-    "no other column": ("recording,t,lane_width,speed\n", "column 'lane_offset' is missing; the file has no other"),
+    "no other column": (
+        "recording,t,lane_width,speed\n",
+        "column 'lane_offset' is missing; no other column of the file could be it",
+    ),
     "not a number": (
         HEADER + ROWS + "b,1,left,3.6,25\nb,2,x,3.6,25\n",
         "drive.csv, line 5: column 'lane_offset' holds 'left'; allowed: numbers (2 lines in all)",
