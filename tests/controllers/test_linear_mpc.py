@@ -182,7 +182,7 @@ def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monke
     ("horizon", "r_delta", "q_y", "size"),
     [(20, 1.0, 1.0, 1.0), (20, 0.01, 1.0, 1.0), (60, 1.0, 1.0, 3.0), (40, 1e-3, 1.0, 1.0), (20, 100.0, 1e4, 1.0)],
 )
-def test_every_feasible_qp_is_solved_whatever_the_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
+def test_feasible_qps_are_solved_with_extreme_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
     """Weights far beyond what the limits allow; Clarabel on the QP in commands is the reference."""
     design = LinearMPC(horizon=horizon, r_delta=r_delta, q_y=q_y, delta_max=0.04, rate_max=0.05)
     plant, x, preview, prev = situations(12, horizon, seed=7, size=size)
