@@ -26,6 +26,12 @@ PARAMETER_NAMES: Final = ("T", "d_y", "sigma_y", "v_mean", "a_mean", "sigma_v", 
 
 PARAMETER_UNITS: Final = ("s", "m", "m", "m/s", "m/s^2", "m/s", "1/m", "1/m")
 
+PARAMETER_COLUMNS: Final = {
+    name: f"{name}_{unit.replace('/', '_').replace('^', '')}"
+    for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
+}
+"""Parameter -> its column in a stored table, the unit at the end: ``v_mean_m_s``."""
+
 
 @dataclasses.dataclass(frozen=True)
 class DepartureParameters:

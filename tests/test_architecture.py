@@ -13,7 +13,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 
 # bottom to top: a module may import from below, and from its own room
 LEVELS = (
-    ("ldctoolkit.errors", "ldctoolkit.version"),
+    ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
     ("ldctoolkit.departures",),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),

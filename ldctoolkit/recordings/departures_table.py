@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import io
 import json
@@ -12,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit.departures import LEFT, RIGHT, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT, Departures
 from ldctoolkit.errors import InputError, RecordingError, nearest
 from ldctoolkit.recordings.read import SourceFile, check_file
 from ldctoolkit.recordings.result import Criteria, Provenance, Refused
+from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
     import polars as pl
@@ -28,14 +28,7 @@ COLUMNS: Final = {
     "side": "side",
     "start_time_s": "start_time",
     "samples": "samples",
-    "T_s": "T",
-    "d_y_m": "d_y",
-    "sigma_y_m": "sigma_y",
-    "v_mean_m_s": "v_mean",
-    "a_mean_m_s2": "a_mean",
-    "sigma_v_m_s": "sigma_v",
-    "c_0_1_m": "c_0",
-    "dc_1_m": "dc",
+    **{column: name for name, column in PARAMETER_COLUMNS.items()},
 }
 """Column of the table -> field of `Departures`; the unit is the end of the column's name."""
 
@@ -88,17 +81,11 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
         ]
     )
     _check(target.name, table)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        # a handle of our own: a folder that is missing is then an OSError like any other
-        with part.open("wb") as stream:
+        with whole_file(target) as stream:
             table.write_parquet(stream, metadata={METADATA_KEY: provenance_to_json(provenance)})
-        part.replace(target)
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
 
 
 def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
@@ -19,6 +18,7 @@ from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
 from ldctoolkit.scenario_model import json_form as form
 from ldctoolkit.scenario_model.parts import ModelProvenance, SideModel, whole_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.whole_file import whole_file
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -161,13 +161,8 @@ class ScenarioModel:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
         self._parse(text, target.name)  # what cannot be read back is not written
         try:
-            part = target.with_name(f".{target.name}.{os.getpid()}.part")
-            try:
-                part.write_text(text + "\n", encoding="utf-8")
-                part.replace(target)
-            finally:
-                with contextlib.suppress(OSError, ValueError):
-                    part.unlink()
+            with whole_file(target) as stream:
+                stream.write(f"{text}\n".encode())
         except (OSError, ValueError) as error:  # ValueError: a path without a name, or with a NUL
             reason = error.strerror if isinstance(error, OSError) else error
             raise ModelError(f"{target}: cannot write the scenario model ({reason})") from None

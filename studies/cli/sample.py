@@ -31,7 +31,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.scenario_model import load_model
-    from studies.files import scenario_table, whole_file, write_parquet
+    from studies.files import scenario_table, stored_file, write_parquet
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)
@@ -39,7 +39,7 @@ def run(chosen: argparse.Namespace) -> None:
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:
-        with whole_file(target) as stream:
+        with stored_file(target) as stream:
             table.write_csv(stream)
     print(f"{left} left and {right} right departures written to {target}")
 
