@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
+from ldctoolkit.mixture.sources import EventSource, Profile, profile_of
 
 RandomState = int | np.random.Generator | None
 FloatArray = npt.NDArray[np.float64]
@@ -22,59 +23,123 @@ def column_name(j: int, names: Sequence[str] | None) -> str:
     return f"column {j}" if names is None else f"column {names[j]!r}"
 
 
-def check_matrix(X: npt.ArrayLike, dimension: int | None, names: Sequence[str] | None) -> FloatArray:
-    """A finite float matrix (n, d)."""
+def as_matrix(X: npt.ArrayLike) -> FloatArray:
+    """A float matrix (n, d), not copied where it is one; its numbers are not looked at."""
     try:
         x = np.asarray(X, dtype=float)
     except (TypeError, ValueError):
         raise InputError("X: not a table of numbers; allowed: an array of shape (n, d)") from None
     if x.ndim != 2:
         raise InputError(f"X: shape {x.shape}; allowed: (n, d), one row an event")
-    if dimension is not None and x.shape[1] != dimension:
-        raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
-    refuse(~np.isfinite(x), x, "finite numbers", names)
-    refuse(np.abs(x) > LARGEST, x, f"at most {LARGEST:g} in size", names)
     return x
 
 
-def refuse(bad: npt.NDArray[np.bool_], x: FloatArray, allowed: str, names: Sequence[str] | None) -> None:
-    """Raise for the first column with a bad entry."""
-    if not bad.any():
+def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) -> FloatArray:
+    """A finite float matrix (n, dimension)."""
+    x = as_matrix(X)
+    if x.shape[1] != dimension:
+        raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
+    if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
+        _complain([x], lambda rows: ~(np.isfinite(rows) & (np.abs(rows) <= LARGEST)), _FINITE, names)
+    return x
+
+
+_FINITE: Final = f"finite numbers, at most {LARGEST:g} in size"
+
+
+def _complain(
+    blocks: Iterable[FloatArray],
+    is_bad: Callable[[FloatArray], npt.NDArray[np.bool_]],
+    allowed: str,
+    names: Sequence[str] | None,
+) -> None:
+    """Raise for the first column with a bad entry, with its first row and the number of such rows."""
+    rows = 0
+    counts: npt.NDArray[np.int64] | None = None
+    first: dict[int, tuple[int, float]] = {}
+    for x in blocks:
+        bad = is_bad(x)
+        counts = bad.sum(axis=0) if counts is None else counts + bad.sum(axis=0)
+        for column in np.flatnonzero(bad.any(axis=0)).tolist():
+            row = int(np.argmax(bad[:, column]))
+            first.setdefault(column, (rows + row, float(x[row, column])))
+        rows += x.shape[0]
+    if counts is None or not first:
         return
-    j = int(np.argmax(bad.any(axis=0)))
-    row = int(np.argmax(bad[:, j]))
-    count = int(bad[:, j].sum())
-    others = [column_name(int(k), names) for k in np.flatnonzero(bad.any(axis=0)) if k != j]
+    j = min(first)
+    others = [column_name(k, names) for k in sorted(first) if k != j]
     also = f"; also in {', '.join(others)}" if others else ""
     raise InputError(
-        f"X: {column_name(j, names)}, row {row}: {float(x[row, j])!r}; allowed: {allowed} "
-        f"({count} of {x.shape[0]} rows{also})"
+        f"X: {column_name(j, names)}, row {first[j][0]}: {first[j][1]!r}; allowed: {allowed} "
+        f"({int(counts[j])} of {rows} rows{also})"
     )
 
 
-def check_inside(x: FloatArray, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None) -> None:
-    """Refuse data on or outside a bound."""
-    for j in range(x.shape[1]):
-        bad = np.zeros(x.shape, dtype=bool)
-        bad[:, j] = ~((x[:, j] > lower[j]) & (x[:, j] < upper[j]))
-        refuse(bad, x, f"strictly between the bounds {lower[j]:g} and {upper[j]:g}", names)
+def check_events(
+    source: EventSource, K: int, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None
+) -> Profile:
+    """The profile of events that can be fitted.
+
+    Raises
+    ------
+    InputError
+        For the first column with numbers that are not finite, on or outside a bound, or all the same; too few rows.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        profile = profile_of(source)
+    ends = np.array([profile.least, profile.most])
+    if not (np.isfinite(ends).all() and np.abs(ends).max() <= LARGEST):
+        _complain(source.blocks(), lambda x: ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
+    d = source.dimension
+    if profile.rows < K * (d + 1):
+        raise InputError(f"X: {profile.rows} rows; allowed: at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}")
+    for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))):
+        only = np.arange(d) == j
+        low, high = lower[j], upper[j]
+        _complain(
+            source.blocks(),
+            lambda x, only=only, low=low, high=high: only & ~((x > low) & (x < high)),  # type: ignore[misc]
+            f"strictly between the bounds {low:g} and {high:g}",
+            names,
+        )
+    _check_constant(profile, names)
+    return profile
 
 
-def check_constant(x: FloatArray, names: Sequence[str] | None) -> None:
+def _check_constant(profile: Profile, names: Sequence[str] | None) -> None:
     """Refuse a column without spread: its density would be infinite."""
-    spread = np.ptp(x, axis=0)
-    size = np.max(np.abs(x), axis=0)
+    spread = profile.most - profile.least
+    size = np.maximum(np.abs(profile.most), np.abs(profile.least))
     flat = ~(spread > 1e-12 * size)
     if flat.any():
         j = int(np.argmax(flat))
         raise InputError(
-            f"X: {column_name(j, names)} is constant ({float(x[0, j])!r} in all {x.shape[0]} rows); "
+            f"X: {column_name(j, names)} is constant ({float(profile.least[j])!r} in all {profile.rows} rows); "
             "leave it out of the fit"
         )
-    tiny = spread < 1.0 / LARGEST
+    tiny = ~(profile.square > 0.0) | (spread < 1.0 / LARGEST)
     if tiny.any():
         j = int(np.argmax(tiny))
         raise InputError(f"X: {column_name(j, names)} spreads over {spread[j]:g}; allowed: {1.0 / LARGEST:g} or more")
+
+
+def check_sample_weight(sample_weight: npt.ArrayLike | None, rows: int) -> FloatArray | None:
+    """Weights (rows,), finite, not negative, not all zero; None is one each."""
+    if sample_weight is None:
+        return None
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("sample_weight: not numbers; allowed: one number >= 0 a row") from None
+    if weight.shape != (rows,):
+        raise InputError(f"sample_weight: shape {weight.shape}; allowed: ({rows},), one number a row")
+    bad = ~(np.isfinite(weight) & (weight >= 0.0))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"sample_weight: {float(weight[row])!r} in row {row}; allowed: finite numbers >= 0")
+    if not weight.sum() > 0.0:
+        raise InputError("sample_weight: all zero; allowed: at least one event")
+    return weight
 
 
 def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimension: int) -> FloatArray:

@@ -1,16 +1,18 @@
-"""Truncated EM on standardised data: short runs from several starts, then the best one to convergence."""
+"""Truncated EM: short runs from several starts on some of the events, then the best one to convergence on all."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, expectation
+from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, natural, statistics
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
+from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of
 from ldctoolkit.mixture.truncated_normal import MOMENT_POINTS, TruncatedNormal
 
 _SHORT_POINTS: Final = 1021
@@ -28,6 +30,7 @@ _FALL: Final = 1e-8
 """A relative fall of the objective beyond this is no rounding: the E-step has lost its digits."""
 
 StopReason = Literal["converged", "max_iter", "stuck", "collapsed"]
+Progress = Callable[[str], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +63,37 @@ class EMResult:
     stop_reason: StopReason
 
 
-def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
-    """Fit K components to standardised data (n, d) strictly inside the box.
+@dataclasses.dataclass(frozen=True)
+class _Standardised:
+    """A source seen in units of its own spread."""
+
+    source: EventSource
+    location: FloatArray
+    scale: FloatArray
+    events: float
+
+    def look(self, c: Components) -> Statistics:
+        value, sums = sums_of(self.source, Pass(self.location, self.scale, natural(c)))
+        return statistics(value, sums, self.source.dimension)
+
+
+def fit_components(
+    source: EventSource, profile: Profile, s: EMSettings, start: Components | None, tell: Progress
+) -> EMResult:
+    """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
+
+    Parameters
+    ----------
+    source : EventSource
+        Events.
+    profile : Profile
+        Theirs.
+    s : EMSettings
+        Settings.
+    start : Components, optional
+        Where to go on from, in place of the short runs.
+    tell : callable
+        Gets one line now and then.
 
     Raises
     ------
@@ -75,8 +107,9 @@ def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
     prior's target is frozen too: for a short run the clusters' covariances, for the final run the covariances of the
     events around each component at its start.
     """
+    data = _Standardised(source, profile.mean, profile.scale, profile.events)
     try:
-        return _fit(x, s)
+        return _fit(data, profile.rows, s, start, tell)
     except np.linalg.LinAlgError:
         raise InputError(
             f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
@@ -84,42 +117,63 @@ def fit_components(x: FloatArray, s: EMSettings) -> EMResult:
         ) from None
 
 
-def _fit(x: FloatArray, s: EMSettings) -> EMResult:
-    n = x.shape[0]
+def _fit(data: _Standardised, rows: int, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
+    c = _best_start(data, rows, s, tell) if start is None else start
+    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
+    if bounded > _SMALL_DIMENSION:
+        # most of the way on few points: many would take longer than the pass over the events
+        c = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, tell, "nearing").components
+    points = _SHORT_POINTS if bounded <= _SMALL_DIMENSION else MOMENT_POINTS
+    return _run(data, c, _local_prior(data, c, s), s, s.max_iter, points, tell, "pass")
+
+
+def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
+    """Pseudo-events with the covariance of the events around each component; the data's own correlation is one."""
+    stats = data.look(c)
+    # the whole from its parts: counts, means and scatters of the shares add up to those of the events
+    share = stats.counts / stats.counts.sum()
+    gap = stats.mean - share @ stats.mean
+    overall = np.einsum("k,kij->ij", share, stats.scatter) + np.einsum("k,ki,kj->ij", share, gap, gap)
+    return Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
+
+
+def _best_start(data: _Standardised, rows: int, s: EMSettings, tell: Progress) -> Components:
+    """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
-    short = x if n <= s.subsample else x[np.sort(rng.choice(n, s.subsample, replace=False))]
+    chosen = np.arange(rows) if rows <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False))
+    x, weight = data.source.take(chosen)
+    z = (x - data.location) / data.scale
+    events = float(z.shape[0]) if weight is None else float(weight.sum())
+    d = z.shape[1]
+    short = _Standardised(ArrayEvents(z, weight), np.zeros(d), np.ones(d), events)
     best: EMResult | None = None
     for run in range(s.n_init if s.K > 1 else 1):
-        start = start_from_clusters(short, s.K, np.random.default_rng([s.seed, 1, run]))
-        prior = Prior(s.prior_strength, start[2])
-        result = _run(short, start, prior, s, s.short_iter, _SHORT_POINTS)
+        first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
+        result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS)
+        tell(f"start {run + 1} of {s.n_init}: {result.history[-1]:.6f} nats an event")
         if best is None or result.history[-1] > best.history[-1]:
             best = result
     if best is None:
         raise RuntimeError("no start was run")
-    c = best.components
-    stats = expectation(x, c)
-    overall = np.cov(x.T, bias=True).reshape(x.shape[1], x.shape[1])
-    prior = Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
-    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    points = _SHORT_POINTS if bounded <= _SMALL_DIMENSION else MOMENT_POINTS
-    return _run(x, (c.weights, c.mu, c.Sigma), prior, s, s.max_iter, points)
+    return best.components
 
 
 def _run(
-    x: FloatArray,
-    start: tuple[FloatArray, FloatArray, FloatArray],
+    data: _Standardised,
+    start: Components,
     prior: Prior,
     s: EMSettings,
     passes: int,
     points: int,
+    tell: Progress | None = None,
+    word: str = "pass",
 ) -> EMResult:
-    n = x.shape[0]
-    weights = start[0] / start[0].sum()
-    t = TruncatedNormal(start[1], start[2], s.lower, s.upper, points=points)
+    n = data.events
+    weights = start.weights / start.weights.sum()
+    t = TruncatedNormal(start.mu, start.Sigma, s.lower, s.upper, points=points)
 
     def look() -> tuple[Statistics, float]:
-        stats = expectation(x, Components(weights, t.mu, t.Sigma, t.log_probability))
+        stats = data.look(Components(weights, t.mu, t.Sigma, t.log_probability))
         return stats, (stats.log_likelihood + float(prior.value(t.Sigma).sum())) / n
 
     stats, value = look()
@@ -138,6 +192,8 @@ def _run(
             reason = "collapsed"
             break
         history.append(value)
+        if tell is not None:
+            tell(f"{word} {len(history) - 1}: {value:.8f} nats an event, gained {value - history[-2]:.2e}")
         if len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW:
             reason = "stuck" if stuck else "converged"
             break

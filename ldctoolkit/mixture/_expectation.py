@@ -1,20 +1,13 @@
-"""E-step as matrix products: log N(x; mu, Sigma) is linear in the features (1, x_i, x_i x_j)."""
+"""E-step: components as coefficients of the features (1, x_i, x_i x_j), feature sums as weighted moments."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-
-_BLOCK: Final = 4096
-"""Rows at a time; fixed, so that sums are formed in one order whatever the data's size."""
-
-_FLOOR: Final = -100.0
-"""Logits this far below a row's largest are raised to it: smaller shares would be denormal numbers, which are slow."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +39,7 @@ class Statistics:
     Attributes
     ----------
     log_likelihood : float
-        Sum of ln f over the rows.
+        Sum of ln f over the events.
     counts : (K,)
         Expected events N_k.
     mean : (K, d)
@@ -61,13 +54,8 @@ class Statistics:
     scatter: FloatArray
 
 
-def _features(x: FloatArray) -> FloatArray:
-    i, j = np.triu_indices(x.shape[1])
-    return np.concatenate([np.ones((x.shape[0], 1)), x, x[:, i] * x[:, j]], axis=1)
-
-
-def _natural(c: Components) -> FloatArray:
-    """Coefficients (features, K) of ln(eta_k g_k/P_k)."""
+def natural(c: Components) -> FloatArray:
+    """Coefficients (K, features) of ln(eta_k g_k/P_k)."""
     d = c.mu.shape[1]
     i, j = np.triu_indices(d)
     precision = np.linalg.inv(c.Sigma)
@@ -77,52 +65,37 @@ def _natural(c: Components) -> FloatArray:
         constant = np.log(c.weights) - c.log_p
     constant = constant - 0.5 * (d * np.log(2.0 * np.pi) + log_det + np.sum(c.mu * linear, axis=1))
     quadratic = -precision[:, i, j] * np.where(i == j, 0.5, 1.0)
-    return np.concatenate([np.maximum(constant, -1e300)[:, None], linear, quadratic], axis=1).T
+    return np.concatenate([np.maximum(constant, -1e300)[:, None], linear, quadratic], axis=1)
 
 
-def log_terms(x: FloatArray, c: Components) -> FloatArray:
-    """ln(eta_k g_k(x)/P_k), (n, K), without a check that x is inside the box."""
-    theta = _natural(c)
-    blocks = [_features(x[start : start + _BLOCK]) @ theta for start in range(0, x.shape[0], _BLOCK)]
-    return np.concatenate(blocks) if blocks else np.empty((0, c.mu.shape[0]))
+def log_density(x: FloatArray, c: Components, location: FloatArray, scale: FloatArray) -> FloatArray:
+    """Logarithm of sum_k eta_k g_k/P_k of each row, (n,); components in (x - location)/scale, no check of the box."""
+    from ldctoolkit.mixture._kernels import log_density_of_rows  # here: the compiler is slow to import
+
+    return log_density_of_rows(x, location, scale, natural(c))
 
 
-def log_sum(logits: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Row-wise ln sum exp, (n,), and the shares, (n, K)."""
-    peak = logits.max(axis=1, keepdims=True)
-    share = np.exp(np.maximum(logits - peak, _FLOOR))
-    total = share.sum(axis=1, keepdims=True)
-    return (peak + np.log(total))[:, 0], share / total
+def log_terms(z: FloatArray, c: Components) -> FloatArray:
+    """Terms ln(eta_k g_k(z)/P_k), (n, K), without a check that z is inside the box."""
+    i, j = np.triu_indices(z.shape[1])
+    features = np.concatenate([np.ones((z.shape[0], 1)), z, z[:, i] * z[:, j]], axis=1)
+    out: FloatArray = features @ natural(c).T
+    return out
 
 
-def expectation(x: FloatArray, c: Components) -> Statistics:
-    """One pass over the data."""
-    K, d = c.mu.shape
-    theta = _natural(c)
-    sums = np.zeros((K, theta.shape[0]))
-    total = 0.0
-    for start in range(0, x.shape[0], _BLOCK):
-        features = _features(x[start : start + _BLOCK])
-        value, share = log_sum(features @ theta)
-        total += float(value.sum())
-        sums += share.T @ features
-    return Statistics(total, *_moments(sums, d))
+def shares(logits: FloatArray) -> FloatArray:
+    """Row-wise shares (n, K), summing to one."""
+    share = np.exp(logits - logits.max(axis=1, keepdims=True))
+    out: FloatArray = share / share.sum(axis=1, keepdims=True)
+    return out
 
 
-def hard_statistics(x: FloatArray, label: npt.NDArray[np.int64], K: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Counts, means and covariances of given groups."""
-    d = x.shape[1]
-    sums = np.zeros((K, 1 + d + d * (d + 1) // 2))
-    for k in range(K):
-        sums[k] = _features(x[label == k]).sum(axis=0)
-    return _moments(sums, d)
-
-
-def _moments(sums: FloatArray, d: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def statistics(log_likelihood: float, sums: FloatArray, d: int) -> Statistics:
+    """Weighted moments from feature sums (K, features)."""
     i, j = np.triu_indices(d)
     counts = sums[:, 0]
     safe = np.maximum(counts, 1e-300)[:, None]
     mean = sums[:, 1 : 1 + d] / safe
     second = np.empty((sums.shape[0], d, d))
     second[:, i, j] = second[:, j, i] = sums[:, 1 + d :] / safe
-    return counts, mean, second - mean[:, :, None] * mean[:, None, :]
+    return Statistics(log_likelihood, counts, mean, second - mean[:, :, None] * mean[:, None, :])

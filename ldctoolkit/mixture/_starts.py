@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.mixture._expectation import hard_statistics
+from ldctoolkit.mixture._expectation import Components
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -16,14 +16,15 @@ _VARIANCE_FLOOR: Final = 1e-6
 """Least eigenvalue of a local covariance, in units of the data's variance: repeated rows have none."""
 
 
-def kmeans_labels(x: FloatArray, K: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def kmeans_labels(x: FloatArray, weight: FloatArray | None, K: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
     """Clusters (n,) by k-means++ seeding and Lloyd's passes; a cluster that empties restarts at the farthest row."""
+    w = np.ones(x.shape[0]) if weight is None else weight
     centres = np.empty((K, x.shape[1]))
-    centres[0] = x[rng.integers(x.shape[0])]
+    centres[0] = x[rng.choice(x.shape[0], p=w / w.sum())]
     nearest = np.sum((x - centres[0]) ** 2, axis=1)
     for k in range(1, K):
-        total = nearest.sum()
-        chance = nearest / total if total > 0 else None
+        total = (w * nearest).sum()
+        chance = w * nearest / total if total > 0 else None
         centres[k] = x[rng.choice(x.shape[0], p=chance)]
         nearest = np.minimum(nearest, np.sum((x - centres[k]) ** 2, axis=1))
     label = np.full(x.shape[0], -1, dtype=np.int64)
@@ -33,12 +34,12 @@ def kmeans_labels(x: FloatArray, K: int, rng: np.random.Generator) -> npt.NDArra
         if np.array_equal(new, label):
             break
         label = new
-        counts = np.bincount(label, minlength=K)
-        for k in [int(i) for i in np.flatnonzero(counts)]:
-            centres[k] = x[label == k].mean(axis=0)
-        for k in [int(i) for i in np.flatnonzero(counts == 0)]:
-            own = np.sum((x - centres[label]) ** 2, axis=1)
-            far = int(np.argmax(own))
+        counts = np.bincount(label, weights=w, minlength=K)
+        for k in [int(i) for i in np.flatnonzero(counts > 0)]:
+            own = label == k
+            centres[k] = w[own] @ x[own] / counts[k]
+        for k in [int(i) for i in np.flatnonzero(~(counts > 0))]:
+            far = int(np.argmax(w * np.sum((x - centres[label]) ** 2, axis=1)))
             centres[k], label[far] = x[far], k
     return label
 
@@ -58,9 +59,19 @@ def local_covariance(scatter: FloatArray, counts: FloatArray, overall: FloatArra
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
-def start_from_clusters(x: FloatArray, K: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weights (K,), means (K, d) and covariances (K, d, d) of k-means clusters."""
-    label = kmeans_labels(x, K, rng)
-    counts, mean, scatter = hard_statistics(x, label, K)
-    Sigma = local_covariance(scatter, counts, np.cov(x.T, bias=True).reshape(x.shape[1], x.shape[1]))
-    return (counts + 1.0) / (x.shape[0] + K), mean, Sigma
+def start_from_clusters(x: FloatArray, weight: FloatArray | None, K: int, rng: np.random.Generator) -> Components:
+    """Shares, means and covariances of k-means clusters; the box is not looked at."""
+    label = kmeans_labels(x, weight, K, rng)
+    w = np.ones(x.shape[0]) if weight is None else weight
+    d = x.shape[1]
+    counts, mean, scatter = np.zeros(K), np.zeros((K, d)), np.zeros((K, d, d))
+    for k in range(K):
+        rows, own = x[label == k], w[label == k]
+        counts[k] = own.sum()
+        if counts[k] > 0:
+            mean[k] = own @ rows / counts[k]
+            scatter[k] = ((rows - mean[k]).T * own) @ (rows - mean[k]) / counts[k]
+    centre = w @ x / w.sum()
+    overall = ((x - centre).T * w) @ (x - centre) / w.sum()
+    Sigma = local_covariance(scatter, counts, overall)
+    return Components((counts + 1.0) / (w.sum() + K), mean, Sigma, np.zeros(K))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
+import sys
 from collections.abc import Sequence
-from typing import Any, Final, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -12,25 +12,25 @@ import numpy.typing as npt
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._checks import (
     RandomState,
+    as_matrix,
     check_bound_array,
-    check_constant,
-    check_inside,
+    check_events,
     check_matrix,
     check_number,
+    check_sample_weight,
     seed_of,
 )
+from ldctoolkit.mixture._conventions import Parameters
+from ldctoolkit.mixture._distribution import Distribution, IntArray
 from ldctoolkit.mixture._em import EMSettings, fit_components
-from ldctoolkit.mixture._expectation import Components, FloatArray, log_sum, log_terms
+from ldctoolkit.mixture._expectation import Components, FloatArray
 from ldctoolkit.mixture._maximisation import Step
+from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.sources import ArrayEvents, EventSource, profile_of, transformed
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
 
-IntArray = npt.NDArray[np.int64]
 
-SAMPLE_BLOCK: Final = 1024
-"""Events drawn from one random stream; fixed, so that the first m of n samples do not depend on n."""
-
-
-class BoundedGaussianMixture:
+class BoundedGaussianMixture(Parameters):
     """Mixture of K multivariate normals, each truncated to one box and normalised on it.
 
     Follows scikit-learn's conventions (`fit`, `score_samples`, `get_params`, fitted attributes that end in ``_``)
@@ -49,7 +49,7 @@ class BoundedGaussianMixture:
     short_iter : int
         Passes of a short run.
     subsample : int
-        Events used by the short runs.
+        Rows used by the short runs.
     tol : float
         Stop when the penalised log-likelihood per event gained less than this per pass, on average over five passes.
     max_iter : int
@@ -60,6 +60,16 @@ class BoundedGaussianMixture:
         probability to zero. 10 is mild; 0 is plain maximum likelihood.
     step : {"newton", "lee_scott"}
         M-step, see Notes.
+    transform : {"none", "log", "logit", "auto"} or sequence of them, optional
+        Map of each column before the fit; none by default, as in the paper. ``"log"`` needs one finite bound,
+        ``"logit"`` two, ``"auto"`` takes what the bounds allow. A mapped column has no bound any more, so no mass can
+        pile up at it; `means_` and `covariances_` are in the mapped coordinates, densities and samples in the data's.
+    warm_start : bool
+        Go on from the last fit (or from `from_parameters`) in place of new starts.
+    verbose : int
+        1 tells of starts and of every pass on stderr, 0 is silent.
+    n_jobs : int, optional
+        Threads; all cores by default. It changes no number.
     names : sequence of str, optional
         Column names for messages.
 
@@ -81,7 +91,7 @@ class BoundedGaussianMixture:
     n_iter_ : int
         Passes of the final run.
     lower_bound_ : float
-        Penalised log-likelihood per event at the end of the final run [nats], in standardised units.
+        Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates.
     lower_bounds_ : (n_iter_ + 1,)
         Its history; it never falls.
     n_features_in_ : int
@@ -134,11 +144,15 @@ class BoundedGaussianMixture:
         random_state: RandomState = None,
         n_init: int = 8,
         short_iter: int = 15,
-        subsample: int = 8000,
+        subsample: int = 25_000,
         tol: float = 1e-6,
         max_iter: int = 500,
         prior_strength: float = 10.0,
         step: Step = "newton",
+        transform: str | Sequence[str] | None = None,
+        warm_start: bool = False,
+        verbose: int = 0,
+        n_jobs: int | None = None,
         names: Sequence[str] | None = None,
     ) -> None:
         self.n_components = n_components
@@ -152,6 +166,10 @@ class BoundedGaussianMixture:
         self.max_iter = max_iter
         self.prior_strength = prior_strength
         self.step = step
+        self.transform = transform
+        self.warm_start = warm_start
+        self.verbose = verbose
+        self.n_jobs = n_jobs
         self.names = names
 
     @classmethod
@@ -163,6 +181,7 @@ class BoundedGaussianMixture:
         *,
         lower: npt.ArrayLike | None = None,
         upper: npt.ArrayLike | None = None,
+        transform: str | Sequence[str] | None = None,
         names: Sequence[str] | None = None,
     ) -> BoundedGaussianMixture:
         """A mixture with known parameters, as good as fitted.
@@ -175,7 +194,7 @@ class BoundedGaussianMixture:
             mu_k.
         covariances : (K, d, d)
             Sigma_k.
-        lower, upper, names
+        lower, upper, transform, names
             As for the class.
 
         Raises
@@ -188,43 +207,45 @@ class BoundedGaussianMixture:
             raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
         if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
             raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
-        model = cls(eta.size, lower=lower, upper=upper, names=names)
+        model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
         model._store(eta, mu, np.asarray(covariances, dtype=float))
         return model
 
-    def _bounds(self, dimension: int) -> tuple[FloatArray, FloatArray]:
+    def _transform(self, dimension: int) -> Transform:
         low = check_bound_array(self.lower, "lower", -np.inf, dimension)
         high = check_bound_array(self.upper, "upper", np.inf, dimension)
         check_bounds(low, high)
-        return low, high
+        return Transform.of(self.transform, low, high)
 
     def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> None:
+        transform = self._transform(means.shape[1])
+        truncated = TruncatedNormal(means, covariances, *transform.box())
+        self._distribution = Distribution(weights, truncated, transform)
         self.n_features_in_ = means.shape[1]
-        low, high = self._bounds(self.n_features_in_)
-        self._truncated = TruncatedNormal(means, covariances, low, high)
         self.weights_, self.means_, self.covariances_ = weights, means, covariances
-        self.log_probabilities_ = self._truncated.log_probability
+        self.log_probabilities_ = truncated.log_probability
 
     def _check_settings(self) -> None:
-        check_number("n_components", self.n_components, 1, integer=True)
-        check_number("n_init", self.n_init, 1, integer=True)
-        check_number("short_iter", self.short_iter, 1, integer=True)
-        check_number("subsample", self.subsample, 1, integer=True)
+        for name, least in (("n_components", 1), ("n_init", 1), ("short_iter", 1), ("subsample", 1), ("max_iter", 1)):
+            check_number(name, getattr(self, name), least, integer=True)
         check_number("tol", self.tol, 0.0)
-        check_number("max_iter", self.max_iter, 1, integer=True)
         check_number("prior_strength", self.prior_strength, 0.0)
+        if self.n_jobs is not None:
+            check_number("n_jobs", self.n_jobs, 1, integer=True)
         if self.step not in ("newton", "lee_scott"):
             raise InputError(f"step: {self.step!r}; {nearest(str(self.step), ('newton', 'lee_scott'))}")
 
-    def fit(self, X: npt.ArrayLike, y: object = None) -> Self:
+    def fit(self, X: npt.ArrayLike | EventSource, y: object = None, sample_weight: npt.ArrayLike | None = None) -> Self:
         """Fit by truncated EM.
 
         Parameters
         ----------
-        X : (n, d)
-            Events, strictly inside the box.
+        X : (n, d) or EventSource
+            Events, strictly inside the box; or where they lie, for data larger than memory.
         y : ignored
             For scikit-learn's conventions.
+        sample_weight : (n,), optional
+            Events that each row stands for, not negative; a row of weight 2 counts as two.
 
         Returns
         -------
@@ -239,17 +260,24 @@ class BoundedGaussianMixture:
         """
         del y
         self._check_settings()
-        x = check_matrix(X, None, self.names)
-        n, d = x.shape
-        if d == 0:
+        if isinstance(X, EventSource):
+            if sample_weight is not None:
+                raise InputError("sample_weight: given beside a source of events; allowed: weights in the source")
+            source = X
+        else:
+            x = as_matrix(X)
+            if x.shape[0] == 0:
+                raise InputError("X: no rows")
+            source = ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs)
+        if source.dimension == 0:
             raise InputError("X: no columns")
-        low, high = self._bounds(d)
-        least = self.n_components * (d + 1)
-        if n < least:
-            raise InputError(f"X: {n} rows; allowed: at least K (d + 1) = {least} for K = {self.n_components}, d = {d}")
-        check_inside(x, low, high, self.names)
-        check_constant(x, self.names)
-        location, scale = x.mean(axis=0), x.std(axis=0)
+        transform = self._transform(source.dimension)
+        profile = check_events(source, self.n_components, transform.lower, transform.upper, self.names)
+        if not transform.identity:
+            source = transformed(source, transform)
+            profile = profile_of(source)
+        low, high = transform.box()
+        location, scale = profile.mean, profile.scale
         settings = EMSettings(
             K=int(self.n_components),
             lower=(low - location) / scale,
@@ -263,7 +291,7 @@ class BoundedGaussianMixture:
             prior_strength=float(self.prior_strength),
             step=self.step,
         )
-        result = fit_components((x - location) / scale, settings)
+        result = fit_components(source, profile, settings, self._start(location, scale), self._tell)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
@@ -271,33 +299,32 @@ class BoundedGaussianMixture:
         self.lower_bounds_, self.lower_bound_ = result.history, float(result.history[-1])
         return self
 
-    def _terms(self, X: npt.ArrayLike) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """ln(eta_k g_k/P_k), (n, K), and which rows are inside the box."""
-        self._check_fitted()
-        x = check_matrix(X, self.n_features_in_, self.names)
-        low, high = self._bounds(self.n_features_in_)
-        # standardised by the mixture's own spread: the features x_i x_j would otherwise cancel
-        location = self.weights_ @ self.means_
-        variances = np.diagonal(self.covariances_, axis1=1, axis2=2)
-        scale = np.sqrt(self.weights_ @ variances)
-        inside = np.all((x >= low) & (x <= high), axis=1)
-        scaled = Components(
-            self.weights_,
-            (self.means_ - location) / scale,
-            self.covariances_ / (scale[:, None] * scale),
-            self.log_probabilities_,
-        )
-        return log_terms((x - location) / scale, scaled) - float(np.log(scale).sum()), inside
+    def _start(self, location: FloatArray, scale: FloatArray) -> Components | None:
+        """Where a warm start goes on, in standardised units."""
+        if not self.warm_start or not hasattr(self, "weights_"):
+            return None
+        if self.means_.shape != (self.n_components, location.size):
+            K, d = self.means_.shape
+            raise InputError(
+                f"warm_start: the last fit has K = {K} and {d} columns; allowed: n_components = {self.n_components} "
+                f"and {location.size} columns, as now"
+            )
+        mu, Sigma = (self.means_ - location) / scale, self.covariances_ / (scale[:, None] * scale)
+        return Components(self.weights_, mu, Sigma, self.log_probabilities_)
+
+    def _tell(self, line: str) -> None:
+        if self.verbose:
+            print(f"K = {self.n_components}: {line}", file=sys.stderr)
 
     def score_samples(self, X: npt.ArrayLike) -> FloatArray:
         """Log-density ln f(x) of each row, (n,); -inf outside the box."""
-        terms, inside = self._terms(X)
-        return np.where(inside, log_sum(terms)[0], -np.inf)
+        return self.distribution.log_density(check_matrix(X, self.distribution.dimension, self.names))
 
-    def score(self, X: npt.ArrayLike, y: object = None) -> float:
+    def score(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> float:
         """Mean log-likelihood per event [nats]."""
         del y
-        return float(np.mean(self.score_samples(X)))
+        values = self.score_samples(X)
+        return float(np.average(values, weights=check_sample_weight(sample_weight, values.size)))
 
     def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
         """Share of each component in each row, (n, K).
@@ -307,11 +334,12 @@ class BoundedGaussianMixture:
         InputError
             If a row is outside the box.
         """
-        terms, inside = self._terms(X)
+        x = check_matrix(X, self.distribution.dimension, self.names)
+        inside = self.distribution.inside(x)
         if not inside.all():
             row = int(np.argmin(inside))
             raise InputError(f"X: row {row} is outside the box ({int((~inside).sum())} of {inside.size} rows)")
-        return log_sum(terms)[1]
+        return self.distribution.shares(x)
 
     def predict(self, X: npt.ArrayLike) -> IntArray:
         """Most likely component of each row, (n,)."""
@@ -319,8 +347,7 @@ class BoundedGaussianMixture:
 
     def n_parameters(self) -> int:
         """Free parameters: K means, K covariances, K - 1 weights."""
-        self._check_fitted()
-        K, d = self.means_.shape
+        d, K = self.distribution.dimension, self.weights_.size
         return int(K * (d + d * (d + 1) // 2) + K - 1)
 
     def bic(self, X: npt.ArrayLike) -> float:
@@ -350,51 +377,14 @@ class BoundedGaussianMixture:
         ModelError
             If a component cannot be sampled (proposals are capped).
         """
-        self._check_fitted()
+        distribution = self.distribution
         check_number("n_samples", n_samples, 0, integer=True)
         seed = seed_of(self.random_state if random_state is None else random_state)
-        parts = [self.sample_block(seed, (block,)) for block in range(-(-int(n_samples) // SAMPLE_BLOCK))]
-        if not parts:
-            return np.empty((0, self.n_features_in_)), np.empty(0, dtype=np.int64)
-        return np.concatenate([p[0] for p in parts])[:n_samples], np.concatenate([p[1] for p in parts])[:n_samples]
+        return distribution.sample(int(n_samples), seed)
 
-    def check_samplable(self) -> None:
-        """Draw from every component: a `ModelError` here rather than in a later `sample`."""
-        for k in np.flatnonzero(self.weights_ > 0.0):
-            self._truncated.sample(4, 0, component=int(k))
-
-    def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
-        """`SAMPLE_BLOCK` events from the random stream named by (seed, key)."""
-        self._check_fitted()
-        rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
-        label = rng.choice(self.weights_.size, size=SAMPLE_BLOCK, p=self.weights_ / self.weights_.sum())
-        x = np.empty((SAMPLE_BLOCK, self.n_features_in_))
-        for k in range(self.weights_.size):
-            rows = np.flatnonzero(label == k)
-            x[rows] = self._truncated.sample(rows.size, rng, component=k)
-        return x, label.astype(np.int64)
-
-    def _check_fitted(self) -> None:
-        if not hasattr(self, "weights_"):
+    @property
+    def distribution(self) -> Distribution:
+        """The fitted distribution, apart from how it was fitted."""
+        if not hasattr(self, "_distribution"):
             raise InputError("BoundedGaussianMixture: not fitted yet; call fit first")
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The constructor's arguments (scikit-learn's convention)."""
-        del deep
-        return {
-            name: getattr(self, name) for name in inspect.signature(type(self).__init__).parameters if name != "self"
-        }
-
-    def set_params(self, **params: Any) -> Self:
-        """Change constructor arguments (scikit-learn's convention)."""
-        known = self.get_params()
-        for name, value in params.items():
-            if name not in known:
-                raise InputError(f"BoundedGaussianMixture: no parameter {name!r}; {nearest(name, known)}")
-            setattr(self, name, value)
-        return self
-
-    def __repr__(self) -> str:
-        default = {k: v.default for k, v in inspect.signature(type(self).__init__).parameters.items()}
-        shown = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v is not default[k])
-        return f"BoundedGaussianMixture({shown})"
+        return self._distribution

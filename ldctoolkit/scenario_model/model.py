@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.scenario_model import json_form as form
 from ldctoolkit.scenario_model.parts import ModelProvenance, SideModel, whole_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -111,7 +110,7 @@ class ScenarioModel:
     def _block(self, side: int, block: int, seed: int) -> dict[str, FloatArray]:
         """The events of one block that can be replayed."""
         half = self.left_side if side == LEFT else self.right_side
-        x, _ = half.mixture.sample_block(seed, (_STREAM[side], block))
+        x, _ = half.mixture.distribution.sample_block(seed, (_STREAM[side], block))
         columns = half.columns(x)
         keep = slowest_speed(columns["v_mean"], columns["a_mean"], columns["T"]) >= SPEED_FLOOR
         return {name: column[keep] for name, column in columns.items()}

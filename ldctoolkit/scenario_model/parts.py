@@ -134,7 +134,7 @@ def check_usable(mixture: BoundedGaussianMixture) -> None:
         raise ModelError(f"component {k}: the probability of its box is not a number that a computer can hold")
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            mixture.check_samplable()
+            mixture.distribution.check_samplable()
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
 

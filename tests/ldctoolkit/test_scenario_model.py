@@ -7,7 +7,7 @@ import pytest
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.errors import InputError, ModelError
-from ldctoolkit.mixture import BoundedGaussianMixture, _em
+from ldctoolkit.mixture import BoundedGaussianMixture, Distribution, _em
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.recordings.events import LARGEST_ACCELERATION
 from ldctoolkit.scenario_model import (
@@ -224,7 +224,7 @@ def test_a_fit_that_cannot_be_sampled_is_an_error(monkeypatch):
     def unreachable(self):
         raise ModelError("component 0 cannot be sampled")
 
-    monkeypatch.setattr(BoundedGaussianMixture, "check_samplable", unreachable)
+    monkeypatch.setattr(Distribution, "check_samplable", unreachable)
     with pytest.raises(ModelError, match=r"departures \(left\): component 0 cannot be sampled"):
         fit_scenario_model(plane(40), components=1)
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, truncnorm
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import BoundedGaussianMixture, TruncatedNormal, _em, select_components
-from ldctoolkit.mixture.bounded_gaussian_mixture import SAMPLE_BLOCK
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal, _em, select_components
 
 INF = np.inf
 
@@ -80,7 +79,7 @@ def test_one_component_without_prior_matches_the_data_moments():
     X[:, 1] += 0.5 * X[:, 0]
     low = [-0.5, -INF]
     model = BoundedGaussianMixture(1, lower=low, prior_strength=0.0, tol=1e-12, random_state=0).fit(X)
-    t = model._truncated
+    t = model.distribution.truncated
     np.testing.assert_allclose(t.mean[0], X.mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(t.covariance[0], np.cov(X.T, bias=True), atol=1e-5)
 
@@ -133,7 +132,7 @@ def mean_residual(model, X):
     """
     share = model.predict_proba(X)
     weighted = (share.T @ X) / share.sum(axis=0)[:, None]
-    inside = TruncatedNormal(model.means_, model.covariances_, *model._bounds(X.shape[1])).mean
+    inside = model.distribution.truncated.mean
     return np.abs((weighted - inside) / X.std(axis=0))
 
 
@@ -214,7 +213,7 @@ def test_the_best_start_is_continued(monkeypatch):
     best = runs[int(np.argmax(ends))][1].components
     assert len(ends) == 4
     assert max(ends) > min(ends) + 1e-4
-    np.testing.assert_array_equal(runs[-1][0][1], best.mu)
+    np.testing.assert_array_equal(runs[-1][0].mu, best.mu)
 
 
 def test_the_prior_is_ten_pseudo_events():
