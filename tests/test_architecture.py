@@ -19,6 +19,7 @@ LEVELS = (
     ("ldctoolkit.mixture",),
     ("ldctoolkit.scenarios",),
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
+    ("ldctoolkit.diagnostics",),
     ("ldctoolkit.gains", "ldctoolkit.vehicle"),
     ("ldctoolkit.control",),
     ("ldctoolkit.registry",),
