@@ -1,1 +1,28 @@
-"""How well a fitted mixture describes the events it was fitted to: numbers and warnings, no plots."""
+"""How well a fitted mixture describes events: numbers and warnings, no plots."""
+
+from ldctoolkit.diagnostics._marginals import box_share
+from ldctoolkit.diagnostics.diagnose import diagnose, diagnose_model
+from ldctoolkit.diagnostics.parts import (
+    Calibration,
+    Comparison,
+    Component,
+    Marginal,
+    ModelDiagnostics,
+    PairDensity,
+    SideDiagnostics,
+    Strip,
+)
+
+__all__ = [
+    "Calibration",
+    "Comparison",
+    "Component",
+    "Marginal",
+    "ModelDiagnostics",
+    "PairDensity",
+    "SideDiagnostics",
+    "Strip",
+    "box_share",
+    "diagnose",
+    "diagnose_model",
+]

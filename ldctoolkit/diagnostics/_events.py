@@ -1,0 +1,111 @@
+"""Events as a diagnosis needs them: inside the box, with weights, and a count of what was left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.diagnostics.parts import FloatArray
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import Distribution
+
+LEAST_EVENTS: Final = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Events:
+    """Events strictly inside the box.
+
+    Attributes
+    ----------
+    x : (n, d)
+        Rows.
+    weight : (n,)
+        Events that each row stands for.
+    weighted : bool
+        Whether the caller gave weights.
+    outside : tuple of (str, int)
+        Rows left out since they lie outside a bound, per parameter.
+    """
+
+    x: FloatArray
+    weight: FloatArray
+    weighted: bool
+    outside: tuple[tuple[str, int], ...]
+
+    @property
+    def share(self) -> FloatArray:
+        """Weights that sum to one."""
+        out: FloatArray = self.weight / self.weight.sum()
+        return out
+
+    @property
+    def effective(self) -> float:
+        """Kish's effective number of events."""
+        return float(self.weight.sum() ** 2 / (self.weight**2).sum())
+
+
+def _weights(weights: npt.ArrayLike | None, n: int) -> FloatArray:
+    if weights is None:
+        return np.ones(n)
+    try:
+        out = np.asarray(weights, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("weights: not numbers; allowed: one number >= 0 an event") from None
+    if out.shape != (n,):
+        raise InputError(f"weights: shape {out.shape}; allowed: ({n},), one number an event")
+    bad = ~(np.isfinite(out) & (out >= 0.0))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"weights: {float(out[row])!r} in row {row}; allowed: finite numbers >= 0")
+    return out
+
+
+def checked_events(
+    distribution: Distribution, names: tuple[str, ...], X: npt.ArrayLike, weights: npt.ArrayLike | None
+) -> Events:
+    """Check, leave out what is outside the box, and move what is on a bound just inside, as the fit does.
+
+    Raises
+    ------
+    InputError
+        On a wrong shape, a value that is not finite, wrong weights, or fewer than ten events inside.
+    """
+    try:
+        x = np.array(X, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("X: not a table of numbers; allowed: (n, d), one row an event") from None
+    d = distribution.dimension
+    if x.ndim != 2 or x.shape[1] != d:
+        raise InputError(f"X: shape {x.shape}; allowed: (n, {d}), the columns {', '.join(names)}")
+    if not np.isfinite(x).all():
+        row, j = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
+        raise InputError(f"X: {names[j]} = {float(x[row, j])!r} in row {row}; allowed: finite numbers")
+    weight = _weights(weights, x.shape[0])
+    low, high = distribution.transform.lower, distribution.transform.upper
+    beyond = (x < low) | (x > high)
+    keep = ~beyond.any(axis=1) & (weight > 0.0)
+    counts = tuple((names[j], int(beyond[:, j].sum())) for j in np.flatnonzero(beyond.any(axis=0)))
+    x, weight = x[keep], weight[keep]
+    if x.shape[0] < LEAST_EVENTS:
+        raise InputError(
+            f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
+        )
+    for j in range(d):
+        _move_inside(x[:, j], float(low[j]), float(high[j]))
+    return Events(x, weight, weights is not None, counts)
+
+
+def _move_inside(column: FloatArray, lower: float, upper: float) -> None:
+    """Values on a bound go inside by half the smallest other distance, at most a thousandth of the spread."""
+    for bound, sign in ((lower, 1.0), (upper, -1.0)):
+        on = column == bound
+        if not on.any():
+            continue
+        rest = sign * (column[~on] - bound)
+        step = min(0.5 * float(rest.min()), 1e-3 * float(column.std())) if rest.size else 0.0
+        moved = bound + sign * step
+        column[on] = moved if moved != bound else np.nextafter(bound, bound + sign)

@@ -1,0 +1,128 @@
+"""The model's marginals: shares of boxes by integration, distribution functions by integration and a large sample."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.diagnostics.parts import FloatArray, Marginal
+from ldctoolkit.mixture import Distribution, TruncatedNormal
+
+IntArray = npt.NDArray[np.int64]
+
+KNOTS: Final = 16
+"""Stretches of equal share between which a distribution function is integrated; inside each the sample has its say."""
+
+_POINTS: Final = 1021
+"""Lattice points of a knot: its share to about 1e-5, well below any band."""
+
+BINS: Final = 40
+_TAIL: Final = 0.003
+
+
+def box_share(distribution: Distribution, lower: FloatArray, upper: FloatArray, *, points: int = 4093) -> float:
+    """Share of a mixture in a box within its own, by integration.
+
+    Parameters
+    ----------
+    distribution : Distribution
+        The mixture.
+    lower, upper : (d,)
+        The box, in the data's units.
+    points : int
+        Lattice points, an odd prime.
+
+    Returns
+    -------
+    float
+        sum_k eta_k P_k(box)/P_k.
+    """
+    whole, ends = distribution.truncated, distribution.transform.forward(np.stack([lower, upper]))
+    part = TruncatedNormal(whole.mu, whole.Sigma, ends[0], ends[1], points=points)
+    shares = np.exp(np.minimum(part.log_probability - whole.log_probability, 0.0))
+    return float(distribution.weights @ shares)
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelMarginal:
+    """Distribution function of one parameter of a mixture.
+
+    A large sample gives its shape; at `KNOTS` - 1 values it is integrated, and between two of them the sample is
+    stretched to meet both. The error left is that of the sample within one stretch, 0.5/sqrt(n KNOTS) at most: 0.0003
+    for n = 200,000.
+
+    Attributes
+    ----------
+    ordered : (n,)
+        The sample, ascending.
+    rank : (KNOTS + 1,) int
+        Where the knots stand in it, ends included.
+    share : (KNOTS + 1,)
+        The distribution function there.
+    """
+
+    ordered: FloatArray
+    rank: IntArray
+    share: FloatArray
+
+    def cdf(self, x: FloatArray) -> FloatArray:
+        """F(x) for every value of x."""
+        n = self.ordered.size
+        at = np.searchsorted(self.ordered, x, side="right").astype(float)
+        # between two draws F grows linearly: no steps, so no ties
+        inner = np.clip(at.astype(np.int64), 1, n - 1)
+        low, high = self.ordered[inner - 1], self.ordered[inner]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(high > low, (x - low) / (high - low), 0.0)
+        at = np.where((at > 0) & (at < n), at + np.clip(part, 0.0, 1.0), at)
+        out: FloatArray = np.interp(at, self.rank.astype(float), self.share)
+        return out
+
+
+def model_marginal(distribution: Distribution, sample: FloatArray, j: int) -> ModelMarginal:
+    """Distribution function of parameter j, from a sample (n, d) of the mixture."""
+    ordered = np.sort(sample[:, j])
+    n = ordered.size
+    rank = np.round(np.linspace(0, n, KNOTS + 1)).astype(np.int64)
+    low, high = distribution.transform.lower, distribution.transform.upper
+    share = np.linspace(0.0, 1.0, KNOTS + 1)
+    for i in range(1, KNOTS):
+        end = high.copy()
+        end[j] = ordered[rank[i] - 1]
+        share[i] = box_share(distribution, low, end, points=_POINTS)
+    return ModelMarginal(ordered, rank, np.maximum.accumulate(share))
+
+
+def bin_edges(column: FloatArray, drawn: FloatArray, lower: float, upper: float, bins: int) -> FloatArray:
+    """Equal bins over all but the outermost 0.3 % of events and draws; a finite bound close to them is an end."""
+    low = min(float(np.quantile(part, _TAIL)) for part in (column, drawn))
+    high = max(float(np.quantile(part, 1.0 - _TAIL)) for part in (column, drawn))
+    margin = 0.15 * (high - low)
+    if low - lower < margin:
+        low = lower
+    if upper - high < margin:
+        high = upper
+    if not high > low:  # nearly all events are equal
+        half = max(abs(low), 1.0) * 1e-6
+        low, high = low - half, high + half
+    return np.linspace(low, high, bins + 1)
+
+
+def bin_of(column: FloatArray, edges: FloatArray) -> IntArray:
+    """Bin of each value, -1 outside; the last bin holds its right edge."""
+    place = np.searchsorted(edges, column, side="right") - 1
+    place[column == edges[-1]] = edges.size - 2
+    place[(place >= edges.size - 1) | (column < edges[0])] = -1
+    return place.astype(np.int64)
+
+
+def marginal(name: str, column: FloatArray, weight: FloatArray, model: ModelMarginal, edges: FloatArray) -> Marginal:
+    """Histogram of one parameter beside the model's share of each bin; weights sum to one."""
+    place = bin_of(column, edges)
+    seen = place >= 0
+    data = np.bincount(place[seen], weight[seen], edges.size - 1).astype(float)
+    expected = np.diff(model.cdf(edges))
+    return Marginal(name, edges, data, expected, float(weight[~seen].sum()), float(max(0.0, 1.0 - expected.sum())))

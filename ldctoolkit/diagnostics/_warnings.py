@@ -1,0 +1,88 @@
+"""What a user should know, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from ldctoolkit.diagnostics.parts import SideDiagnostics
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model import SideSummary
+
+LEAST_PROBABILITY: Final = 1e-6
+FAR_OUTSIDE: Final = 5.0
+ILL_CONDITIONED: Final = 1e4
+STRIP_ERROR: Final = 0.2
+STRIP_STANDARD_ERRORS: Final = 4.0
+COMPARISON_STANDARD_ERRORS: Final = 2.0
+
+
+def warnings_of(
+    found: SideDiagnostics, mixture: BoundedGaussianMixture, summary: SideSummary | None
+) -> tuple[str, ...]:
+    """Sentences, the most serious first; each begins with the side where there is one."""
+    prefix = f"{found.label}: " if found.label else ""
+    lines = (*_fit(mixture, summary), *_misfit(found), *_components(found), *_events(found, summary))
+    return tuple(f"{prefix}{line}" for line in lines)
+
+
+def _fit(mixture: BoundedGaussianMixture, summary: SideSummary | None) -> Iterator[str]:
+    converged = summary.converged if summary is not None else getattr(mixture, "converged_", True)
+    if not converged:
+        yield "the fit stopped before it had converged"
+    K = mixture.distribution.weights.size
+    if summary is not None and len(summary.n_components) > 1 and max(summary.n_components) == K:
+        yield f"the chosen K = {K} is the largest that was tried, the best may be larger: try more"
+
+
+def _misfit(found: SideDiagnostics) -> Iterator[str]:
+    beyond = sorted((c for c in found.calibrations if c.distance > c.limit), key=lambda c: -c.distance)
+    if beyond:
+        shown = ", ".join(f"{c.name} {c.distance:.3g}" for c in beyond)
+        yield (
+            f"Kolmogorov distance beyond the {beyond[0].limit:.3g} that chance allows in {len(beyond)} of "
+            f"{len(found.names)} parameters: {shown}"
+        )
+    for strip in found.strips:
+        if abs(strip.error) > STRIP_ERROR and abs(strip.error) > STRIP_STANDARD_ERRORS * strip.standard_error:
+            word = "more" if strip.error > 0 else "less"
+            yield (
+                f"next to the {strip.end} bound of {strip.name} the model has {abs(strip.error):.0%} {word} mass than "
+                f"the events ({strip.model:.2%} against {strip.data:.2%})"
+            )
+    c = found.comparison
+    if c is not None and c.difference > COMPARISON_STANDARD_ERRORS * c.standard_error:
+        yield (
+            f"a mixture after a logarithm or logit of the bounded parameters describes held-out events better, by "
+            f"{c.difference:.3f} +- {c.standard_error:.3f} nats an event"
+        )
+
+
+def _components(found: SideDiagnostics) -> Iterator[str]:
+    d = len(found.names)
+    free = 1 + d + d * (d + 1) // 2
+    for k, one in enumerate(found.components, start=1):
+        if one.events < free:
+            yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
+        if one.log_probability < -13.815510557964274:  # ln 1e-6
+            yield (
+                f"component {k} has only 10^{one.log_probability / 2.302585092994046:.0f} of its normal inside the "
+                "box: its mean and covariance say little"
+            )
+        if one.outside > FAR_OUTSIDE:
+            yield (
+                f"the mean of component {k} lies {one.outside:.1f} of its standard deviations outside the bounds of "
+                f"{one.outside_name}"
+            )
+        if one.condition > ILL_CONDITIONED:
+            yield f"component {k} is nearly flat: its correlation matrix has condition number {one.condition:.2g}"
+
+
+def _events(found: SideDiagnostics, summary: SideSummary | None) -> Iterator[str]:
+    for name, count in summary.moved_inside if summary is not None else ():
+        yield f"{count} events had {name} exactly on a bound, moved just inside"
+    if found.outside:
+        shown = ", ".join(f"{name} {count}" for name, count in found.outside)
+        yield f"events outside the model's bounds were left out ({shown})"
+    if found.comparison is None:
+        yield f"no comparison with a transformed mixture: {found.comparison_note}"

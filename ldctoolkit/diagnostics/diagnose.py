@@ -1,0 +1,234 @@
+"""The whole diagnosis of a mixture, or of both sides of a scenario model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.departures import LEFT, RIGHT, Departures
+from ldctoolkit.diagnostics._bounds import strips
+from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
+from ldctoolkit.diagnostics._comparison import comparison_or_reason
+from ldctoolkit.diagnostics._components import components
+from ldctoolkit.diagnostics._events import checked_events
+from ldctoolkit.diagnostics._marginals import BINS, bin_edges, marginal, model_marginal
+from ldctoolkit.diagnostics._pairs import pair_densities
+from ldctoolkit.diagnostics._warnings import warnings_of
+from ldctoolkit.diagnostics.parts import Calibration, Marginal, ModelDiagnostics, SideDiagnostics
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
+
+Progress = Callable[[str, int, int], None]
+
+N_MODEL: Final = 200_000
+"""Events drawn from the model."""
+
+_STEPS: Final = 4
+"""What one side reports to `progress`: margins, bounds and pairs, comparison, done."""
+
+
+def diagnose(
+    model: SideModel | BoundedGaussianMixture,
+    X: npt.ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    seed: int = 0,
+    weights: npt.ArrayLike | None = None,
+    summary: SideSummary | None = None,
+    label: str = "",
+    n_model: int = N_MODEL,
+    progress: Progress | None = None,
+) -> SideDiagnostics:
+    """Check a fitted mixture against events.
+
+    Parameters
+    ----------
+    model : SideModel or BoundedGaussianMixture
+        The mixture.
+    X : (n, d)
+        Events, columns as in the mixture. Those outside the box are left out and counted; values on a bound are moved
+        just inside, as in `fit_scenario_model`.
+    names : sequence of str, optional
+        Parameters; by default those of the side or of the mixture, else ``x0``, ``x1``, ...
+    seed : int
+        Seed of the model's sample, the bootstrap and the split of the comparison.
+    weights : (n,), optional
+        Events that each row stands for.
+    summary : SideSummary, optional
+        How the side was fitted, for the warnings.
+    label : str
+        Side, put before every warning.
+    n_model : int
+        Events drawn from the model, at least 1,000.
+    progress : callable, optional
+        Called as ``progress("margins", done, total)``.
+
+    Returns
+    -------
+    SideDiagnostics
+        Numbers and warnings.
+
+    Raises
+    ------
+    InputError
+        On events or settings that do not fit, or fewer than ten events inside the box.
+
+    Notes
+    -----
+    Marginals of a truncated mixture have no closed form. Shares next to bounds are integrated; a distribution
+    function is integrated at 15 values and follows a sample of `n_model` events between them, to 0.0003; joint
+    densities are those of the sample. The Kolmogorov limit is a parametric bootstrap without a refit: see
+    `Calibration` and ``docs/fit-page.md``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(0).gamma(1.5, size=(2000, 1))
+    >>> normal = BoundedGaussianMixture(1, lower=0.0, random_state=0, n_init=1).fit(x)
+    >>> found = diagnose(normal, x, names=["T"], n_model=20_000)
+    >>> found.calibrations[0].distance > found.calibrations[0].limit
+    True
+    """
+    mixture = model.mixture if isinstance(model, SideModel) else model
+    distribution = mixture.distribution
+    chosen = _names(model, names, distribution.dimension)
+    if isinstance(n_model, bool) or not isinstance(n_model, int | np.integer) or n_model < 1000:
+        raise InputError(f"n_model: {n_model!r}; allowed: an integer >= 1000")
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed: {seed!r}; allowed: an integer >= 0")
+    tell = progress or _silent
+    events = checked_events(distribution, chosen, X, weights)
+    x, share = events.x, events.share
+    tell("margins", 0, _STEPS)
+    drawn, _ = distribution.sample(int(n_model), int(seed))
+    limit = kolmogorov_limit(events.effective, len(chosen), int(seed))
+    marginals: list[Marginal] = []
+    calibrations: list[Calibration] = []
+    for j, name in enumerate(chosen):
+        low, high = (float(end[j]) for end in (distribution.transform.lower, distribution.transform.upper))
+        of_model = model_marginal(distribution, drawn, j)
+        edges = bin_edges(x[:, j], drawn[:, j], low, high, BINS)
+        marginals.append(marginal(name, x[:, j], share, of_model, edges))
+        calibrations.append(calibrate(name, x[:, j], share, of_model, limit))
+    tell("bounds and pairs", 1, _STEPS)
+    near, far = strips(distribution, chosen, x, share, events.effective)
+    pairs, joint = pair_densities(distribution, chosen, x, share, drawn)
+    table = components(distribution, chosen, x, events.weight)
+    tell("held-out likelihood", 2, _STEPS)
+    given = events.weight if events.weighted else None
+    comparison, note = comparison_or_reason(mixture, chosen, x, given, int(seed))
+    found = SideDiagnostics(
+        label=label,
+        names=chosen,
+        events=x.shape[0],
+        effective_events=events.effective,
+        outside=events.outside,
+        n_model=int(n_model),
+        seed=int(seed),
+        log_likelihood=float(share @ mixture.score_samples(x)),
+        marginals=tuple(marginals),
+        calibrations=tuple(calibrations),
+        strips=near,
+        far_bounds=far,
+        components=table,
+        pairs=pairs,
+        joint=joint,
+        comparison=comparison,
+        comparison_note=note,
+        warnings=(),
+    )
+    tell("done", _STEPS, _STEPS)
+    return dataclasses.replace(found, warnings=warnings_of(found, mixture, summary))
+
+
+def _silent(text: str, done: int, total: int) -> None:
+    del text, done, total
+
+
+def diagnose_model(
+    model: ScenarioModel,
+    departures: Departures,
+    *,
+    seed: int = 0,
+    n_model: int = N_MODEL,
+    progress: Progress | None = None,
+) -> ModelDiagnostics:
+    """Check both sides of a scenario model against departures.
+
+    Parameters
+    ----------
+    model : ScenarioModel
+        The model.
+    departures : Departures
+        Both sides together.
+    seed, n_model
+        As for `diagnose`.
+    progress : callable, optional
+        Called as ``progress("left: margins", done, total)``, over both sides.
+
+    Returns
+    -------
+    ModelDiagnostics
+        The left and the right side.
+
+    Raises
+    ------
+    InputError
+        As for `diagnose`; the message names the side.
+
+    Examples
+    --------
+    >>> from ldctoolkit.departures import PARAMETER_NAMES
+    >>> from ldctoolkit.scenario_model import load_model
+    >>> drawn = load_model("reference").sample(300, 300, seed=1)
+    >>> columns = {name: getattr(drawn, name) for name in ("side", *PARAMETER_NAMES)}
+    >>> zero = np.zeros(600, dtype=np.int64)
+    >>> departures = Departures(**columns, recording=zero.astype(str), start_time=1.0 * zero, samples=zero)
+    >>> found = diagnose_model(load_model("reference"), departures, n_model=5_000)
+    >>> found.left.events, found.right.label
+    (300, 'right')
+    """
+    parts: list[SideDiagnostics] = []
+    sides = (
+        ("left", LEFT, model.left_side, model.provenance.left),
+        ("right", RIGHT, model.right_side, model.provenance.right),
+    )
+    for number, (label, side, half, summary) in enumerate(sides):
+        rows = departures.take(departures.side == side)
+
+        def tell(text: str, done: int, total: int, label: str = label, before: int = number) -> None:
+            if progress is not None and (text != "done" or before == 1):
+                progress("done" if text == "done" else f"{label}: {text}", before * total + done, 2 * total)
+
+        X = np.column_stack([getattr(rows, name) for name in half.names])
+        try:
+            found = diagnose(half, X, seed=seed, summary=summary, label=label, n_model=n_model, progress=tell)
+        except InputError as error:
+            raise InputError(f"departures ({label}): {error}") from None
+        parts.append(dataclasses.replace(found, warnings=(*found.warnings, *_constants(half, rows, label))))
+    return ModelDiagnostics(*parts)
+
+
+def _constants(half: SideModel, rows: Departures, label: str) -> tuple[str, ...]:
+    """A parameter that the model holds constant and these departures do not."""
+    out = []
+    for name, value in half.constants:
+        column = getattr(rows, name)
+        if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
+            shown = f"{float(column.min()):g} to {float(column.max()):g}"
+            out.append(f"{label}: the model holds {name} at {value:g}, in the departures it is {shown}")
+    return tuple(out)
+
+
+def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:
+    given = names if names is not None else model.names
+    if given is None:
+        return tuple(f"x{j}" for j in range(dimension))
+    if len(given) != dimension:
+        raise InputError(f"names: {len(given)} names; allowed: {dimension}, one a column")
+    return tuple(str(name) for name in given)
