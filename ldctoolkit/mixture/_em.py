@@ -9,8 +9,9 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, natural, statistics
+from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
+from ldctoolkit.mixture._split_merge import best_moves
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
 from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of
 from ldctoolkit.mixture.truncated_normal import MOMENT_POINTS, TruncatedNormal
@@ -21,6 +22,17 @@ _SMALL_DIMENSION: Final = 6
 
 _WINDOW: Final = 5
 _LEAST_WEIGHT: Final = 1e-12
+
+_ESCAPE_TOL: Final = 1e-5
+_ESCAPE_PASSES: Final = 40
+_ESCAPE_TRIALS: Final = 5
+_ESCAPES: Final = 1
+_SPLIT_PASSES: Final = 8
+"""Escapes from a local optimum: tolerance and passes of a run, candidates tried, escapes for each component at most."""
+
+_HOPELESS: Final = 0.1
+"""Candidates whose bound on the gain is a greater loss than this [nats an event] are not tried. Measured: where groups
+are apart the bounds are right to 0.01, on data with skewed margins EM gains up to 0.08 on them."""
 
 _STATIONARY: Final = 1e-6
 """A component that finds no step is at its optimum if its mean could add less than this per event [nats]: about 1e-3
@@ -70,6 +82,7 @@ class _Standardised:
     source: EventSource
     location: FloatArray
     scale: FloatArray
+    rows: int
     events: float
 
     def look(self, c: Components) -> Statistics:
@@ -107,9 +120,9 @@ def fit_components(
     prior's target is frozen too: for a short run the clusters' covariances, for the final run the covariances of the
     events around each component at its start.
     """
-    data = _Standardised(source, profile.mean, profile.scale, profile.events)
+    data = _Standardised(source, profile.mean, profile.scale, profile.rows, profile.events)
     try:
-        return _fit(data, profile.rows, s, start, tell)
+        return _fit(data, s, start, tell)
     except np.linalg.LinAlgError:
         raise InputError(
             f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
@@ -117,8 +130,8 @@ def fit_components(
         ) from None
 
 
-def _fit(data: _Standardised, rows: int, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
-    c = _best_start(data, rows, s, tell) if start is None else start
+def _fit(data: _Standardised, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
+    c = _best_start(data, s, tell) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     if bounded > _SMALL_DIMENSION:
         # most of the way on few points: many would take longer than the pass over the events
@@ -137,15 +150,17 @@ def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
     return Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
 
 
-def _best_start(data: _Standardised, rows: int, s: EMSettings, tell: Progress) -> Components:
+def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Components:
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
-    chosen = np.arange(rows) if rows <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False))
+    chosen = (
+        np.arange(data.rows) if data.rows <= s.subsample else np.sort(rng.choice(data.rows, s.subsample, replace=False))
+    )
     x, weight = data.source.take(chosen)
     z = (x - data.location) / data.scale
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
-    short = _Standardised(ArrayEvents(z, weight), np.zeros(d), np.ones(d), events)
+    short = _Standardised(ArrayEvents(z, weight), np.zeros(d), np.ones(d), z.shape[0], events)
     best: EMResult | None = None
     for run in range(s.n_init if s.K > 1 else 1):
         first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
@@ -155,7 +170,49 @@ def _best_start(data: _Standardised, rows: int, s: EMSettings, tell: Progress) -
             best = result
     if best is None:
         raise RuntimeError("no start was run")
-    return best.components
+    if s.K < 3:
+        return best.components
+    return _escape(short, best.components, s, tell).components
+
+
+def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -> EMResult:
+    """Split one component and merge two others, as long as that leads higher."""
+    loose = dataclasses.replace(s, tol=_ESCAPE_TOL)
+    z, weight = data.source.take(np.arange(data.rows))
+    weight = np.ones(data.rows) if weight is None else weight
+    rng = np.random.default_rng([s.seed, 2])
+    now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS)
+
+    def split_run(x: FloatArray, w: FloatArray, two: Components) -> tuple[Components, float]:
+        own = _Standardised(ArrayEvents(x, w), data.location, data.scale, w.size, float(w.sum()))
+        end = _run(own, two, Prior(s.prior_strength, two.Sigma), loose, _SPLIT_PASSES, _SHORT_POINTS).components
+        return end, own.look(end).log_likelihood
+
+    for _ in range(_ESCAPES * s.K):
+        c = now.components
+        t = TruncatedNormal(c.mu, c.Sigma, s.lower, s.upper, points=_SHORT_POINTS)
+        candidates = best_moves(
+            z,
+            weight,
+            data.look(c),
+            t,
+            shares(log_terms(z, c)),
+            strength=s.prior_strength,
+            points=_SHORT_POINTS,
+            run=split_run,
+            rng=rng,
+        )
+        for move in [m for m in candidates if m.gain > -_HOPELESS * data.events][:_ESCAPE_TRIALS]:
+            trial = _run(data, move.start, _local_prior(data, move.start, s), loose, _ESCAPE_PASSES, _SHORT_POINTS)
+            gain = trial.history[-1] - now.history[-1]
+            if gain > _WINDOW * _ESCAPE_TOL:
+                i, j = move.merged
+                tell(f"component {move.split} split, {i} and {j} merged: {gain:.6f} nats an event more")
+                now = trial
+                break
+        else:
+            break
+    return now
 
 
 def _run(
