@@ -1,12 +1,14 @@
 """Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
 
+from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
 from ldctoolkit.scenario_model.fit import fit_scenario_model
 from ldctoolkit.scenario_model.library import bundled_models, load_model
 from ldctoolkit.scenario_model.model import ScenarioModel
-from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, ModelProvenance, SideModel, SideSummary
+from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
 
 __all__ = [
     "PHYSICAL_BOUNDS",
+    "FitSettings",
     "ModelProvenance",
     "ScenarioModel",
     "SideModel",

@@ -9,9 +9,10 @@ from typing import Any, Final
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
+from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, checked_bounds, component_numbers, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
-from ldctoolkit.scenario_model.parts import ModelProvenance, whole_number
+from ldctoolkit.scenario_model.parts import whole_number
 from ldctoolkit.version import __version__
 
 _SEED_END: Final = 10**18

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import select_components
-from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, SideSummary, check_usable
+from ldctoolkit.scenario_model.card import SideSummary
+from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, check_usable
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

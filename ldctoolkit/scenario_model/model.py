@@ -15,7 +15,9 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.scenario_model import json_form as form
-from ldctoolkit.scenario_model.parts import ModelProvenance, SideModel, whole_number
+from ldctoolkit.scenario_model._reader import read_text
+from ldctoolkit.scenario_model.card import ModelProvenance
+from ldctoolkit.scenario_model.parts import SideModel, whole_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
 
@@ -186,7 +188,7 @@ class ScenarioModel:
             Broken JSON (with line and column), another format or version, or a value that does not fit (with its key
             path).
         """
-        return cls._parse(form.read_text(Path(path)), str(path))
+        return cls._parse(read_text(Path(path)), str(path))
 
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:

@@ -1,4 +1,4 @@
-"""What a scenario model is made of: one side's mixture and constants, provenance, and the physical bounds."""
+"""What a scenario model is made of: one side's mixture and constants, and the physical bounds."""
 
 from __future__ import annotations
 
@@ -32,67 +32,6 @@ LEAST_LOWER: Final[Mapping[str, float]] = {"T": 0.0, "d_y": 0.0, "sigma_y": 0.0,
 
 
 @dataclasses.dataclass(frozen=True)
-class SideSummary:
-    """How one side was fitted.
-
-    Attributes
-    ----------
-    events : int
-        Departures used.
-    n_components : tuple of int
-        The K that were tried.
-    bic, log_likelihood : tuple of float
-        Criterion, and log-likelihood per event [nats], of each.
-    converged : bool
-        Whether the chosen fit reached its tolerance.
-    moved_inside : tuple of (str, int)
-        Events that lay exactly on a bound, per parameter.
-    redrawn_share : float
-        Share of drawn events that fall below the speed floor and are drawn again.
-    """
-
-    events: int
-    n_components: tuple[int, ...]
-    bic: tuple[float, ...]
-    log_likelihood: tuple[float, ...]
-    converged: bool
-    moved_inside: tuple[tuple[str, int], ...]
-    redrawn_share: float
-
-
-@dataclasses.dataclass(frozen=True)
-class ModelProvenance:
-    """Where a scenario model comes from.
-
-    Attributes
-    ----------
-    source : mapping
-        JSON values that describe the data.
-    synthetic : bool
-        True where the data were drawn from a stated population and not recorded.
-    created : str
-        Time in UTC, ISO 8601.
-    software : str
-        Name and version of the program that fitted it.
-    seed : int
-        Seed of the fit.
-    warnings : tuple of str
-        What a user of the model should know.
-    left, right : SideSummary, optional
-        How each side was fitted.
-    """
-
-    source: Mapping[str, Any]
-    synthetic: bool = False
-    created: str = ""
-    software: str = ""
-    seed: int = 0
-    warnings: tuple[str, ...] = ()
-    left: SideSummary | None = None
-    right: SideSummary | None = None
-
-
-@dataclasses.dataclass(frozen=True)
 class SideModel:
     """One side: a mixture over the parameters that vary, and the values of those that do not.
 
@@ -117,8 +56,13 @@ class SideModel:
         return {name: out[name] for name in PARAMETER_NAMES}
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of `names`."""
-        return np.asarray(self.mixture.lower, dtype=float), np.asarray(self.mixture.upper, dtype=float)
+        """Lower and upper bounds of `names`, in the data's units."""
+        transform = self.mixture.distribution.transform
+        return transform.lower, transform.upper
+
+    def transform(self) -> tuple[str, ...]:
+        """How each of `names` was mapped before the fit: ``"none"``, ``"log"`` or ``"logit"``."""
+        return self.mixture.distribution.transform.kinds
 
 
 def check_usable(mixture: BoundedGaussianMixture) -> None:

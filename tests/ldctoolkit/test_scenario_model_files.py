@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +17,15 @@ from ldctoolkit.errors import ModelError, UnknownNameError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model import (
     PHYSICAL_BOUNDS,
+    FitSettings,
     ModelProvenance,
     ScenarioModel,
     SideModel,
     SideSummary,
     load_model,
 )
+from ldctoolkit.scenario_model.json_form import VERSION
+from ldctoolkit.scenario_model.migrations import NEWEST, to_newest
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,28 @@ def model():
         BoundedGaussianMixture.from_parameters([1.0], mean, cov, lower=lower, upper=upper), PARAMETER_NAMES
     )
     fit = SideSummary(200, (1, 2), (1000.0 / 3.0, 1100.0), (-2.5, -2.4), True, (("T", 2),), 0.0)
-    provenance = ModelProvenance({"description": "made up"}, seed=3, warnings=("one",), left=fit, right=fit)
+    card = dataclasses.replace(
+        fit,
+        n_parameters=(44, 89),
+        aic=(1.0, 1.0 / 7.0),
+        criterion="bic",
+        reason="K = 1 has the smallest BIC",
+        failed=((3, "no maximum"),),
+        passes=7,
+        stop_reason="converged",
+        weight=250.5,
+        bounds_from=(("T", "given", "auto"),),
+    )
+    settings = FitSettings("smallest", 10.0, 1e-6, 8, 500)
+    provenance = ModelProvenance(
+        {"description": "made up"},
+        seed=3,
+        warnings=("one",),
+        left=card,
+        right=fit,
+        versions={"numpy": "2"},
+        settings=settings,
+    )
     return ScenarioModel(side, side, provenance)
 
 
@@ -88,6 +113,76 @@ def test_what_could_not_be_read_back_is_not_written(model, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+OLD = Path(__file__).parents[1] / "data" / "scenario-model-v1.json"
+OLD_HASHES = {
+    "reference": "03b18cc9c76329d97e3f643b12f94f240374c6801fff0062ceeaa1d9c3fe5ecd",
+    OLD: "6d0022a16c4846cea8cc8555d744b3fe20f6b6b53f045430220b9e9d6455ea8b",
+}
+
+
+@pytest.mark.parametrize("old", OLD_HASHES, ids=["reference", "fixture"])
+def test_a_file_of_version_1_loads_and_keeps_its_hash(old, tmp_path):
+    """Studies resume by the hash: these are the hashes that the program which wrote the files gave."""
+    model = load_model(old)
+    assert model.content_hash == OLD_HASHES[old]
+    assert set(model.left_side.transform()) == {"none"}
+    model.save(tmp_path / "new.json")
+    written = json.loads((tmp_path / "new.json").read_text())
+    assert written["version"] == VERSION == 2
+    again = load_model(tmp_path / "new.json")
+    assert again.content_hash == OLD_HASHES[old]
+    assert again.provenance == model.provenance
+    assert np.array_equal(again.sample(20, 20, 1).matrix(), model.sample(20, 20, 1).matrix())
+
+
+def test_what_version_1_did_not_know_is_empty_and_not_made_up():
+    provenance = load_model(OLD).provenance
+    left = provenance.left
+    assert json.loads(OLD.read_text())["version"] == 1
+    assert (provenance.versions, provenance.settings) == ({}, None)
+    assert (left.events, left.n_components, left.moved_inside) == (120, (1, 2), (("sigma_v", 3),))
+    assert len(left.bic) == 2
+    assert (left.aic, left.held_out, left.n_parameters, left.passes, left.weight) == ((), (), (), None, None)
+    assert (left.criterion, left.stop_reason, left.bounds_from) == ("bic", "", ())
+
+
+def test_a_migration_changes_no_file_in_place():
+    data = json.loads(OLD.read_text())
+    before = json.dumps(data)
+    assert to_newest(data, 1)["version"] == NEWEST
+    assert json.dumps(data) == before
+    assert to_newest(to_newest(data, 1), NEWEST) == to_newest(data, 1)
+
+
+def test_a_transform_comes_back_and_enters_the_hash(model, tmp_path):
+    """Mapped columns keep their box in the data's units; every other number of the file is the same."""
+    left = model.left_side
+    mapped = BoundedGaussianMixture.from_parameters(
+        [1.0],
+        [[0.0, -1.6, -3.0, 25.0, 0.0, -3.2, 0.0, 0.0]],
+        np.diag(np.array([0.3, 0.4, 0.4, 4.0, 0.3, 0.4, 1e-3, 5e-4]) ** 2)[None],
+        lower=left.bounds()[0],
+        upper=left.bounds()[1],
+        transform=["logit", "log", "log", "none", "none", "log", "none", "none"],
+    )
+    side = SideModel(mapped, PARAMETER_NAMES)
+    written = dataclasses.replace(model, left_side=side)
+    written.save(tmp_path / "m.json")
+    back = load_model(tmp_path / "m.json")
+    assert back.left_side.transform() == side.transform()
+    assert back.content_hash == written.content_hash != model.content_hash
+    drawn = back.sample(3000, 0, 1)
+    assert np.array_equal(drawn.matrix(), written.sample(3000, 0, 1).matrix())
+    # the median of a monotone map is the map of the median: d_y = exp(-1.6), T = (0.5 + 10)/2; 5 standard errors
+    assert abs(np.log(np.median(drawn.d_y)) + 1.6) < 5 * 1.2533 * 0.4 / np.sqrt(3000)
+    assert abs(np.median(drawn.T) - 5.25) < 5 * 1.2533 * 0.3 * 9.5 / 4 / np.sqrt(3000)
+    plain = BoundedGaussianMixture.from_parameters(
+        [1.0], mapped.means_, mapped.covariances_, lower=left.bounds()[0], upper=left.bounds()[1]
+    )
+    other = dataclasses.replace(model, left_side=SideModel(plain, PARAMETER_NAMES))
+    assert other.content_hash != written.content_hash
+
+
 def changed(data, path, value):
     *parents, last = path
     target = data
@@ -106,7 +201,33 @@ LEFT_SIDE = ("sides", "left")
     ("path", "value", "message"),
     [
         (("format",), "other", r"format: 'other'; allowed: 'ldctoolkit-scenario-model'"),
-        (("version",), 2, r"version: 2; this program reads version 1"),
+        (("version",), 3, r"version: 3; .* reads versions 1 to 2: the file is newer, update ldctoolkit"),
+        (("version",), 0, r"version: 0; this program reads versions 1 to 2"),
+        (("version",), "2", r"version: '2'; this program reads versions 1 to 2"),
+        (("version",), True, r"version: True; this program reads versions 1 to 2"),
+        (("version",), 1.5, r"version: 1\.5; this program reads versions 1 to 2"),
+        (("version",), KeyError, r"version: None; this program reads versions 1 to 2"),
+        (
+            (*LEFT_SIDE, "transform"),
+            ["none"],
+            r"sides\.left\.transform: \['none'\]; allowed: 8 of 'none', 'log', 'logit'",
+        ),
+        ((*LEFT_SIDE, "transform", 1), "auto", r"sides\.left\.transform: .*allowed: 8 of 'none', 'log', 'logit'"),
+        ((*LEFT_SIDE, "transform", 1), "logit", r"sides\.left: transform: 'logit' for column 1 with 1 finite bounds"),
+        ((*LEFT_SIDE, "transform"), KeyError, r"sides\.left\.transform: missing"),
+        (("provenance", "versions"), {"numpy": 2}, r"provenance\.versions\.numpy: 2; allowed: a string"),
+        (("provenance", "settings"), 3, r"provenance\.settings: 3; allowed: an object or null"),
+        (("provenance", "settings", "tol"), "x", r"provenance\.settings\.tol: 'x'; allowed: a number"),
+        (("provenance", "settings", "tl"), 1, r"provenance\.settings\.tl: not known; did you mean 'tol'"),
+        (("provenance", "left", "aic"), [1.0], r"provenance\.left\.aic: shape \(1,\); allowed: \(2,\)"),
+        (("provenance", "left", "bic"), [], r"provenance\.left\.bic: shape \(0,\); allowed: \(2,\)"),
+        (("provenance", "left", "n_parameters"), [1], r"provenance\.left\.n_parameters: 1 numbers; allowed: 0 or 2"),
+        (("provenance", "left", "passes"), -1, r"provenance\.left\.passes: -1; allowed: an integer >= 0, or null"),
+        (("provenance", "left", "weight"), "1", r"provenance\.left\.weight: '1'; allowed: a number, or null"),
+        (("provenance", "left", "bounds_from"), [["T", "auto"]], r"provenance\.left\.bounds_from: \['T', 'auto'\]"),
+        (("provenance", "left", "bounds_from"), [["t", "auto", "auto"]], r"provenance\.left\.bounds_from: 't'"),
+        (("provenance", "left", "failed"), [[True, "x"]], r"provenance\.left\.failed: \[True, 'x'\]"),
+        (("provenance", "left", "failed"), [[3]], r"provenance\.left\.failed: \[3\]; allowed: a list of \[K, reason\]"),
         (("sides",), KeyError, r"sides: missing"),
         (("sides", "right"), [], r"sides\.right: \[\]; allowed: an object"),
         ((*LEFT_SIDE, "weights"), KeyError, r"sides\.left\.weights: missing"),
