@@ -35,8 +35,9 @@ def kolmogorov_limit(effective_events: float, parameters: int, seed: int) -> flo
 
     Notes
     -----
-    A parametric bootstrap: F(x) of an event from the model is uniform, so uniform numbers are drawn. The model is not fitted again to each
-    draw: against events that it was fitted to, a right model stays below this limit more often than 95 %.
+    A parametric bootstrap: F(x) of an event from the model is uniform, so uniform numbers are drawn. The model is not
+    fitted again to each draw: against events that it was fitted to, a right model stays below this limit more often
+    than 95 %.
 
     Examples
     --------

@@ -1,15 +1,204 @@
-"""The page: context for the template, rendered and written whole."""
+"""The page: figures and context for the template, rendered and written whole."""
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.resources
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ldctoolkit.departures import Departures
+import jinja2
+from markupsafe import Markup
+
+from ldctoolkit.departures import PARAMETER_NAMES, Departures
+from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.scenario_model import ScenarioModel
-from studies.files import write_text
+from ldctoolkit.version import __version__
+from studies.files import stored_file, write_text
+from studies.fit_page import content, figures, figures_pairs
+from studies.fit_page.picture import picture
+from studies.fit_page.style import COLORS, MEANINGS, UNITS
+from studies.model_notes import WARNING, model_notes
+from studies.report import text
+from studies.report.svg import inline_svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, int, int], None]
+
+SECTIONS = (
+    ("warnings", "Warnings"),
+    ("margins", "Margins"),
+    ("joint", "T and d_y"),
+    ("calibration", "Calibration"),
+    ("bounds", "Bounds"),
+    ("transform", "Alternative"),
+    ("components", "Components"),
+    ("selection", "Choice of K"),
+    ("pairs", "Pairs"),
+    ("settings", "Settings"),
+)
+"""Identifiers of the sections, which stay the same from version to version, and their titles."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """One figure and the sentence under it."""
+
+    svg: Markup
+    note: str = ""
+
+
+class _Panels:
+    """Makes panels with identifiers of their own."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def __call__(self, figure: Figure, alt: str, note: str = "") -> Panel:
+        self._count += 1
+        return Panel(inline_svg(figure, f"f{self._count}", alt), note)
+
+
+def _margins(panel: _Panels, side: content.Side) -> list[Panel]:
+    out = []
+    for one, calibration in zip(side.found.marginals, side.found.calibrations, strict=True):
+        note = ""
+        if max(one.data_beyond, one.model_beyond) > 0.0:
+            note = (
+                f"not shown: {text.percent(one.data_beyond)} of the events, {text.percent(one.model_beyond)} of the "
+                "model"
+            )
+        alt = (
+            f"{side.title}: histogram of {one.name}, {MEANINGS.get(one.name, '')}, events as bars and model as a line. "
+            f"Kolmogorov distance {text.percent(calibration.distance, 2)}."
+        )
+        out.append(panel(figures.marginal_figure(one, side.key), alt, note))
+    return out
+
+
+def _joint(panel: _Panels, side: content.Side) -> list[Panel]:
+    pair = side.found.joint
+    if pair is None:
+        return []
+    alt = f"{side.title}: joint density of T and d_y, {{}}, with the model's contours of 50 % and 90 %."
+    return [
+        panel(
+            figures_pairs.joint_figure(pair, side.key, of_model=of_model), alt.format("model" if of_model else "events")
+        )
+        for of_model in (False, True)
+    ]
+
+
+def _calibration(panel: _Panels, sides: tuple[content.Side, ...]) -> list[Panel]:
+    out = []
+    for name in PARAMETER_NAMES:
+        found = {s.key: c for s in sides for c in s.found.calibrations if c.name == name}
+        if found:
+            said = ", ".join(f"{key} {text.percent(c.distance, 2)}" for key, c in found.items())
+            alt = f"Probability integral transform of {name}: events below u minus u. Greatest distance: {said}."
+            out.append(panel(figures.calibration_figure(found), alt, f"{name}: greatest distance {said}"))
+    return out
+
+
+def _strips(panel: _Panels, sides: tuple[content.Side, ...]) -> list[Panel]:
+    out = []
+    for side in (s for s in sides if s.found.strips):
+        said = ", ".join(f"{s.name} {s.end} {text.percent(s.error, 0)}" for s in side.found.strips)
+        out.append(
+            panel(figures.strips_figure(side.found.strips, side.key), f"{side.title}: error next to bounds: {said}.")
+        )
+    return out
+
+
+def _selection(panel: _Panels, sides: tuple[content.Side, ...]) -> list[Panel]:
+    out = []
+    for side in sides:
+        if side.summary is not None and len(side.summary.bic) > 1:
+            alt = f"{side.title}: BIC over the number of components K, the chosen K is {side.K}."
+            out.append(panel(figures.bic_figure(side.summary, side.K, side.key), alt))
+    return out
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("studies.fit_page"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {
+        "number": text.number,
+        "signed": text.signed,
+        "percent": text.percent,
+        "symbols": text.symbols,
+        "printable": text.printable,
+        "compact": text.compact,
+    }
+    environment.globals |= {"plural": text.plural, "verdict": content.verdict, "bounds_of": content.parameters_text}
+    return environment
+
+
+def _style() -> Markup:
+    # our own files, not a user's: they go into <style> as they are
+    parts = (("studies.report", "report.css"), ("studies.fit_page", "fit.css"))
+    return Markup(
+        "\n".join(
+            (importlib.resources.files(package) / "templates" / name).read_text(encoding="utf-8")
+            for package, name in parts
+        )
+    )
+
+
+def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
+    """The page as one HTML document; the same input gives the same text.
+
+    Parameters
+    ----------
+    model : ScenarioModel
+        The model.
+    found : ModelDiagnostics
+        What `diagnose_model` says of it.
+    seed : int
+        Seed of the diagnosis, to be told.
+
+    Returns
+    -------
+    str
+    """
+    sides = content.sides_of(model, found)
+    panel = _Panels()
+    return _environment().get_template("fit.html").render(
+        sections=SECTIONS,
+        style=_style(),
+        colors=COLORS,
+        units=UNITS,
+        meanings=MEANINGS,
+        model=model,
+        sides=sides,
+        seed=seed,
+        version=__version__,
+        warnings=content.all_warnings(model, sides),
+        tiles=content.tiles(sides),
+        notes=[note for note in model_notes(model) if not note.startswith(WARNING)],
+        facts=content.facts(model),
+        margins={side.key: _margins(panel, side) for side in sides},
+        joint={side.key: _joint(panel, side) for side in sides},
+        calibration=_calibration(panel, sides),
+        strips=_strips(panel, sides),
+        selection=_selection(panel, sides),
+        pairs={
+            side.key: panel(
+                figures_pairs.pairs_figure(side.found, side.key),
+                f"{side.title}: joint densities of all pairs of parameters, events below the diagonal, model above it.",
+            )
+            for side in sides
+            if len(side.found.names) > 1
+        },
+    )  # fmt: skip
 
 
 def write_page(
@@ -22,13 +211,10 @@ def write_page(
     progress: Progress | None,
 ) -> None:
     """Check, render and write; see `studies.fit_page.write_fit_page`."""
-    del seed, png
-    if progress is not None:
-        progress("page", 0, 1)
-    write_text(
-        target,
-        f"<!DOCTYPE html><html lang=en><title>Fit</title><p>{len(departures)} departures, "
-        f"model {model.content_hash[:12]}</html>",
-    )
-    if progress is not None:
-        progress("done", 1, 1)
+    found = diagnose_model(model, departures, seed=seed, progress=progress)
+    page = render(model, found, seed=seed)
+    image = None if png is None else picture(content.sides_of(model, found))
+    write_text(target, page)
+    if png is not None and image is not None:
+        with stored_file(Path(png)) as stream:
+            stream.write(image)

@@ -1,0 +1,153 @@
+"""What the page says in words and tables."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from ldctoolkit.diagnostics import Comparison, Component, ModelDiagnostics, SideDiagnostics
+from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
+from studies.fit_page.style import TITLES
+from studies.report import text
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """One side with all that the page shows of it."""
+
+    key: str
+    title: str
+    model: SideModel
+    summary: SideSummary | None
+    found: SideDiagnostics
+
+    @property
+    def K(self) -> int:
+        """Components."""
+        return len(self.found.components)
+
+    @property
+    def ordered(self) -> list[tuple[int, Component]]:
+        """Number and values of each component, the heaviest first."""
+        return sorted(enumerate(self.found.components, start=1), key=lambda pair: -pair[1].weight)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """One large number at the top of the page."""
+
+    value: str
+    unit: str
+    text: str
+    detail: str
+
+
+def sides_of(model: ScenarioModel, found: ModelDiagnostics) -> tuple[Side, Side]:
+    """Left and right, together with their fits."""
+    origin = model.provenance
+    return (
+        Side("left", TITLES["left"], model.left_side, origin.left, found.left),
+        Side("right", TITLES["right"], model.right_side, origin.right, found.right),
+    )
+
+
+def all_warnings(model: ScenarioModel, sides: tuple[Side, Side]) -> list[str]:
+    """Warnings of the diagnosis, of the data, and those that the model carries; nothing twice."""
+    origin = model.provenance
+    lines: list[str] = []
+    if origin.synthetic:
+        lines.append("the model is synthetic: it was fitted to drawn, not to recorded departures")
+    for side in sides:
+        if side.summary is not None and side.summary.events != side.found.events + _left_out(side.found):
+            lines.append(
+                f"{side.key}: the model was fitted to {side.summary.events:,} departures and is checked here against "
+                f"{side.found.events:,} others"
+            )
+        lines += side.found.warnings
+    stopped = {side.key for side in sides if any(w.startswith(f"{side.key}: the fit stopped") for w in origin.warnings)}
+    lines = [one for one in lines if one not in {f"{key}: the fit stopped before it had converged" for key in stopped}]
+    return list(dict.fromkeys((*lines, *origin.warnings)))
+
+
+def _left_out(found: SideDiagnostics) -> int:
+    return sum(count for _, count in found.outside)
+
+
+def tiles(sides: tuple[Side, Side]) -> list[Tile]:
+    """Counts, K, and the worst of each kind of misfit."""
+    shown = text.number
+    left, right = sides
+    events = Tile(
+        f"{left.found.events + right.found.events:,}",
+        "",
+        "departures",
+        f"{left.found.events:,} left, {right.found.events:,} right",
+    )
+    components = Tile(f"{left.K} / {right.K}", "", "components K", "left / right")
+    out = [events, components]
+    worst = max(
+        ((c, s) for s in sides for c in s.found.calibrations), key=lambda pair: pair[0].distance / pair[0].limit
+    )
+    calibration, side = worst
+    out.append(
+        Tile(
+            shown(100.0 * calibration.distance, 2),
+            "%",
+            f"Kolmogorov distance of {calibration.name}, {side.key}",
+            f"the worst against its limit, {text.percent(calibration.limit, 2)}",
+        )
+    )
+    strips = [(strip, s) for s in sides for strip in s.found.strips]
+    if strips:
+        strip, side = max(strips, key=lambda pair: abs(pair[0].error))
+        out.append(
+            Tile(
+                text.signed(100.0 * strip.error, 0),
+                "%",
+                f"mass next to the {strip.end} bound of {strip.name}, {side.key}",
+                f"the largest error at a bound, standard error {text.percent(strip.standard_error, 0)}",
+            )
+        )
+    return out
+
+
+def verdict(comparison: Comparison) -> str:
+    """What the comparison says, in words."""
+    difference, error = comparison.difference, comparison.standard_error
+    said = f"{text.number(abs(difference))} ± {text.number(error)} nats an event"
+    if abs(difference) <= 2.0 * error:
+        return f"no clear difference ({said})"
+    if difference > 0:
+        return f"the transformed mixture is better, by {said}"
+    return f"the bounded mixture is better, by {said}"
+
+
+def facts(model: ScenarioModel) -> tuple[tuple[str, str], ...]:
+    """Name and value of what the model is and where it comes from."""
+    origin = model.provenance
+    return tuple(
+        (name, value)
+        for name, value in (
+            ("Model content", model.content_hash),
+            ("Fitted with", origin.software),
+            ("Created", origin.created),
+            ("Seed of the fit", str(origin.seed)),
+        )
+        if value
+    )
+
+
+def parameters_text(side: Side) -> str:
+    """Bounds of each parameter and the constants of a side."""
+    low, high = side.model.bounds()
+    parts = []
+    for j, name in enumerate(side.model.names):
+        ends = [text.compact(float(low[j])) if low[j] > -float("inf") else "", ""]
+        ends[1] = text.compact(float(high[j])) if high[j] < float("inf") else ""
+        if ends[0] and ends[1]:
+            parts.append(f"{name} {ends[0]} to {ends[1]}")
+        elif ends[0] or ends[1]:
+            parts.append(f"{name} above {ends[0]}" if ends[0] else f"{name} below {ends[1]}")
+        else:
+            parts.append(f"{name} open")
+    parts += [f"{name} = {text.compact(value)} (constant)" for name, value in side.model.constants]
+    return ", ".join(parts)
