@@ -18,6 +18,7 @@ from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._transform import Transform
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,7 +51,7 @@ class EventSource(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class ArrayEvents:
-    """Events in memory; nothing is copied.
+    """Events in memory; they are not copied.
 
     Attributes
     ----------
@@ -82,7 +83,8 @@ class ArrayEvents:
 
         def block(first: int) -> Part:
             weight = None if self.weight is None else self.weight[first : first + BLOCK]
-            return work(self.x[first : first + BLOCK], weight)
+            # row by row in memory, whatever the array's order: the last digits of sums depend on it
+            return work(np.ascontiguousarray(self.x[first : first + BLOCK]), weight)
 
         firsts = range(0, self.x.shape[0], BLOCK)
         threads = min(usable_cores() if self.threads is None else self.threads, len(firsts))
@@ -93,7 +95,7 @@ class ArrayEvents:
 
     def take(self, rows: IntArray) -> tuple[FloatArray, FloatArray | None]:
         """Rows (m, d) by their ascending numbers, and their weights."""
-        return self.x[rows], None if self.weight is None else self.weight[rows]
+        return np.ascontiguousarray(self.x[rows]), None if self.weight is None else self.weight[rows]
 
     def blocks(self) -> Iterator[FloatArray]:
         """The rows of each block, in order."""
@@ -207,8 +209,8 @@ class Profile:
         """Of some rows, at least one."""
         w = np.ones(x.shape[0]) if weight is None else weight
         events = float(w.sum())
-        mean = w @ x / events if events > 0 else np.zeros(x.shape[1])
-        return cls(x.shape[0], events, mean, w @ (x - mean) ** 2, x.min(axis=0), x.max(axis=0))
+        mean = _weighted(w, x) / events if events > 0 else np.zeros(x.shape[1])
+        return cls(x.shape[0], events, mean, _weighted(w, (x - mean) ** 2), x.min(axis=0), x.max(axis=0))
 
     def __add__(self, other: Profile) -> Profile:
         events = self.events + other.events
@@ -230,9 +232,28 @@ class Profile:
         return out
 
 
+def _weighted(w: FloatArray, x: FloatArray) -> FloatArray:
+    """Sums (d,) of the rows times their weights; not by BLAS, whose last digits depend on its threads."""
+    out: FloatArray = np.einsum("i,ij->j", w, x)
+    return out
+
+
 def profile_of(source: EventSource) -> Profile:
-    """Counts, means, spreads and ranges of all rows."""
-    return functools.reduce(operator.add, source.map_blocks(Profile.of_block))
+    """Counts, means, spreads and ranges of all rows.
+
+    Raises
+    ------
+    InputError
+        If there is no row, or no row with a weight above zero.
+    """
+    parts = iter(source.map_blocks(Profile.of_block))
+    first = next(parts, None)
+    if first is None:
+        raise InputError("X: no rows; allowed: at least one event")
+    profile = functools.reduce(operator.add, parts, first)
+    if profile.events == 0.0:
+        raise InputError(f"X: the weights of all {profile.rows} rows are zero; allowed: at least one event")
+    return profile
 
 
 def usable_cores() -> int:
