@@ -34,9 +34,12 @@ _TRIALS: Final = 16
 
 _OTHER_TRIALS: Final = 8
 _VALID_HALVINGS: Final = 40
-_LEAST_EIGENVALUE: Final = 0.1
-_LARGEST_GROWTH: Final = 3.0
-"""A Newton step may shrink a whitened variance to the one share, and grow it by the other; the next goes further."""
+_LEAST_PRECISION: Final = 0.1
+"""A Newton step leaves at least this share of every whitened precision; the next goes further."""
+
+LEAST_LOG_PROBABILITY: Final = -1e4
+"""No step goes below this ln P. Where density piles up at a bound without end, the likelihood may rise for ever, by
+less and less: at -1e4 a component is an exponential to 1 part in 1e4, and it can still be integrated and sampled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,10 +71,11 @@ class Prior:
 def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray:
     """Q per component, (K,)."""
     gap = stats.mean - t.mu
-    scatter = stats.scatter + gap[:, :, None] * gap[:, None, :]
-    _, log_det = np.linalg.slogdet(t.Sigma)
-    trace = np.trace(np.linalg.solve(t.Sigma, scatter), axis1=1, axis2=2)
-    out: FloatArray = stats.counts * (-0.5 * (log_det + trace) - t.log_probability) + prior.value(t.Sigma)
+    with np.errstate(over="ignore", invalid="ignore"):  # far off: not finite, and the step is refused
+        scatter = stats.scatter + gap[:, :, None] * gap[:, None, :]
+        _, log_det = np.linalg.slogdet(t.Sigma)
+        trace = np.trace(np.linalg.solve(t.Sigma, scatter), axis1=1, axis2=2)
+        out: FloatArray = stats.counts * (-0.5 * (log_det + trace) - t.log_probability) + prior.value(t.Sigma)
     return out
 
 
@@ -103,10 +107,12 @@ def maximise(
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
     makers: list[Callable[[Statistics, Prior, TruncatedNormal], _NewtonPath | _LeeScottPath]]
-    makers = [_newton_path, _LeeScottPath] if step == "newton" else [_LeeScottPath, _newton_path]
+    makers = [_newton_path, _whole_newton_path, _LeeScottPath]
+    if step == "lee_scott":
+        makers = [_LeeScottPath, _newton_path, _whole_newton_path]
     result = now
     waiting = np.ones(now.mu.shape[0], dtype=bool)
-    for make, trials in zip(makers, (_TRIALS, _OTHER_TRIALS), strict=True):
+    for make, trials in zip(makers, (_TRIALS, _OTHER_TRIALS, _OTHER_TRIALS), strict=True):
         path = make(stats, prior, now)
         t = path.trusted()
         for _ in range(trials):
@@ -117,7 +123,7 @@ def maximise(
             rows_order = order[rows] if order is not None else None
             trial = TruncatedNormal(mu_t[rows], Sigma_t[rows], now.lower, now.upper, points=points, order=rows_order)
             after = objective(_rows(stats, rows), Prior(prior.strength, prior.covariance[rows]), trial)
-            which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]))
+            which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]) & _usable(trial, now, rows))
             result = result.with_components(rows[which], trial, which)
             waiting[rows[which]] = False
             t[waiting] *= 0.5
@@ -149,6 +155,16 @@ def predicted_gain(stats: Statistics, now: TruncatedNormal) -> FloatArray:
     return out
 
 
+def _usable(trial: TruncatedNormal, now: TruncatedNormal, rows: IntArray) -> BoolArray:
+    """Whether components can still be integrated and sampled, or are at least no worse off than before."""
+    good: BoolArray = (trial.log_probability >= LEAST_LOG_PROBABILITY) | (
+        trial.log_probability >= now.log_probability[rows]
+    )
+    if trial.box is None or now.box is None:
+        return good
+    return good & (np.isfinite(trial.box.log_peak) | ~np.isfinite(now.box.log_peak[rows]))
+
+
 def _rows(stats: Statistics, rows: IntArray) -> Statistics:
     return Statistics(stats.log_likelihood, stats.counts[rows], stats.mean[rows], stats.scatter[rows])
 
@@ -175,7 +191,11 @@ class _LeeScottPath:
 
 @dataclasses.dataclass(frozen=True)
 class _NewtonPath:
-    """Bounded block: whitened mean t a, whitened second moment I + t M; open block: regression on the bounded one."""
+    """Bounded block: whitened precision I - t M, density times exp(t a u + t u M u/2); open block: regression on it.
+
+    The objective is concave along this line of natural parameters. Near a bound mean and covariance must change
+    together by much for the density inside to change by little: a line in mean and covariance leaves that valley.
+    """
 
     now: TruncatedNormal
     bounded: IntArray
@@ -188,27 +208,22 @@ class _NewtonPath:
     rest: FloatArray
 
     def trusted(self) -> FloatArray:
-        """Longest step, (K,), that keeps the whitened mean and variances within the trusted range."""
+        """The whole step, (K,), or as much of it as keeps a share of every whitened precision."""
         K, p = self.a.shape
         if p == 0:
             return np.ones(K)
-        values = np.linalg.eigvalsh(self.M)
-        shrink = (1.0 - _LEAST_EIGENVALUE) / np.maximum(-values[:, 0], 1e-12)
-        grow = _LARGEST_GROWTH / np.maximum(values[:, -1], 1e-12)
-        shift = _LARGEST_GROWTH / np.maximum(np.linalg.norm(self.a, axis=1), 1e-12)
-        out: FloatArray = np.minimum(1.0, np.minimum(0.9 * shrink, np.minimum(grow, shift)))
+        most = np.linalg.eigvalsh(self.M)[:, -1]
+        out: FloatArray = np.minimum(1.0, (1.0 - _LEAST_PRECISION) / np.maximum(most, 1e-12))
         return out
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         b, f = self.bounded, self.free
         mu, Sigma = self.now.mu.copy(), self.now.Sigma.copy()
-        valid = np.ones(mu.shape[0], dtype=bool)
         if b.size:
-            a = t[:, None] * self.a
-            white = np.eye(b.size) + t[:, None, None] * self.M - a[:, :, None] * a[:, None, :]
-            valid = np.linalg.eigvalsh(white)[:, 0] > _LEAST_EIGENVALUE
+            white = np.linalg.inv(np.eye(b.size) - t[:, None, None] * self.M)
+            a = white @ (t[:, None] * self.a)[:, :, None]
             G = self.factor
-            mu[:, b] += (G @ a[:, :, None])[:, :, 0]
+            mu[:, b] += (G @ a)[:, :, 0]
             Sigma[:, b[:, None], b] = _symmetric(G @ white @ G.transpose(0, 2, 1))
         if f.size:
             A = self.slope
@@ -218,10 +233,20 @@ class _NewtonPath:
             Sigma[:, f[:, None], b] = cross
             Sigma[:, b[:, None], f] = cross.transpose(0, 2, 1)
             Sigma[:, f[:, None], f] = _symmetric(self.rest + cross @ A.transpose(0, 2, 1))
-        return mu, Sigma, valid & _positive(Sigma)
+        return mu, Sigma, _positive(Sigma)
 
 
 def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _NewtonPath:
+    """With the change of each whitened precision held in its range: one that runs away does not hold up the rest."""
+    return _path(stats, prior, now, held=True)
+
+
+def _whole_newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _NewtonPath:
+    """As it is solved: uphill for certain, where the held one need not be."""
+    return _path(stats, prior, now, held=False)
+
+
+def _path(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -> _NewtonPath:
     b = now.bounded
     f = np.setdiff1d(np.arange(now.mu.shape[1]), b)
     n, n0 = stats.counts, prior.strength
@@ -230,14 +255,18 @@ def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _Newt
     C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
     slope = np.asarray(np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1), dtype=float)
     rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
-    factor, a, M = _newton_direction(stats, prior, now)
+    factor, a, M = _newton_direction(stats, prior, now, held)
     return _NewtonPath(now, b, f, factor, a, M, stats.mean, slope, rest)
 
 
 def _newton_direction(
-    stats: Statistics, prior: Prior, now: TruncatedNormal
+    stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Solve Fisher x direction = gradient in whitened natural parameters (a, M): density times exp(a u + u M u/2)."""
+    """Solve Fisher x direction = gradient in whitened natural parameters (a, M): density times exp(a u + u M u/2).
+
+    The equations are solved in v = u - E u, where the features v and v v^T stay apart: far outside the box u is nearly
+    constant on it, and u and u u^T nearly the same.
+    """
     K = now.mu.shape[0]
     if now.box is None or now.whitened is None:
         empty = np.empty((K, 0, 0))
@@ -247,25 +276,40 @@ def _newton_direction(
     i, j = np.triu_indices(p)
     half = np.where(i == j, 0.5, 1.0)
     gap = stats.mean[:, b] - now.mu[:, b]
-    u = np.linalg.solve(G, gap[:, :, None])[:, :, 0]
-    second = _sandwich(G, stats.scatter[:, b[:, None], b]) + u[:, :, None] * u[:, None, :]
+    v = np.linalg.solve(G, gap[:, :, None])[:, :, 0] - w.mean
+    excess = _sandwich(G, stats.scatter[:, b[:, None], b]) + v[:, :, None] * v[:, None, :]
+    excess -= w.second - w.mean[:, :, None] * w.mean[:, None, :]
     n = stats.counts[:, None]
-    gradient = n * np.concatenate([u - w.mean, half * (second - w.second)[:, i, j]], axis=1)
-    features = np.concatenate([w.points, half[:, None] * w.points[:, i] * w.points[:, j]], axis=1)
+    gradient = n * np.concatenate([v, half * excess[:, i, j]], axis=1)
+    at = w.points - w.mean[:, :, None]
+    features = np.concatenate([at, half[:, None] * at[:, i] * at[:, j]], axis=1)
     centre = np.einsum("kfn,kn->kf", features, w.weights)
     features = features - centre[:, :, None]
     fisher = (features * w.weights[:, None, :]) @ features.transpose(0, 2, 1)
     # the prior's part: its gradient and its Hessian n0/2 tr(M^2) at the present Sigma (= I when whitened)
     local = _sandwich(G, prior.covariance[:, b[:, None], b]) - np.eye(p)
     gradient[:, p:] += prior.strength * half * local[:, i, j]
-    ridge = np.concatenate([np.zeros(p), prior.strength * half]) + 1e-10
+    ridge = np.concatenate([np.zeros(p), prior.strength * half])
     hessian = n[:, :, None] * fisher + (np.eye(p + i.size) * ridge)
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
-    scaled = hessian * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(p + i.size)
-    direction = scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0]
+    direction = _solve(hessian, gradient)
     M = np.empty((K, p, p))
     M[:, i, j] = M[:, j, i] = direction[:, p:]
-    return G, direction[:, :p], M
+    if held:
+        # near the least ln P the precision may hardly fall any more: ln P grows no faster than its inverse
+        room = np.clip(LEAST_LOG_PROBABILITY / np.minimum(now.log_probability, -1.0), 1.0, 1.0 / _LEAST_PRECISION)
+        values, vectors = np.linalg.eigh(M)
+        M = (vectors * np.minimum(values, 1.0 - 1.0 / room[:, None])[:, None, :]) @ vectors.transpose(0, 2, 1)
+        left = gradient[:, :p] - (hessian[:, :p, p:] @ M[:, i, j, None])[:, :, 0]
+        direction = _solve(hessian[:, :p, :p], left)
+    return G, direction[:, :p] - (M @ w.mean[:, :, None])[:, :, 0], M
+
+
+def _solve(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Solution of hessian x = gradient with a unit diagonal, (K, m), safe where the hessian is nearly singular."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
+    scaled = hessian * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(hessian.shape[1])
+    out: FloatArray = scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0]
+    return out
 
 
 def _sandwich(G: FloatArray, S: FloatArray) -> FloatArray:

@@ -138,12 +138,12 @@ def mean_residual(model, X):
 
 @pytest.mark.parametrize("K", [1, 2])
 def test_a_fit_ends_at_a_maximum(K):
-    """Data that pile up at the corner: long Newton steps leave the valid range there, and only short ones gain."""
+    """Data that pile up at the corner, where mean and covariance must change together by much."""
     X = np.random.default_rng(1).gamma(0.8, size=(300, 4))
-    model = BoundedGaussianMixture(K, lower=0.0, random_state=0, n_init=4).fit(X)
+    model = BoundedGaussianMixture(K, lower=0.0, random_state=0, n_init=4, tol=1e-8).fit(X)
     assert model.converged_
-    # 1e-3: what the last gains below `tol` and the lattice's error still leave; a stalled fit has 0.03 to 0.08
-    assert mean_residual(model, X).max() < 1e-3
+    # 5e-4: what the last gains below `tol` and the lattice's error still leave (1.2e-4); a stalled fit has 0.03 to 0.08
+    assert mean_residual(model, X).max() < 5e-4
 
 
 def test_a_fit_that_finds_no_step_does_not_say_that_it_converged(monkeypatch):
@@ -167,19 +167,15 @@ def test_awkward_data_give_a_model_that_samples(kind):
         "correlated": np.repeat(rng.exponential(size=(600, 1)), 2, axis=1),
         "near_K": rng.exponential(size=(9, 2)),
     }[kind]
-    passes = 60 if kind == "near_K" else 500
-    model = BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=3, max_iter=passes).fit(x)
+    model = BoundedGaussianMixture(3, lower=0.0, random_state=0, n_init=3).fit(x)
     new = model.sample(2000, 1)[0]
     assert np.isfinite(new).all()
     assert np.all(new > 0)
     assert np.isfinite(model.score(x))
     assert np.min(np.diff(model.lower_bounds_)) >= -1e-8 * max(abs(model.lower_bound_), 1.0)
-    if kind == "near_K":  # nine events, three components: a long way to the maximum
-        assert model.stop_reason_ == "max_iter"
-    else:
-        assert model.converged_
-        # each component counts by its share; measured up to 2.4e-4
-        assert (model.weights_[:, None] * mean_residual(model, x)).max() < 1e-3
+    assert model.converged_
+    # each component counts by its share; measured up to 2.4e-4
+    assert (model.weights_[:, None] * mean_residual(model, x)).max() < 1e-3
 
 
 def test_parameters_are_counted():
@@ -264,13 +260,13 @@ def test_a_fall_is_no_convergence(monkeypatch):
     def worse(stats, prior, now, step, points):
         new, moved = true(stats, prior, now, step, points)
         seen.append(now)
-        if len(seen) < 20:
+        if len(seen) < 5:
             return new, moved
         return TruncatedNormal(now.mu + 5.0, now.Sigma, now.lower, now.upper), moved
 
     monkeypatch.setattr(_em, "maximise", worse)
-    model = BoundedGaussianMixture(1, lower=0.0, random_state=0).fit(X)
-    assert (model.converged_, model.stop_reason_, model.n_iter_) == (False, "collapsed", 19 - 15)
+    model = BoundedGaussianMixture(1, lower=0.0, random_state=0, short_iter=2).fit(X)
+    assert (model.converged_, model.stop_reason_, model.n_iter_) == (False, "collapsed", 4 - 2)
     np.testing.assert_allclose((model.means_ - X.mean(axis=0)) / X.std(axis=0), seen[-1].mu)
     assert np.min(np.diff(model.lower_bounds_)) >= 0.0
 
