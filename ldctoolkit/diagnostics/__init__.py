@@ -1,7 +1,7 @@
 """How well a fitted mixture describes events: numbers and warnings, no plots."""
 
 from ldctoolkit.diagnostics._marginals import box_share
-from ldctoolkit.diagnostics.diagnose import diagnose, diagnose_model
+from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
 from ldctoolkit.diagnostics.parts import (
     Calibration,
     Comparison,

@@ -48,7 +48,8 @@ class Events:
         return float(self.weight.sum() ** 2 / (self.weight**2).sum())
 
 
-def _weights(weights: npt.ArrayLike | None, n: int) -> FloatArray:
+def checked_weights(weights: npt.ArrayLike | None, n: int) -> FloatArray:
+    """Weights (n,), one each by default."""
     if weights is None:
         return np.ones(n)
     try:
@@ -84,7 +85,7 @@ def checked_events(
     if not np.isfinite(x).all():
         row, j = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
         raise InputError(f"X: {names[j]} = {float(x[row, j])!r} in row {row}; allowed: finite numbers")
-    weight = _weights(weights, x.shape[0])
+    weight = checked_weights(weights, x.shape[0])
     low, high = distribution.transform.lower, distribution.transform.upper
     beyond = (x < low) | (x > high)
     keep = ~beyond.any(axis=1) & (weight > 0.0)

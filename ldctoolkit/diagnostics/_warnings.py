@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Final
 
 from ldctoolkit.diagnostics.parts import SideDiagnostics
+from ldctoolkit.diagnostics.thresholds import (
+    COMPARISON_STANDARD_ERRORS,
+    FAR_OUTSIDE,
+    ILL_CONDITIONED,
+    LEAST_PROBABILITY,
+    strip_is_off,
+)
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model import SideSummary
-
-LEAST_PROBABILITY: Final = 1e-6
-FAR_OUTSIDE: Final = 5.0
-ILL_CONDITIONED: Final = 1e4
-STRIP_ERROR: Final = 0.2
-STRIP_STANDARD_ERRORS: Final = 4.0
-COMPARISON_STANDARD_ERRORS: Final = 2.0
 
 
 def warnings_of(
@@ -44,7 +44,7 @@ def _misfit(found: SideDiagnostics) -> Iterator[str]:
             f"{len(found.names)} parameters: {shown}"
         )
     for strip in found.strips:
-        if abs(strip.error) > STRIP_ERROR and abs(strip.error) > STRIP_STANDARD_ERRORS * strip.standard_error:
+        if strip_is_off(strip):
             word = "more" if strip.error > 0 else "less"
             yield (
                 f"next to the {strip.end} bound of {strip.name} the model has {abs(strip.error):.0%} {word} mass than "
@@ -64,9 +64,9 @@ def _components(found: SideDiagnostics) -> Iterator[str]:
     for k, one in enumerate(found.components, start=1):
         if one.events < free:
             yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
-        if one.log_probability < -13.815510557964274:  # ln 1e-6
+        if one.log_probability < math.log(LEAST_PROBABILITY):
             yield (
-                f"component {k} has only 10^{one.log_probability / 2.302585092994046:.0f} of its normal inside the "
+                f"component {k} has only 10^{one.log_probability / math.log(10.0):.0f} of its normal inside the "
                 "box: its mean and covariance say little"
             )
         if one.outside > FAR_OUTSIDE:

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from ldctoolkit.departures import Departures
     from ldctoolkit.scenario_model import ScenarioModel
 
@@ -19,6 +21,7 @@ def write_fit_page(
     departures: Departures,
     *,
     seed: int = 0,
+    weights: npt.ArrayLike | None = None,
     png: Path | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
@@ -34,8 +37,10 @@ def write_fit_page(
         What it was fitted to, both sides together.
     seed : int
         Seed of model samples, bootstrap draws and the split of the comparison.
+    weights : (n,), optional
+        Events that each departure stands for, as in the fit.
     png : Path, optional
-        Also write a one-picture summary there.
+        Also write a summary as one picture there.
     progress : callable, optional
         Called as ``progress("left: held-out likelihood", done, total)``.
 
@@ -49,4 +54,4 @@ def write_fit_page(
     # templates and plots take a second to import; a command that writes no page should not wait for them
     from studies.fit_page.page import write_page
 
-    write_page(Path(target), model, departures, seed=seed, png=png, progress=progress)
+    write_page(Path(target), model, departures, seed=seed, weights=weights, png=png, progress=progress)

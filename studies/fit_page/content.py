@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from ldctoolkit.diagnostics import Comparison, Component, ModelDiagnostics, SideDiagnostics
+from ldctoolkit.diagnostics.thresholds import COMPARISON_STANDARD_ERRORS
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from studies.fit_page.style import TITLES
 from studies.report import text
@@ -24,6 +25,20 @@ class Side:
     def K(self) -> int:
         """Components."""
         return len(self.found.components)
+
+    @property
+    def criteria(self) -> list[tuple[str, list[str]]]:
+        """Criteria that were computed beside BIC: title and a text for each K."""
+        one = self.summary
+        if one is None:
+            return []
+        columns = (("AIC", one.aic, 1), ("ICL", one.icl, 1), ("Held out [nats an event]", one.held_out, 4))
+        length = len(one.n_components)
+        return [
+            (title, [f"{value:,.{digits}f}".replace("-", text.MINUS) for value in values])
+            for title, values, digits in columns
+            if len(values) == length
+        ]
 
     @property
     def ordered(self) -> list[tuple[int, Component]]:
@@ -107,18 +122,36 @@ def tiles(sides: tuple[Side, Side]) -> list[Tile]:
                 f"the largest error at a bound, standard error {text.percent(strip.standard_error, 0)}",
             )
         )
+    comparisons = [(s.found.comparison, s) for s in sides if s.found.comparison is not None]
+    if comparisons:
+        comparison, side = max(comparisons, key=lambda pair: pair[0].difference)
+        value = f"{text.signed(comparison.difference)}"
+        detail = f"transformed minus bounded, {side.key}, standard error {text.number(comparison.standard_error)}"
+        out.append(Tile(value, "nats", "held-out likelihood an event, the alternative", detail))
     return out
+
+
+def source_line(model: ScenarioModel) -> str:
+    """Where the departures come from, in one line; empty where the model does not say."""
+    source = model.provenance.source
+    if source.get("description"):
+        return str(source["description"])
+    parts = []
+    recordings, hours, files = (source.get(key) for key in ("recordings", "hours", "files"))
+    if isinstance(recordings, int):
+        parts.append(text.plural(recordings, "recording"))
+    if isinstance(hours, int | float):
+        parts.append(f"{hours:.3g} hours")
+    if isinstance(files, list | tuple) and files:
+        parts.append(", ".join(map(str, files[:3])) + (f" and {len(files) - 3} more" if len(files) > 3 else ""))
+    return f"from {'; '.join(parts)}" if parts else ""
 
 
 def verdict(comparison: Comparison) -> str:
     """What the comparison says, in words."""
-    difference, error = comparison.difference, comparison.standard_error
-    said = f"{text.number(abs(difference))} ± {text.number(error)} nats an event"
-    if abs(difference) <= 2.0 * error:
-        return f"no clear difference ({said})"
-    if difference > 0:
-        return f"the transformed mixture is better, by {said}"
-    return f"the bounded mixture is better, by {said}"
+    if abs(comparison.difference) <= COMPARISON_STANDARD_ERRORS * comparison.standard_error:
+        return "no clear difference"
+    return f"the {'transformed' if comparison.difference > 0 else 'bounded'} mixture describes them better"
 
 
 def facts(model: ScenarioModel) -> tuple[tuple[str, str], ...]:

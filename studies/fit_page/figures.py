@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SMALL = (4.5, 2.55)
+_SMALL = (3.35, 2.2)
 
 
 def draw_marginal(axes: Axes, marginal: Marginal, side: str) -> None:
@@ -28,6 +28,7 @@ def draw_marginal(axes: Axes, marginal: Marginal, side: str) -> None:
     axes.set_xlim(marginal.edges[0], marginal.edges[-1])
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(axis_label(marginal.name))
+    axes.locator_params(axis="x", nbins=4)
 
 
 def marginal_figure(marginal: Marginal, side: str) -> Figure:
@@ -54,7 +55,7 @@ def calibration_figure(found: Mapping[str, Calibration]) -> Figure:
             axes.plot(one.u, 100.0 * one.difference, color=COLORS[side], linestyle=dash, label=side, linewidth=1.6)
         axes.set_xlim(0.0, 1.0)
         axes.set_xlabel("u = F(x) of the model")
-        axes.set_ylabel("Events below, minus u [%]")
+        axes.set_ylabel("Events below − u [%]")
         axes.legend(loc="best", ncols=2)
         return figure
 

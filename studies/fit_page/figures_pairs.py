@@ -100,15 +100,17 @@ def _round_shares(highest: float) -> list[float]:
 def pairs_figure(found: SideDiagnostics, side: str) -> Figure:
     """All pairs: events below the diagonal, the model above it, margins on it."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import MaxNLocator, NullLocator
 
     names = found.names
     d = len(names)
     by_name = {(pair.first, pair.second): pair for pair in found.pairs}
     with figure_settings():
-        size = 0.7 + 1.2 * max(d, 2)
-        figure = Figure(figsize=(size, size), layout="constrained")
-        grid = figure.subplots(d, d, squeeze=False)
+        # margins are set by hand: to measure every label of 64 panels takes longer than the rest of the page
+        size = 0.9 + 1.2 * max(d, 2)
+        figure = Figure(figsize=(size, size))
+        edges = {"left": 0.72 / size, "right": 1 - 0.12 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
+        grid = figure.subplots(d, d, squeeze=False, gridspec_kw={"wspace": 0.12, "hspace": 0.12, **edges})
         for i in range(d):
             for j in range(d):
                 axes = grid[i, j]
@@ -121,11 +123,12 @@ def pairs_figure(found: SideDiagnostics, side: str) -> Figure:
                     share = pair.data if i > j else pair.model
                     highest = float(max(pair.data.max(), pair.model.max()))
                     draw_density(axes, pair, share, side, highest=highest, contours=True, turned=i < j)
-                axes.xaxis.set_major_locator(MaxNLocator(2))
-                if i != j:
-                    axes.yaxis.set_major_locator(MaxNLocator(3))
-                axes.tick_params(labelsize=7.5, labelbottom=i == d - 1, labelleft=j == 0 and i > 0)
+                axes.xaxis.set_major_locator(MaxNLocator(2, prune="both") if i == d - 1 else NullLocator())
+                axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if j == 0 < i else NullLocator())
+                axes.tick_params(labelsize=7.5)
                 axes.set_xlabel(axis_label(names[j]) if i == d - 1 else "")
-                axes.set_ylabel(axis_label(names[i]) if j == 0 else "")
-        figure.align_labels()
+                axes.set_ylabel("")
+                if j == 0:
+                    axes.set_ylabel(axis_label(names[i]))
+                    axes.yaxis.set_label_coords(-0.5 / (size / d), 0.5)
         return figure

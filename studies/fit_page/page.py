@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jinja2
+import numpy.typing as npt
 from markupsafe import Markup
 
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
+from ldctoolkit.diagnostics.thresholds import strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.version import __version__
 from studies.files import stored_file, write_text
@@ -66,7 +68,7 @@ def _margins(panel: _Panels, side: content.Side) -> list[Panel]:
     out = []
     for one, calibration in zip(side.found.marginals, side.found.calibrations, strict=True):
         note = ""
-        if max(one.data_beyond, one.model_beyond) > 0.0:
+        if max(one.data_beyond, one.model_beyond) > 0.01:
             note = (
                 f"not shown: {text.percent(one.data_beyond)} of the events, {text.percent(one.model_beyond)} of the "
                 "model"
@@ -138,7 +140,12 @@ def _environment() -> jinja2.Environment:
         "printable": text.printable,
         "compact": text.compact,
     }
-    environment.globals |= {"plural": text.plural, "verdict": content.verdict, "bounds_of": content.parameters_text}
+    environment.globals |= {
+        "plural": text.plural,
+        "verdict": content.verdict,
+        "bounds_of": content.parameters_text,
+        "is_off": strip_is_off,
+    }
     return environment
 
 
@@ -183,6 +190,7 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
         version=__version__,
         warnings=content.all_warnings(model, sides),
         tiles=content.tiles(sides),
+        source=content.source_line(model),
         notes=[note for note in model_notes(model) if not note.startswith(WARNING)],
         facts=content.facts(model),
         margins={side.key: _margins(panel, side) for side in sides},
@@ -207,11 +215,12 @@ def write_page(
     departures: Departures,
     *,
     seed: int,
+    weights: npt.ArrayLike | None,
     png: Path | None,
     progress: Progress | None,
 ) -> None:
     """Check, render and write; see `studies.fit_page.write_fit_page`."""
-    found = diagnose_model(model, departures, seed=seed, progress=progress)
+    found = diagnose_model(model, departures, seed=seed, weights=weights, progress=progress)
     page = render(model, found, seed=seed)
     image = None if png is None else picture(content.sides_of(model, found))
     write_text(target, page)

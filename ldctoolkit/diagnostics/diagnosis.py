@@ -14,7 +14,7 @@ from ldctoolkit.diagnostics._bounds import strips
 from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
 from ldctoolkit.diagnostics._comparison import comparison_or_reason
 from ldctoolkit.diagnostics._components import components
-from ldctoolkit.diagnostics._events import checked_events
+from ldctoolkit.diagnostics._events import checked_events, checked_weights
 from ldctoolkit.diagnostics._marginals import BINS, bin_edges, marginal, model_marginal
 from ldctoolkit.diagnostics._pairs import pair_densities
 from ldctoolkit.diagnostics._warnings import warnings_of
@@ -155,6 +155,7 @@ def diagnose_model(
     departures: Departures,
     *,
     seed: int = 0,
+    weights: npt.ArrayLike | None = None,
     n_model: int = N_MODEL,
     progress: Progress | None = None,
 ) -> ModelDiagnostics:
@@ -166,6 +167,8 @@ def diagnose_model(
         The model.
     departures : Departures
         Both sides together.
+    weights : (n,), optional
+        Events that each departure stands for.
     seed, n_model
         As for `diagnose`.
     progress : callable, optional
@@ -198,8 +201,11 @@ def diagnose_model(
         ("left", LEFT, model.left_side, model.provenance.left),
         ("right", RIGHT, model.right_side, model.provenance.right),
     )
+    weight = None if weights is None else checked_weights(weights, departures.n)
     for number, (label, side, half, summary) in enumerate(sides):
-        rows = departures.take(departures.side == side)
+        mask = departures.side == side
+        rows = departures.take(mask)
+        own = None if weight is None else weight[mask]
 
         def tell(text: str, done: int, total: int, label: str = label, before: int = number) -> None:
             if progress is not None and (text != "done" or before == 1):
@@ -207,7 +213,9 @@ def diagnose_model(
 
         X = np.column_stack([getattr(rows, name) for name in half.names])
         try:
-            found = diagnose(half, X, seed=seed, summary=summary, label=label, n_model=n_model, progress=tell)
+            found = diagnose(
+                half, X, seed=seed, weights=own, summary=summary, label=label, n_model=n_model, progress=tell
+            )
         except InputError as error:
             raise InputError(f"departures ({label}): {error}") from None
         parts.append(dataclasses.replace(found, warnings=(*found.warnings, *_constants(half, rows, label))))
