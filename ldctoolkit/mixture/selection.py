@@ -1,68 +1,129 @@
-"""Choice of the number of components by the Bayesian information criterion."""
+"""Choice of the number of components: information criteria or held-out events, and a rule for flat curves."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Generator, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._checks import check_number
+from ldctoolkit.mixture._checks import RandomState, as_matrix, check_number, check_sample_weight, seed_of
+from ldctoolkit.mixture._parallel import in_processes, may_start_processes
+from ldctoolkit.mixture._rule import Criterion, Rule, choose, least
+from ldctoolkit.mixture._trial import Failure, Outcome, Trial, Trials, split_rows
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
+from ldctoolkit.mixture.sources import ArrayEvents, EventSource, usable_cores
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
+
+_SMALL: Final = 1_000_000
+"""Up to so many numbers times components to fit, other processes are not worth their start."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Selection:
-    """Fits over a range of K, and the one with the least BIC.
+    """Fits over a range of K, their criteria, and the one that was chosen.
 
     Attributes
     ----------
     n_components : (m,) int
-        The K that were tried.
-    bic : (m,)
-        Their criteria, lower is better.
+        The K that could be fitted, ascending.
+    n_parameters : (m,) int
+        Free parameters p of each.
     log_likelihood : (m,)
         Log-likelihood per event [nats].
+    bic, aic, icl : (m,)
+        -2 ln L + p ln n, -2 ln L + 2 p, and BIC plus twice the entropy of the shares; lower is better.
+    held_out : (m,)
+        Log-likelihood per held-out event of a fit to the others [nats]; NaN for another criterion.
+    held_out_error : (m,)
+        Its standard error.
+    held_out_gap_error : (m,)
+        Standard error of its paired difference to the best one; it is what the rule looks at.
     models : tuple of BoundedGaussianMixture
-        The fits.
+        The fits, to all events.
+    failures : tuple of Failure
+        The K that could not be fitted, each with its message.
+    criterion : {"bic", "aic", "icl", "held_out"}
+        What the choice went by.
+    chosen : int
+        Index of the chosen K.
+    reason : str
+        One sentence: which K was taken and by which rule.
     """
 
-    n_components: npt.NDArray[np.int64]
-    bic: FloatArray
+    n_components: IntArray
+    n_parameters: IntArray
     log_likelihood: FloatArray
+    bic: FloatArray
+    aic: FloatArray
+    icl: FloatArray
+    held_out: FloatArray
+    held_out_error: FloatArray
+    held_out_gap_error: FloatArray
     models: tuple[BoundedGaussianMixture, ...]
+    failures: tuple[Failure, ...]
+    criterion: Criterion
+    chosen: int
+    reason: str
 
     @property
     def best(self) -> BoundedGaussianMixture:
-        """The fit with the least BIC; of equals the one with fewer components."""
-        return self.models[int(np.argmin(self.bic))]
+        """The chosen fit."""
+        return self.models[self.chosen]
 
 
 def select_components(
-    X: npt.ArrayLike,
+    X: npt.ArrayLike | EventSource,
     components: Iterable[int],
     *,
+    criterion: Criterion = "bic",
+    slack: float | None = None,
+    indifference: float = 0.0,
+    held_out_share: float = 0.2,
+    sample_weight: npt.ArrayLike | None = None,
+    random_state: RandomState = None,
+    n_jobs: int | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> Selection:
-    """Fit every K of a range and keep all of them.
+    """Fit every K of a range, keep all of them, and choose one by a stated rule.
 
     Parameters
     ----------
-    X : (n, d)
-        Events, strictly inside the box.
+    X : (n, d) or EventSource
+        Events, strictly inside the box; or where they lie.
     components : iterable of int
         The K to try.
+    criterion : {"bic", "aic", "icl", "held_out"}
+        What to choose by. All but "held_out" are computed in any case; "held_out" needs a second fit of each K, to
+        the events that are not held out.
+    slack : float, optional
+        The smallest K within this distance of the best criterion is taken: 10 units of BIC, AIC or ICL by default,
+        one standard error of the paired difference for "held_out".
+    indifference : float
+        The same in nats per event, where smaller gains are of no use; the larger of the two counts. A gain of 0.001
+        nats is a density that is 0.1 % higher at the typical event.
+    held_out_share : float
+        Share of the rows that is held out for "held_out"; the same rows for every K.
+    sample_weight : (n,), optional
+        Events that each row stands for.
+    random_state : int or Generator, optional
+        Seed of all fits and of the split.
+    n_jobs : int, optional
+        Cores to use, all by default. Fits to an array run so many at a time in processes of their own, if they take
+        long enough to be worth it; another source works on its blocks itself, one fit after the other. No number
+        depends on it.
     progress : callable, optional
-        Called as ``progress("K = 3", done, total)`` before each fit and once at the end.
+        Called as ``progress("K = 3", done, total)`` when fits begin, with the K under way, and once at the end.
     **settings
-        For `BoundedGaussianMixture`: ``lower``, ``upper``, ``random_state``, ...
+        For `BoundedGaussianMixture`: ``lower``, ``upper``, ``tol``, ...
 
     Returns
     -------
@@ -72,30 +133,142 @@ def select_components(
     Raises
     ------
     InputError
-        If the range is empty or a K is not a positive integer, and as for `BoundedGaussianMixture.fit`.
+        If the range is empty, a K is not a positive integer, an option is not allowed, or no K can be fitted: then
+        with the message of the smallest. A K that cannot be fitted beside others that can is left out and reported.
+    LdcError
+        If a worker process ends abruptly.
+
+    Notes
+    -----
+    With half a million events the curve falls on slowly where more components are worth no one's while, so the
+    least criterion is a poor guide. By the default rule a larger K must be better by more than 10: a difference of
+    BIC beyond 10 is very strong evidence (Kass and Raftery). It does not stop a curve that falls by thousands for
+    hundredths of a nat per event; `indifference` does.
+
+    References
+    ----------
+    Kass and Raftery, JASA 90(430):773-795, 1995, section 3.2. Burnham and Anderson, Model Selection and Multimodel
+    Inference, 2002, section 2.6. Biernacki, Celeux and Govaert, IEEE TPAMI 22(7):719-725, 2000, and McLachlan and Peel,
+    Finite Mixture Models, 2000, section 6.10 (ICL by the entropy of the shares). Breiman et al., Classification and
+    Regression Trees, 1984, section 3.4.3 (one standard error).
 
     Examples
     --------
     >>> import numpy as np
     >>> x = np.random.default_rng(0).normal(size=(300, 2)) + np.repeat([[0.0, 0.0], [9.0, 9.0]], 150, axis=0)
-    >>> select_components(x, range(1, 4), random_state=0).best.n_components
+    >>> found = select_components(x, range(1, 4), random_state=0)
+    >>> found.best.n_components
     2
+    >>> found.reason
+    'K = 2, the smallest whose BIC lies within 10 of the best'
     """
-    tried = sorted(set(components))
-    if not tried:
-        raise InputError("components: an empty range; allowed: at least one number of components")
-    for K in tried:
+    tried = _checked_components(components)
+    rule = Rule.of(criterion, slack, indifference)
+    if n_jobs is not None:
+        check_number("n_jobs", n_jobs, 1, integer=True)
+    seed = seed_of(random_state)
+    # made here, so that a wrong setting is told before anything starts
+    models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]
+    events = _source(X, sample_weight, n_jobs)
+    held = split_rows(events, held_out_share, seed) if rule.criterion == "held_out" else None
+    outcomes = _run(Trials(held), models, events, n_jobs, progress)
+    trials = [outcome for outcome in outcomes if isinstance(outcome, Trial)]
+    failures = tuple(outcome for outcome in outcomes if isinstance(outcome, Failure))
+    if not trials:
+        raise InputError(failures[0].message)
+    return _selection(rule, trials, failures)
+
+
+def _checked_components(components: Iterable[int]) -> list[int]:
+    """The K to try, each once, ascending."""
+    if isinstance(components, str) or not isinstance(components, Iterable):
+        raise InputError(f"components: {components!r}; allowed: several integers >= 1")
+    given = list(components)
+    for K in given:
         check_number("components", K, 1, integer=True)
-    models = []
-    for done, K in enumerate(tried):
+    if not given:
+        raise InputError("components: an empty range; allowed: at least one number of components")
+    return sorted({int(K) for K in given})
+
+
+def _source(X: npt.ArrayLike | EventSource, sample_weight: npt.ArrayLike | None, n_jobs: int | None) -> EventSource:
+    """Events in the order the passes read them."""
+    if isinstance(X, ArrayEvents):
+        if sample_weight is None:
+            return dataclasses.replace(X, x=np.ascontiguousarray(X.x, dtype=float), threads=n_jobs or X.threads)
+    elif not isinstance(X, EventSource):
+        x = np.ascontiguousarray(as_matrix(X))
+        if x.size == 0:
+            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+        return ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
+    if sample_weight is not None:
+        raise InputError("sample_weight: given beside a source of events; allowed: weights in the source")
+    return X
+
+
+def _run(
+    trials: Trials,
+    models: Sequence[BoundedGaussianMixture],
+    events: EventSource,
+    n_jobs: int | None,
+    progress: Progress | None,
+) -> list[Outcome]:
+    """All fits, in the order of the models; the longest begin first where several run at a time."""
+    workers = 1
+    if isinstance(events, ArrayEvents) and may_start_processes():
+        size = events.x.size * sum(model.n_components for model in models)
+        workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), len(models))
+    order = list(range(len(models)))
+    ended: Generator[tuple[int, Outcome], None, None]
+    if isinstance(events, ArrayEvents) and workers > 1:
+        order.reverse()
+        done = in_processes(trials, [models[i] for i in order], events, workers)
+        ended = ((order[j], outcome) for j, outcome in done)
+    else:
+        ended = ((i, trials(events, models[i])) for i in order)
+    outcomes: dict[int, Outcome] = {}
+
+    def tell() -> None:
         if progress is not None:
-            progress(f"K = {K}", done, len(tried))
-        models.append(BoundedGaussianMixture(K, **settings).fit(X))
-    if progress is not None:
-        progress("done", len(tried), len(tried))
+            under_way = [str(models[i].n_components) for i in order if i not in outcomes][:workers]
+            progress(f"K = {', '.join(under_way)}" if under_way else "done", len(outcomes), len(models))
+
+    with contextlib.closing(ended):
+        tell()
+        for i, outcome in ended:
+            outcomes[i] = outcome
+            tell()
+    return [outcomes[i] for i in range(len(models))]
+
+
+def _selection(rule: Rule, trials: Sequence[Trial], failures: tuple[Failure, ...]) -> Selection:
+    K = np.array([trial.model.n_components for trial in trials], dtype=np.int64)
+    criteria = [trial.criteria for trial in trials]
+    events = criteria[0].events
+    held_out, error, gap_error = np.full((3, K.size), np.nan)
+    if rule.criterion == "held_out":
+        held_out = np.array([trial.held_out.mean for trial in trials])
+        error = np.array([trial.held_out.error for trial in trials])
+        best = trials[least(-held_out)].held_out
+        gap_error = np.array([trial.held_out.minus(best).error for trial in trials])
+    values = {name: np.array([getattr(c, name) for c in criteria]) for name in ("bic", "aic", "icl")}
+    loss = -held_out if rule.criterion == "held_out" else values[rule.criterion]
+    allowed = rule.allowance(events, gap_error)
+    chosen = choose(loss, allowed)
+    reason = rule.reason(K, loss, allowed, chosen, events)
+    if failures:
+        reason += f"; K = {', '.join(str(f.n_components) for f in failures)} could not be fitted"
     return Selection(
-        np.array(tried, dtype=np.int64),
-        np.array([m.bic(X) for m in models]),
-        np.array([m.score(X) for m in models]),
-        tuple(models),
+        n_components=K,
+        n_parameters=np.array([c.n_parameters for c in criteria], dtype=np.int64),
+        log_likelihood=np.array([c.log_likelihood / c.events for c in criteria]),
+        **values,
+        held_out=held_out,
+        held_out_error=error,
+        held_out_gap_error=gap_error,
+        models=tuple(trial.model for trial in trials),
+        failures=failures,
+        criterion=rule.criterion,
+        chosen=chosen,
+        reason=reason,
     )

@@ -1,0 +1,100 @@
+"""What a fitted mixture's likelihood is worth: information criteria, from one pass over any source of events."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ldctoolkit.mixture._distribution import Distribution
+from ldctoolkit.mixture._expectation import Components, FloatArray, natural
+from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.sources import EventSource
+
+
+@dataclasses.dataclass(frozen=True)
+class Criteria:
+    """Information criteria of a mixture on its events; lower is better.
+
+    Attributes
+    ----------
+    events : float
+        Sum of the weights n; the number of rows without any.
+    log_likelihood : float
+        Sum of ln f over the events.
+    entropy : float
+        Entropy of the shares, -sum_i sum_k tau_ik ln tau_ik [nats]: none where each event has one component.
+    n_parameters : int
+        Free parameters p.
+    """
+
+    events: float
+    log_likelihood: float
+    entropy: float
+    n_parameters: int
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, -2 ln L + 2 p."""
+        return -2.0 * self.log_likelihood + 2.0 * self.n_parameters
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' criterion, -2 ln L + p ln n."""
+        return -2.0 * self.log_likelihood + self.n_parameters * float(np.log(self.events))
+
+    @property
+    def icl(self) -> float:
+        """Integrated completed likelihood, BIC plus twice the entropy of the shares."""
+        return self.bic + 2.0 * self.entropy
+
+
+@dataclasses.dataclass(frozen=True)
+class _Look:
+    """Events, log-likelihood and entropy of a block; components live in (y - location)/scale, y the transform's."""
+
+    transform: Transform
+    location: FloatArray
+    scale: FloatArray
+    theta: FloatArray
+
+    def __call__(self, x: FloatArray, weight: FloatArray | None) -> tuple[float, float, float]:
+        from ldctoolkit.mixture._kernels import statistics_of_rows  # here: the compiler is slow to import
+
+        y = self.transform.forward(x)
+        total, sums = statistics_of_rows(y, weight, self.location, self.scale, self.theta)
+        # ln tau_ik = theta_k . features_i - ln sum_j exp(theta_j . features_i), and the sums hold tau_ik features_i
+        entropy = total - float(np.sum(self.theta * sums))
+        events = float(x.shape[0]) if weight is None else float(weight.sum())
+        total -= events * float(np.log(self.scale).sum())
+        if not self.transform.identity:
+            slope = self.transform.log_slope(x)
+            total += float(slope.sum() if weight is None else weight @ slope)
+        return events, total, entropy
+
+
+def criteria_of(source: EventSource, distribution: Distribution) -> Criteria:
+    """Criteria of a mixture on events inside its box.
+
+    Parameters
+    ----------
+    source : EventSource
+        Events, with their weights if any.
+    distribution : Distribution
+        The mixture; all its weights are positive.
+
+    Returns
+    -------
+    Criteria
+        A pass over the blocks gives it; nothing is kept per event.
+    """
+    t, eta = distribution.truncated, distribution.weights
+    # units of the mixture's own spread: the features x_i x_j would otherwise cancel
+    location = eta @ t.mu
+    scale = np.sqrt(eta @ np.diagonal(t.Sigma, axis1=1, axis2=2))
+    scaled = Components(eta, (t.mu - location) / scale, t.Sigma / (scale[:, None] * scale), t.log_probability)
+    events, total, entropy = 0.0, 0.0, 0.0
+    for part in source.map_blocks(_Look(distribution.transform, location, scale, natural(scaled))):
+        events, total, entropy = events + part[0], total + part[1], entropy + part[2]
+    K, d = t.mu.shape
+    return Criteria(events, total, max(entropy, 0.0), K * (d + d * (d + 1) // 2) + K - 1)

@@ -1,0 +1,142 @@
+"""One K of a range: its fit, its criteria, and what it says of events it has not seen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture._criteria import Criteria, criteria_of
+from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
+from ldctoolkit.mixture.sources import ArrayEvents, EventSource
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Failure:
+    """A K that could not be fitted.
+
+    Attributes
+    ----------
+    n_components : int
+        K.
+    message : str
+        Why not.
+    """
+
+    n_components: int
+    message: str
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """Log-densities of held-out rows.
+
+    Attributes
+    ----------
+    value : (m,)
+        ln f of each row [nats], or a difference of two.
+    weight : (m,)
+        Events that each row stands for.
+    """
+
+    value: FloatArray
+    weight: FloatArray
+
+    @property
+    def mean(self) -> float:
+        """Mean per event."""
+        return float(np.average(self.value, weights=self.weight))
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean; a row counts as one draw, whatever its weight."""
+        spread = self.weight * (self.value - self.mean)
+        rows = int(np.count_nonzero(self.weight))
+        total = float(self.weight.sum())
+        return float(np.sqrt(spread @ spread * rows / max(rows - 1, 1))) / total
+
+    def minus(self, other: HeldOut) -> HeldOut:
+        """Row by row, less the other."""
+        return HeldOut(self.value - other.value, self.weight)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A fit of one K and what it is worth; `held_out` is empty where nothing was held out."""
+
+    model: BoundedGaussianMixture
+    criteria: Criteria
+    held_out: HeldOut
+
+
+Outcome = Trial | Failure
+
+
+@dataclasses.dataclass(frozen=True)
+class Trials:
+    """Fits one K after the other; it can be pickled.
+
+    Attributes
+    ----------
+    held : (m,), optional
+        Rows to hold out, ascending.
+    """
+
+    held: IntArray | None
+
+    def __call__(self, events: EventSource, model: BoundedGaussianMixture) -> Outcome:
+        """Fit one K to the events; the model is changed."""
+        try:
+            held_out = self._held_out(events, model)
+            model.fit(events)
+        except InputError as error:
+            return Failure(model.n_components, str(error))
+        return Trial(model, criteria_of(events, model.distribution), held_out)
+
+    def _held_out(self, events: EventSource, model: BoundedGaussianMixture) -> HeldOut:
+        if self.held is None or not isinstance(events, ArrayEvents):
+            return HeldOut(np.empty(0), np.empty(0))
+        x, weight = events.take(self.held)
+        try:
+            other = BoundedGaussianMixture(**model.get_params()).fit(_without(events, self.held))
+        except InputError as error:
+            raise InputError(f"without the {self.held.size} rows held out: {error}") from None
+        return HeldOut(other.distribution.log_density(x), np.ones(x.shape[0]) if weight is None else weight)
+
+
+def _without(events: ArrayEvents, held: IntArray) -> ArrayEvents:
+    """The other rows."""
+    kept = np.ones(events.x.shape[0], dtype=bool)
+    kept[held] = False
+    weight = None if events.weight is None else events.weight[kept]
+    return dataclasses.replace(events, x=events.x[kept], weight=weight)
+
+
+def split_rows(events: EventSource, share: float, seed: int) -> IntArray:
+    """Rows to hold out, ascending: as many as the share says, drawn with the seed.
+
+    Raises
+    ------
+    InputError
+        If the share is not between 0 and 1, the events are not in memory, or too few are left on either side.
+    """
+    if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0.0 < share < 1.0:
+        raise InputError(f"held_out_share: {share!r}; allowed: a number between 0 and 1")
+    if not isinstance(events, ArrayEvents):
+        raise InputError("criterion: 'held_out' for a source of events; allowed: bic, aic, icl, or events in memory")
+    rows = events.x.shape[0]
+    count = round(float(share) * rows)
+    held = np.sort(np.random.default_rng([seed, 2]).permutation(rows)[:count])
+    weight = np.ones(rows) if events.weight is None else events.weight
+    seen = np.count_nonzero(weight[held])
+    if seen < 2 or seen == np.count_nonzero(weight):
+        raise InputError(
+            f"held_out_share: {float(share):g} holds out {seen} of {np.count_nonzero(weight)} rows; "
+            "allowed: at least two, and not all"
+        )
+    return held.astype(np.int64)
