@@ -13,7 +13,7 @@ from ldctoolkit.mixture import BoundedGaussianMixture
 MOST_EVENTS: Final = 50_000
 """Events of both halves together; more would only cost time."""
 
-_SETTINGS: Final = {"n_init": 4, "tol": 1e-5, "max_iter": 200}
+_SETTINGS: Final = {"n_init": 2, "tol": 1e-5, "max_iter": 100}
 
 
 def compare_transforms(

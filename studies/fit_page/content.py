@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from ldctoolkit.diagnostics import Comparison, Component, ModelDiagnostics, SideDiagnostics
+from ldctoolkit.diagnostics import Calibration, Comparison, Component, ModelDiagnostics, SideDiagnostics
 from ldctoolkit.diagnostics.thresholds import COMPARISON_STANDARD_ERRORS
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from studies.fit_page.style import TITLES
@@ -25,6 +25,10 @@ class Side:
     def K(self) -> int:
         """Components."""
         return len(self.found.components)
+
+    def calibration(self, name: str) -> Calibration | None:
+        """Of one parameter; None where it does not vary."""
+        return next((one for one in self.found.calibrations if one.name == name), None)
 
     @property
     def criteria(self) -> list[tuple[str, list[str]]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ldctoolkit.diagnostics import Calibration, Marginal, Strip
 from ldctoolkit.scenario_model import SideSummary
-from studies.fit_page.style import COLORS, MODEL, TITLES, axis_label
+from studies.fit_page.style import COLORS, DASHES, MODEL, TITLES, axis_label
 from studies.report.figures import new_panel
 from studies.report.style import figure_settings
 
@@ -37,7 +37,6 @@ def marginal_figure(marginal: Marginal, side: str) -> Figure:
         figure, axes = new_panel(*_SMALL)
         draw_marginal(axes, marginal, side)
         axes.set_ylabel("Share per bin [%]")
-        axes.legend(loc="upper right")
         return figure
 
 
@@ -51,12 +50,11 @@ def calibration_figure(found: Mapping[str, Calibration]) -> Figure:
             )
         axes.axhline(0.0, color=MODEL, linewidth=0.9)
         for side, one in found.items():
-            dash = "-" if side == "left" else (0, (5.0, 1.6))
-            axes.plot(one.u, 100.0 * one.difference, color=COLORS[side], linestyle=dash, label=side, linewidth=1.6)
+            dash = (0, DASHES[side]) if DASHES[side] else "-"
+            axes.plot(one.u, 100.0 * one.difference, color=COLORS[side], linestyle=dash, linewidth=1.6)
         axes.set_xlim(0.0, 1.0)
         axes.set_xlabel("u = F(x) of the model")
         axes.set_ylabel("Events below − u [%]")
-        axes.legend(loc="best", ncols=2)
         return figure
 
 

@@ -74,7 +74,7 @@ def draw_density(
 def joint_figure(pair: PairDensity, side: str, *, of_model: bool) -> Figure:
     """T against d_y: events or model as a map, the model's contours on both, one colour scale."""
     with figure_settings():
-        figure, axes = new_panel(4.5, 3.4)
+        figure, axes = new_panel(3.9, 3.0)
         highest = float(max(pair.data.max(), pair.model.max()))
         share = pair.model if of_model else pair.data
         image = draw_density(axes, pair, share, side, highest=highest, contours=True)

@@ -20,10 +20,10 @@ from ldctoolkit.version import __version__
 from studies.files import stored_file, write_text
 from studies.fit_page import content, figures, figures_pairs
 from studies.fit_page.picture import picture
-from studies.fit_page.style import COLORS, MEANINGS, UNITS
+from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS
 from studies.model_notes import WARNING, model_notes
 from studies.report import text
-from studies.report.svg import inline_svg
+from studies.report.svg import inline_svg, line_sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -182,6 +182,8 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
         sections=SECTIONS,
         style=_style(),
         colors=COLORS,
+        lines={side.key: line_sample(COLORS[side.key], DASHES[side.key]) for side in sides},
+        model_line=line_sample(MODEL, ()),
         units=UNITS,
         meanings=MEANINGS,
         model=model,

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 COLORS: Final = {"left": "#0072B2", "right": "#D55E00"}
 """Events of a side; the model is always `MODEL`."""
 
+DASHES: Final[dict[str, tuple[float, ...]]] = {"left": (), "right": (5.0, 1.6)}
+"""Where both sides are drawn as lines."""
+
 MODEL: Final = "#222222"
 
 TITLES: Final = {"left": "Left", "right": "Right"}
