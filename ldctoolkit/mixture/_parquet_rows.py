@@ -223,7 +223,7 @@ def _check_head(path: Path, needed: Sequence[str], where: tuple[tuple[str, Value
         size = path.stat().st_size
         if path.is_dir():
             raise InputError(f"{path}: is a folder; allowed: Parquet files")
-        schema = pl.read_parquet_schema(path)
+        schema = scan(path).collect_schema()
         rows = int(scan(path).select(pl.len()).collect().item())
     for name in (*needed, *(name for name, _ in where)):
         if name not in schema:
