@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ldctoolkit import VehicleParameters
-from ldctoolkit.scenario_model import ScenarioModel, SideSummary
+from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 
 _LONGEST = 400
 
@@ -15,13 +16,16 @@ WARNING = "warning: "
 """How a note that is a warning begins."""
 
 
-def model_notes(model: ScenarioModel, vehicle: VehicleParameters | None = None) -> tuple[str, ...]:
+def model_notes(
+    model: ScenarioModel, vehicle: VehicleParameters | None = None, given: Given | None = None
+) -> tuple[str, ...]:
     """Source, size of the fit and warnings of a model, one sentence or line each.
 
     With a vehicle, also whether its width is the one that the departures were found with: a departure is where the
-    vehicle's edge is beyond the line.
+    vehicle's edge is beyond the line. With conditions, also which departures were drawn.
     """
-    notes = tuple(_notes(model))
+    drawn = "; ".join(map(str, conditions(given)))
+    notes = (*((f"Only departures with {drawn} are drawn from it.",) if drawn else ()), *_notes(model))
     criteria = model.provenance.source.get("criteria")
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
     if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
@@ -44,16 +48,41 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
     ):
         count = len(side.mixture.weights_)
         yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
+        yield from (f"{name}: {text}" for text in (_box(side, summary), _mapped(side)) if text)
     if origin.software:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
+    if origin.versions:
+        yield ", ".join(f"{name} {version}" for name, version in origin.versions.items())
     yield from (f"{WARNING}{text}" for text in origin.warnings)
 
 
 def _fitted(summary: SideSummary | None) -> str:
     if summary is None:
         return ""
-    tried = f", chosen by BIC among K = {_numbers(summary.n_components)}" if len(summary.n_components) > 1 else ""
-    return f" from {summary.events:,} departures{tried}"
+    weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
+    text = f" from {summary.events:,} departures{weight}"
+    if len(summary.n_components) > 1:
+        name = {"held_out": "held-out likelihood"}.get(summary.criterion, summary.criterion.upper() or "BIC")
+        text += f", chosen by {name} among K = {_numbers(summary.n_components)}"
+    return text
+
+
+def _box(side: SideModel, summary: SideSummary | None) -> str:
+    """Bounds, and where they come from; nothing of models that do not tell."""
+    if summary is None or not summary.bounds_from:
+        return ""
+    origins = {name: (low, high) for name, low, high in summary.bounds_from}
+    words = []
+    for name, low, high in zip(side.names, *side.bounds(), strict=True):
+        one, other = origins.get(name, ("", ""))
+        ends = " to ".join("open" if math.isinf(end) else f"{end:.4g}" for end in (low, high))
+        words.append(f"{name} {ends} ({one if one == other else f'{one}, {other}'})")
+    return f"bounds {'; '.join(words)}"
+
+
+def _mapped(side: SideModel) -> str:
+    mapped = [f"{name} by {kind}" for name, kind in zip(side.names, side.transform(), strict=True) if kind != "none"]
+    return f"fitted after a map of {', '.join(mapped)}" if mapped else ""
 
 
 def _numbers(values: tuple[int, ...]) -> str:

@@ -96,13 +96,14 @@ def run_study(
     started = time.monotonic()
     count = _positive("workers", workers, os.cpu_count() or 1)
     generator = study_model(study, model)
-    scenarios = generator.sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
+    wanted = study.scenarios
+    scenarios = generator.sample(wanted.left, wanted.right, seed=study.seed, given=wanted.given)
     size = _positive("block_size", block_size, max(1, _SCENARIO_RUNS_A_BLOCK // len(scenarios)))
     fresh = Manifest.of(
         study,
         model=study.scenarios.model if model is None else "in memory" if generator is model else str(model),
         model_hash=generator.content_hash,
-        model_notes=model_notes(generator, study.vehicle),
+        model_notes=model_notes(generator, study.vehicle, study.scenarios.given),
         model_synthetic=generator.provenance.synthetic,
     )
     store = Store.create(Path(directory), fresh, scenarios)

@@ -15,15 +15,12 @@ from typing import Annotated, Any, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PrivateAttr,
     ValidationError,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from ldctoolkit import LdcError, VehicleParameters, controller_class
 from ldctoolkit.errors import InputError, StudyError, nearest
@@ -31,20 +28,14 @@ from ldctoolkit.gains import Gain, find_gain
 from ldctoolkit.simulation import InitialYawRate, Window
 from ldctoolkit.vehicle import Convention
 from studies._messages import study_error
+from studies._part import Part, fail
 from studies.design import CONVENTION_GAIN, Design
 from studies.grid import EntryError, expand
 from studies.results import Case
+from studies.scenario_settings import ScenarioSettings
 
 MOST_DESIGNS = 100_000
 """Largest grid of one study; more is a slip of the pen."""
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def _fail(path: str, message: str) -> PydanticCustomError:
-    return PydanticCustomError("study", "{message}", {"path": path, "message": message})
 
 
 def _one_or_many(entry: Any) -> Any:
@@ -52,40 +43,18 @@ def _one_or_many(entry: Any) -> Any:
     if not isinstance(values, list | tuple):
         return entry
     if not values or len(set(map(str, values))) != len(values):
-        raise _fail("", f"{entry!r}; allowed: a name, or a list of different names")
+        raise fail("", f"{entry!r}; allowed: a name, or a list of different names")
     return tuple(values)
 
 
 def _file_name(name: str) -> str:
     # it names a folder by default
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", name):
-        raise _fail("", f"{name!r}; allowed: up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
+        raise fail("", f"{name!r}; allowed: up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
     return name
 
 
-class ScenarioSettings(_Part):
-    """``[scenarios]``: the model that generates them and how many of each side.
-
-    Attributes
-    ----------
-    model : str
-        Bundled model, or the path of a model file relative to the study file.
-    left, right : int
-        Number of departures to each side.
-    """
-
-    model: str = "reference"
-    left: int = Field(default=500, ge=0, le=10_000_000)
-    right: int = Field(default=500, ge=0, le=10_000_000)
-
-    @model_validator(mode="after")
-    def _some(self) -> Self:
-        if self.left + self.right == 0:
-            raise _fail("", "left and right are both 0; allowed: at least one scenario")
-        return self
-
-
-class SimulationSettings(_Part):
+class SimulationSettings(Part):
     """``[simulation]``: how designs are driven and scored; the cases are windows x conventions.
 
     Attributes
@@ -106,7 +75,7 @@ class SimulationSettings(_Part):
     initial_yaw_rate: InitialYawRate = "path"
 
 
-class ReportSettings(_Part):
+class ReportSettings(Part):
     """``[report]``.
 
     Attributes
@@ -118,7 +87,7 @@ class ReportSettings(_Part):
     D_y: float = Field(default=0.5, gt=0)
 
 
-class RankingSettings(_Part):
+class RankingSettings(Part):
     """``[ranking]``.
 
     Attributes
@@ -133,7 +102,7 @@ class RankingSettings(_Part):
     confidence: float = Field(default=0.95, gt=0, lt=1)
 
 
-class DesignBlock(_Part):
+class DesignBlock(Part):
     """``[[design]]``: a law and a grid over its trigger threshold and gains.
 
     Attributes
@@ -159,7 +128,7 @@ class DesignBlock(_Part):
         try:
             kind = controller_class(block["law"])
         except LdcError as error:
-            raise _fail("law", str(error).removeprefix("law ")) from None
+            raise fail("law", str(error).removeprefix("law ")) from None
         if "y_s" in block:
             checked["y_s"] = tuple(_threshold(value) for value in _expand("y_s", block["y_s"]))
         gains = block.get("gains", {})
@@ -184,12 +153,12 @@ def _expand(path: str, entry: Any, declared: Gain | None = None) -> tuple[Any, .
         whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
         return expand(entry, declared.scale, whole=whole)
     except EntryError as error:
-        raise _fail(path + error.path, str(error)) from None
+        raise fail(path + error.path, str(error)) from None
 
 
 def _threshold(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
-        raise _fail("y_s", f"{value!r}; allowed: a finite number >= 0 [m]")
+        raise fail("y_s", f"{value!r}; allowed: a finite number >= 0 [m]")
     return float(value) + 0.0
 
 
@@ -200,7 +169,7 @@ def _gain_values(kind: Any, name: str, entry: Any) -> tuple[Any, ...]:
         return tuple(declared.check(value, kind.name) for value in _expand(path, entry, declared))
     except LdcError as error:
         # the path in the study file says more than the law's own prefix
-        raise _fail(path, str(error).removeprefix(f"{kind.name}.{name}: ")) from None
+        raise fail(path, str(error).removeprefix(f"{kind.name}.{name}: ")) from None
 
 
 def _vehicle(entry: Any) -> Any:
@@ -209,16 +178,16 @@ def _vehicle(entry: Any) -> Any:
     allowed = {field.name for field in dataclasses.fields(VehicleParameters)}
     for key in entry:
         if key not in allowed:
-            raise _fail(key, f"no such key; {nearest(str(key), allowed)}")
+            raise fail(key, f"no such key; {nearest(str(key), allowed)}")
     try:
         parameters = VehicleParameters(**entry)
         return VehicleParameters(**{name: float(value) for name, value in dataclasses.asdict(parameters).items()})
     except InputError as error:
         path, _, message = str(error).removeprefix("vehicle.").partition(": ")
-        raise _fail(path, message) from None
+        raise fail(path, message) from None
 
 
-class Study(_Part):
+class Study(Part):
     """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
 
     Attributes
@@ -264,10 +233,10 @@ class Study(_Part):
     @model_validator(mode="after")
     def _grid_size(self) -> Self:
         if not self.design:
-            raise _fail("design", "no designs; allowed: one [[design]] table or more")
+            raise fail("design", "no designs; allowed: one [[design]] table or more")
         size = sum(len(b.y_s) * math.prod(len(values) for values in b.gains.values()) for b in self.design)
         if size > MOST_DESIGNS:
-            raise _fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
+            raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
         return self
 
     @classmethod
@@ -351,6 +320,8 @@ class Study(_Part):
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle")}
         same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
+        if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
+            same["scenarios"]["given"] = content["scenarios"]["given"]
         same["designs"] = [design.id for design in self.designs]
         return same
 

@@ -2,6 +2,7 @@
 
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
 from ldctoolkit.scenario_model.fit import fit_scenario_model
+from ldctoolkit.scenario_model.given import Given, conditions
 from ldctoolkit.scenario_model.library import bundled_models, load_model
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
@@ -9,11 +10,13 @@ from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
 __all__ = [
     "PHYSICAL_BOUNDS",
     "FitSettings",
+    "Given",
     "ModelProvenance",
     "ScenarioModel",
     "SideModel",
     "SideSummary",
     "bundled_models",
+    "conditions",
     "fit_scenario_model",
     "load_model",
 ]

@@ -78,8 +78,12 @@ class FitSettings:
 
     Attributes
     ----------
-    rule : str
-        How K is taken from the criterion.
+    criterion : {"bic", "aic", "icl", "held_out"}
+        What K is chosen by.
+    slack : float, optional
+        The smallest K within this distance of the best criterion is taken; None is the criterion's own.
+    indifference : float
+        The same in nats per event; the larger of the two counts.
     prior_strength : float
         Pseudo-events per component.
     tol : float
@@ -90,7 +94,9 @@ class FitSettings:
         Most passes.
     """
 
-    rule: str
+    criterion: str
+    slack: float | None
+    indifference: float
     prior_strength: float
     tol: float
     n_init: int

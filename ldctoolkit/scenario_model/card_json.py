@@ -49,10 +49,16 @@ def _settings(reader: Reader, data: object, path: str) -> FitSettings | None:
     if not isinstance(data, dict):
         raise reader.wrong(path, f"{short(data)}; allowed: an object or null")
     reader.only(data, path, _names(FitSettings))
+
+    def number(key: str) -> float:
+        return float(reader.member(data, key, path, (int, float), "a number"))
+
     return FitSettings(
-        rule=reader.member(data, "rule", path, str, "a string"),
-        prior_strength=float(reader.member(data, "prior_strength", path, (int, float), "a number")),
-        tol=float(reader.member(data, "tol", path, (int, float), "a number")),
+        criterion=reader.member(data, "criterion", path, str, "a string"),
+        slack=None if data.get("slack") is None else number("slack"),
+        indifference=number("indifference"),
+        prior_strength=number("prior_strength"),
+        tol=number("tol"),
         n_init=reader.member(data, "n_init", path, int, "an integer"),
         max_iter=reader.member(data, "max_iter", path, int, "an integer"),
     )

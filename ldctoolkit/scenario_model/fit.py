@@ -5,14 +5,26 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
-from ldctoolkit.scenario_model.card import ModelProvenance
-from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, checked_bounds, component_numbers, fit_side
+from ldctoolkit.recordings import Criteria
+from ldctoolkit.scenario_model.bounds import Bounds, wanted_bounds
+from ldctoolkit.scenario_model.card import ModelProvenance, software_versions
+from ldctoolkit.scenario_model.fit_side import LEAST_EVENTS, Progress, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import whole_number
+from ldctoolkit.scenario_model.settings import (
+    SideSettings,
+    component_numbers,
+    event_weights,
+    fit_settings,
+    transforms,
+)
 from ldctoolkit.version import __version__
 
 _SEED_END: Final = 10**18
@@ -23,12 +35,24 @@ def fit_scenario_model(
     *,
     components: int | Iterable[int] = range(1, 11),
     seed: int = 0,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Bounds | None = None,
+    extraction: Criteria | None = None,
+    weights: npt.ArrayLike | None = None,
+    transform: str | Mapping[str, str] | None = None,
+    criterion: Literal["bic", "aic", "icl", "held_out"] = "bic",
+    slack: float | None = None,
+    indifference: float = 0.0,
+    prior_strength: float = 10.0,
+    tol: float = 1e-6,
+    n_init: int = 8,
+    max_iter: int = 500,
+    workers: int | None = None,
+    verbose: bool = False,
     source_provenance: Mapping[str, Any] | str = "",
     synthetic: bool = False,
     progress: Progress | None = None,
 ) -> ScenarioModel:
-    """Fit a scenario model to departures: one mixture a side, the number of components by BIC.
+    """Fit a scenario model to departures: one mixture a side, the number of components K by a stated rule.
 
     Parameters
     ----------
@@ -39,8 +63,26 @@ def fit_scenario_model(
         One K is fitted as asked.
     seed : int
         Seed of the fits.
-    bounds : mapping, optional
-        Parameter name -> (lower, upper) in SI units, in place of the entry in ``PHYSICAL_BOUNDS``.
+    bounds : {"physical", "auto"} or mapping, optional
+        Where the box ends. ``"physical"``, the default, are the criteria of the extraction if given and
+        ``PHYSICAL_BOUNDS`` otherwise. ``"auto"`` reads the ends off the data (`ldctoolkit.mixture.bounds.auto_bounds`),
+        never beyond the criteria of the extraction or what can be replayed. A mapping has parameter names as keys,
+        and as values one of the words or (lower, upper) in SI units, either of them a number, None for open, or
+        ``"auto"``; the other parameters keep the default.
+    extraction : Criteria, optional
+        The criteria that the departures were extracted with: no event outside them could have been found.
+    weights : (n,), optional
+        Events that each departure stands for; those of weight 0 are left out.
+    transform : {"none", "log", "logit", "auto"} or mapping, optional
+        Map of each parameter before the fit, as in `BoundedGaussianMixture`: one for all, or by name.
+    criterion, slack, indifference
+        How K is chosen, see `select_components`.
+    prior_strength, tol, n_init, max_iter
+        Of each fit, see `BoundedGaussianMixture`.
+    workers : int, optional
+        Cores to use; all by default. It changes no number.
+    verbose : bool
+        Tell of every start and pass on stderr.
     source_provenance : mapping or str
         JSON values that describe the data, kept in the model.
     synthetic : bool
@@ -51,7 +93,8 @@ def fit_scenario_model(
     Returns
     -------
     ScenarioModel
-        What a user should know (constant parameters, values on a bound, a cut range) is in ``provenance.warnings``.
+        What a user should know (constant parameters, values on a bound, a cut range, a K that could not be fitted) is
+        in ``provenance.warnings``; ``provenance.left.reason`` says why K was taken.
 
     Raises
     ------
@@ -59,28 +102,54 @@ def fit_scenario_model(
         Fewer than 30 departures on a side (the message gives both counts), a value outside the bounds, a range of
         which the events carry nothing, or a setting out of range.
     ModelError
-        If the fitted mixture cannot be sampled.
+        If no fitted mixture can be sampled.
 
     Notes
     -----
     A parameter with the same value in every event of a side is left out of the mixture and kept as a constant. A
     value exactly on a bound is moved inside by half the smallest other distance to it, at most a thousandth of the
     column's standard deviation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ldctoolkit import Departures, load_model
+    >>> from ldctoolkit.departures import PARAMETER_NAMES
+    >>> drawn = load_model("reference").sample(60, 60, seed=1)
+    >>> departures = Departures(
+    ...     drawn.side, *drawn.matrix().T, np.full(120, "r"), np.zeros(120), np.full(120, 20)
+    ... )
+    >>> model = fit_scenario_model(departures, components=1, bounds={"d_y": (0, 1.5), "a_mean": "auto"})
+    >>> model.provenance.left.reason
+    'K = 1, as asked'
     """
     seed = whole_number("seed", seed)
     if seed >= _SEED_END:
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
-    box = checked_bounds(bounds)
-    wanted = component_numbers(components)
-    rows = {"left": departures.side == LEFT, "right": departures.side == RIGHT}
-    counts = {label: int(mask.sum()) for label, mask in rows.items()}
-    if min(counts.values()) < LEAST_EVENTS:
-        raise InputError(
-            f"departures: {counts['left']} left and {counts['right']} right; allowed: at least {LEAST_EVENTS} a side"
-        )
-    fits = {label: fit_side(departures.take(mask), label, wanted, seed, box, progress) for label, mask in rows.items()}
-    source = {"description": source_provenance} if isinstance(source_provenance, str) else source_provenance
-
+    settings = SideSettings(
+        components=component_numbers(components),
+        seed=seed,
+        bounds=wanted_bounds(bounds, extraction),
+        transform=transforms(transform),
+        fit=fit_settings(criterion, slack, indifference, prior_strength, tol, n_init, max_iter),
+        workers=workers,
+        verbose=verbose,
+    )
+    weight = event_weights(weights, departures.n)
+    counts = np.ones(departures.n, dtype=bool) if weight is None else weight > 0.0
+    rows = {"left": counts & (departures.side == LEFT), "right": counts & (departures.side == RIGHT)}
+    left, right = (int(mask.sum()) for mask in rows.values())
+    if min(left, right) < LEAST_EVENTS:
+        raise InputError(f"departures: {left} left and {right} right; allowed: at least {LEAST_EVENTS} a side")
+    fits = {
+        label: fit_side(departures.take(mask), None if weight is None else weight[mask], label, settings, progress)
+        for label, mask in rows.items()
+    }
+    source: dict[str, Any] = (
+        {"description": source_provenance} if isinstance(source_provenance, str) else dict(source_provenance)
+    )
+    if extraction is not None:
+        source.setdefault("criteria", dataclasses.asdict(extraction))
     provenance = ModelProvenance(
         source=source,
         synthetic=synthetic,
@@ -88,10 +157,12 @@ def fit_scenario_model(
         software=f"ldctoolkit {__version__}",
         seed=seed,
         warnings=tuple(note for fit in fits.values() for note in fit.warnings),
+        versions=software_versions(),
+        settings=settings.fit,
     )
     model = ScenarioModel(fits["left"].side, fits["right"].side, provenance)
-    left, right = (
+    one, other = (
         dataclasses.replace(fits[label].summary, redrawn_share=model.redrawn_share(side))
         for label, side in (("left", LEFT), ("right", RIGHT))
     )
-    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=left, right=right))
+    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=one, right=other))

@@ -1,21 +1,24 @@
-"""Fit one side of a scenario model: bounds, values on a bound, constant columns, how many components the data carry."""
+"""Fit one side of a scenario model: bounds, constant columns, how many components the data carry."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.errors import InputError, ModelError, nearest
-from ldctoolkit.mixture import select_components
+from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.mixture import Selection, select_components
+from ldctoolkit.scenario_model.bounds import Box, box_of, check_inside, moved_inside
 from ldctoolkit.scenario_model.card import SideSummary
-from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS, SideModel, check_usable
+from ldctoolkit.scenario_model.parts import SideModel, check_usable
+from ldctoolkit.scenario_model.settings import SideSettings, check_transform
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 LEAST_EVENTS: Final = 30
@@ -30,6 +33,9 @@ _STOPPED: Final = {
     "collapsed": "is not at a maximum: a component became too thin for the arithmetic",
 }
 
+_SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
+"""A complaint about one of these is none about the departures."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SideFit:
@@ -40,125 +46,157 @@ class SideFit:
     warnings: tuple[str, ...]
 
 
-def checked_bounds(bounds: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """`PHYSICAL_BOUNDS` with the caller's changes."""
-    out = dict(PHYSICAL_BOUNDS)
-    for name, pair in (bounds or {}).items():
-        if name not in PHYSICAL_BOUNDS:
-            raise InputError(f"bounds: no parameter {name!r}; {nearest(name, PARAMETER_NAMES)}")
-        try:
-            low, high = (float(value) for value in pair)
-        except (TypeError, ValueError):
-            raise InputError(f"bounds[{name!r}]: {pair!r}; allowed: (lower, upper)") from None
-        least = LEAST_LOWER.get(name, -np.inf)
-        if not (low < high and low >= least):
-            raise InputError(f"bounds[{name!r}]: {pair!r}; allowed: {least:g} <= lower < upper")
-        out[name] = (low, high)
-    return out
+@dataclasses.dataclass(frozen=True)
+class _Events:
+    """What the mixture is fitted to.
 
+    Attributes
+    ----------
+    x : (n, 8)
+        Events, none on a bound.
+    weight : (n,), optional
+        Events that each stands for.
+    varies : (8,)
+        Columns that are not constant.
+    box : Box
+    moved : tuple of (str, int)
+        Events that lay on a bound.
+    """
 
-def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
-    """K, or the K to choose from, in ascending order."""
-    allowed = "allowed: an integer >= 1, or several of them"
-    given = (components,) if isinstance(components, int | np.integer) else components
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f"components: {components!r}; {allowed}")
-    numbers = tuple(given)
-    for K in numbers:
-        if isinstance(K, bool) or not isinstance(K, int | np.integer) or K < 1:
-            raise InputError(f"components: {K!r}; {allowed}")
-    if not numbers:
-        raise InputError(f"components: an empty range; {allowed}")
-    if isinstance(components, int | np.integer):
-        return int(components)
-    return tuple(sorted({int(K) for K in numbers}))
+    x: FloatArray
+    weight: FloatArray | None
+    varies: BoolArray
+    box: Box
+    moved: tuple[tuple[str, int], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(self.varies))
+
+    @property
+    def constants(self) -> tuple[tuple[str, float], ...]:
+        return tuple((PARAMETER_NAMES[j], float(self.x[0, j])) for j in np.flatnonzero(~self.varies))
 
 
 def fit_side(
     departures: Departures,
+    weight: FloatArray | None,
     label: str,
-    components: int | tuple[int, ...],
-    seed: int,
-    bounds: Mapping[str, tuple[float, float]],
+    settings: SideSettings,
     progress: Progress | None,
 ) -> SideFit:
-    """Fit the departures of one side (all rows are used)."""
+    """Fit the departures of one side (all rows are used; a weight is positive)."""
+    events = _events(departures, weight, label, settings)
+    n = events.x.shape[0]
+    notes = [
+        f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
+    ]
+    notes += [
+        f"{label}: {count} events had {name} exactly on a bound, moved just inside" for name, count in events.moved
+    ]
+    tried, cut = _carried(settings.components, n, len(events.names), label)
+    notes += cut
+    selection, failed = _select(events, tried, label, settings, progress)
+    best = selection.best
+    notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
+    if not best.converged_:
+        notes.append(f"{label}: the fit stopped after {best.n_iter_} passes and {_STOPPED[best.stop_reason_]}")
+    several = len(tried) > 1
+    why = "as asked" if isinstance(settings.components, int) else "the only one of the range that the events carry"
+    summary = SideSummary(
+        events=n,
+        n_components=tuple(int(K) for K in selection.n_components),
+        bic=_curve(selection.bic),
+        log_likelihood=_curve(selection.log_likelihood),
+        converged=best.converged_,
+        moved_inside=events.moved,
+        redrawn_share=0.0,
+        n_parameters=tuple(int(p) for p in selection.n_parameters),
+        aic=_curve(selection.aic),
+        icl=_curve(selection.icl),
+        held_out=_curve(selection.held_out),
+        criterion=selection.criterion if several else "",
+        reason=selection.reason if several else f"K = {tried[0]}, {why}",
+        failed=failed,
+        passes=best.n_iter_,
+        stop_reason=best.stop_reason_,
+        weight=None if weight is None else float(weight.sum()),
+        bounds_from=events.box.origins,
+    )
+    return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
+
+
+def _curve(values: FloatArray) -> tuple[float, ...]:
+    """A criterion of each K; empty where it was not computed."""
+    return tuple(values.tolist()) if np.isfinite(values).all() else ()
+
+
+def _events(departures: Departures, weight: FloatArray | None, label: str, settings: SideSettings) -> _Events:
+    """The events as a matrix inside its box."""
     x = departures.matrix()
-    n = x.shape[0]
     if not np.isfinite(x).all():
         row, j = np.argwhere(~np.isfinite(x))[0]
         raise InputError(
             f"departures ({label}): {PARAMETER_NAMES[j]}[{row}] = {float(x[row, j])!r}; allowed: finite numbers"
         )
     varies = np.array([np.ptp(x[:, j]) > 1e-12 * np.max(np.abs(x[:, j])) for j in range(x.shape[1])])
-    constants = tuple((PARAMETER_NAMES[j], float(x[0, j])) for j in np.flatnonzero(~varies))
-    names = tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(varies))
-    if not names:
-        raise InputError(f"departures ({label}): all {n} events are equal; there is nothing to fit")
-    notes = [f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in constants]
-    lower, upper = (np.array([bounds[name][end] for name in PARAMETER_NAMES]) for end in (0, 1))
+    if not varies.any():
+        raise InputError(f"departures ({label}): all {x.shape[0]} events are equal; there is nothing to fit")
+    box = box_of(settings.bounds, x)
+    check_inside(x, box, label)
+    check_transform(settings.transform, box.lower, box.upper)
     moved: list[tuple[str, int]] = []
-    for j in range(x.shape[1]):
-        outside = (x[:, j] < lower[j]) | (x[:, j] > upper[j])
-        if outside.any():
-            row = int(np.argmax(outside))
-            raise InputError(
-                f"departures ({label}): {PARAMETER_NAMES[j]} = {float(x[row, j])!r} in event {row}; allowed: "
-                f"{lower[j]:g} to {upper[j]:g} ({int(outside.sum())} of {n} events)"
-            )
-        if varies[j]:
-            x[:, j], count = _inside(x[:, j], lower[j], upper[j])
-            if count:
-                moved.append((PARAMETER_NAMES[j], count))
-                notes.append(f"{label}: {count} events had {PARAMETER_NAMES[j]} exactly on a bound, moved just inside")
-    tried = (components,) if isinstance(components, int) else components
-    if not isinstance(components, int):
-        d = len(names)
-        most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
-        tried = tuple(K for K in components if most >= K)
-        if not tried:
-            raise InputError(
-                f"components: {components[0]} and more; allowed: a range that begins at {most} or below, "
-                f"{n} {label} departures carry no more"
-            )
-        if len(tried) < len(components):
-            notes.append(f"{label}: {n} events carry no more than K = {most}; larger K were not tried")
-    try:
-        selection = select_components(
-            x[:, varies],
-            tried,
-            progress=None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
-            lower=lower[varies],
-            upper=upper[varies],
-            random_state=seed,
-            names=names,
+    for j in np.flatnonzero(varies):
+        x[:, j], count = moved_inside(x[:, j], float(box.lower[j]), float(box.upper[j]))
+        if count:
+            moved.append((PARAMETER_NAMES[j], count))
+    return _Events(x, weight, varies, box, tuple(moved))
+
+
+def _carried(components: int | tuple[int, ...], n: int, d: int, label: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """The K that n events of d parameters carry, and what to say if these are not all."""
+    if isinstance(components, int):
+        return (components,), ()
+    most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
+    tried = tuple(K for K in components if most >= K)
+    if not tried:
+        raise InputError(
+            f"components: {components[0]} and more; allowed: a range that begins at {most} or below, "
+            f"{n} {label} departures carry no more"
         )
-        check_usable(selection.best)
-    except (InputError, ModelError) as error:
-        raise type(error)(f"departures ({label}): {error}") from None
-    best = selection.best
-    if not best.converged_:
-        notes.append(f"{label}: the fit stopped after {best.n_iter_} passes and {_STOPPED[best.stop_reason_]}")
-    summary = SideSummary(
-        events=n,
-        n_components=tuple(int(K) for K in selection.n_components),
-        bic=tuple(selection.bic.tolist()),
-        log_likelihood=tuple(selection.log_likelihood.tolist()),
-        converged=best.converged_,
-        moved_inside=tuple(moved),
-        redrawn_share=0.0,
-    )
-    return SideFit(SideModel(best, names, constants), summary, tuple(notes))
+    if len(tried) == len(components):
+        return tried, ()
+    return tried, (f"{label}: {n} events carry no more than K = {most}; larger K were not tried",)
 
 
-def _inside(column: FloatArray, lower: float, upper: float) -> tuple[FloatArray, int]:
-    """Move values on a bound inside by half the smallest other distance, at most a thousandth of the spread."""
-    out = column.copy()
-    count = 0
-    for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        distance = sign * (column - bound)
-        on = distance == 0.0
-        if on.any():
-            count += int(on.sum())
-            out[on] = bound + sign * min(0.5 * float(distance[~on].min()), 1e-3 * float(column.std()))
-    return out, count
+def _select(
+    events: _Events, tried: tuple[int, ...], label: str, settings: SideSettings, progress: Progress | None
+) -> tuple[Selection, tuple[tuple[int, str], ...]]:
+    """The fits, and the K that gave no usable one; an error where none did."""
+    arguments: dict[str, Any] = settings.selection() | {
+        "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
+        "sample_weight": events.weight,
+        "lower": events.box.lower[events.varies],
+        "upper": events.box.upper[events.varies],
+        "transform": [settings.transform[name] for name in events.names],
+        "names": events.names,
+    }
+    failed: list[tuple[int, str]] = []
+    while True:
+        try:
+            selection = select_components(events.x[:, events.varies], tried, **arguments)
+        except (InputError, ModelError) as error:
+            if str(error).partition(":")[0] in _SETTINGS:
+                raise
+            raise type(error)(f"departures ({label}): {error}") from None
+        failed += [(f.n_components, f.message) for f in selection.failures]
+        taken = int(selection.n_components[selection.chosen])
+        try:
+            check_usable(selection.best)
+        except ModelError as error:
+            tried = tuple(int(K) for K in selection.n_components if taken != K)
+            if not tried:
+                raise ModelError(f"departures ({label}): {error}") from None
+            failed.append((taken, str(error)))
+        else:
+            return selection, tuple(sorted(failed))

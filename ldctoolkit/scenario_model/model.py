@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, Distribution
 from ldctoolkit.scenario_model import json_form as form
 from ldctoolkit.scenario_model._reader import read_text
 from ldctoolkit.scenario_model.card import ModelProvenance
+from ldctoolkit.scenario_model.given import Condition, Given, conditions, mixture_conditions
 from ldctoolkit.scenario_model.parts import SideModel, whole_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
@@ -28,6 +29,22 @@ _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
 _REPORT_BLOCKS: Final = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class _Source:
+    """What the events of a side are drawn from: its distribution, or that under conditions."""
+
+    side: SideModel
+    distribution: Distribution
+    stream: int
+
+    def block(self, block: int, seed: int) -> dict[str, FloatArray]:
+        """The events of one block that can be replayed."""
+        x, _ = self.distribution.sample_block(seed, (self.stream, block))
+        columns = self.side.columns(x)
+        keep = slowest_speed(columns["v_mean"], columns["a_mean"], columns["T"]) >= SPEED_FLOOR
+        return {name: column[keep] for name, column in columns.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +90,7 @@ class ScenarioModel:
         """SHA-256 of all that sampling depends on; the same for two fits that gave the same numbers."""
         return form.content_hash(self.left_side, self.right_side)
 
-    def sample(self, n_left: int, n_right: int, seed: int) -> Scenarios:
+    def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
         """Draw scenarios, left ones first.
 
         Parameters
@@ -83,6 +100,9 @@ class ScenarioModel:
         seed : int
             The same seed gives the same scenarios; the first m scenarios of a side depend neither on how many are
             drawn nor on the other side.
+        given : mapping, optional
+            Only departures with these properties, drawn exactly from the model's distribution under the condition:
+            parameter -> its value, or (lower, upper) between which it lies; None is open. SI units.
 
         Returns
         -------
@@ -92,7 +112,7 @@ class ScenarioModel:
         Raises
         ------
         InputError
-            If a number or the seed is not a non-negative integer.
+            If a number or the seed is not a non-negative integer, or a condition names no parameter or cannot be met.
         ModelError
             If hardly any event of the model can be replayed.
 
@@ -101,23 +121,33 @@ class ScenarioModel:
         Events are drawn in blocks of 1,024, each from its own random stream (seed, side, block). An event whose speed
         falls below ``SPEED_FLOOR`` within the departure is passed over and the next one of the stream taken; the
         share of such events is ``provenance.left.redrawn_share``, or by `redrawn_share`.
+
+        Examples
+        --------
+        >>> from ldctoolkit import load_model
+        >>> motorway = load_model("reference").sample(100, 0, seed=1, given={"v_mean": (25, 35), "c_0": 0.0})
+        >>> bool(motorway.v_mean.min() > 25 and motorway.v_mean.max() < 35 and (motorway.c_0 == 0.0).all())
+        True
         """
+        wanted = conditions(given)
         parts = [
-            self._draw(side, whole_number(name, n), whole_number("seed", seed))
+            self._draw(side, whole_number(name, n), whole_number("seed", seed), wanted)
             for side, name, n in ((LEFT, "n_left", n_left), (RIGHT, "n_right", n_right))
         ]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
         return Scenarios.from_arrays(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
 
-    def _block(self, side: int, block: int, seed: int) -> dict[str, FloatArray]:
-        """The events of one block that can be replayed."""
-        half = self.left_side if side == LEFT else self.right_side
-        x, _ = half.mixture.distribution.sample_block(seed, (_STREAM[side], block))
-        columns = half.columns(x)
-        keep = slowest_speed(columns["v_mean"], columns["a_mean"], columns["T"]) >= SPEED_FLOOR
-        return {name: column[keep] for name, column in columns.items()}
+    def _source(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Source:
+        """What the events of a side are drawn from."""
+        half, label = (self.left_side, "left") if side == LEFT else (self.right_side, "right")
+        columns = mixture_conditions(wanted, half, label)
+        distribution = half.mixture.distribution
+        return _Source(half, distribution.condition(columns) if columns else distribution, _STREAM[side])
 
-    def _draw(self, side: int, n: int, seed: int) -> dict[str, FloatArray]:
+    def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:
+        if n == 0:
+            return {name: np.empty(0) for name in PARAMETER_NAMES}
+        source = self._source(side, wanted)
         blocks: list[dict[str, FloatArray]] = []
         found = 0
         limit = _SPARE_BLOCKS * (1 + n // SAMPLE_BLOCK)
@@ -129,15 +159,14 @@ class ScenarioModel:
                     f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s and cannot be "
                     "replayed; the model does not describe driving at speed"
                 )
-            blocks.append(self._block(side, len(blocks), seed))
+            blocks.append(source.block(len(blocks), seed))
             found += blocks[-1]["T"].size
-        if not blocks:
-            return {name: np.empty(0) for name in PARAMETER_NAMES}
         return {name: np.concatenate([block[name] for block in blocks])[:n] for name in PARAMETER_NAMES}
 
     def redrawn_share(self, side: int, seed: int = 0) -> float:
         """Share of events of a side (LEFT or RIGHT) below the speed floor, from 10,240 draws."""
-        kept = sum(self._block(side, block, seed)["T"].size for block in range(_REPORT_BLOCKS))
+        source = self._source(side)
+        kept = sum(source.block(block, seed)["T"].size for block in range(_REPORT_BLOCKS))
         return 1.0 - kept / (_REPORT_BLOCKS * SAMPLE_BLOCK)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -1,17 +1,31 @@
-"""``ldc fit``: a departures table in, a scenario model out."""
+"""``ldc fit``: a departures table in, a scenario model and a page about its fit out."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from studies.cli._console import Subparsers, console, output_file, progress_bar, warn, whole_number
+from ldctoolkit.errors import InputError, LdcError
+from studies.cli._console import (
+    Subparsers,
+    console,
+    number,
+    output_file,
+    positive_number,
+    progress_bar,
+    warn,
+    whole_number,
+)
+from studies.cli._ranges import bound, each_once, named
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings import Criteria, Provenance
+    from ldctoolkit.departures import Departures
+    from ldctoolkit.recordings import Provenance
     from ldctoolkit.scenario_model import ScenarioModel, SideSummary
+
+_CRITERIA = ("bic", "aic", "icl", "held_out")
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -19,15 +33,47 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "fit",
         help="fit a scenario model to departures",
-        description="Fit one bounded Gaussian mixture a side to a departures table; the number of components K is the "
-        "one with the smallest BIC.",
+        description="Fit one bounded Gaussian mixture a side to a departures table. Of a range of K (numbers of "
+        "components) the smallest is taken whose criterion is as good as the best. A page that shows how well the "
+        "model fits is written beside it.",
     )
-    parser.add_argument("departures", metavar="DEPARTURES.parquet", help="what ldc extract wrote")
-    parser.add_argument("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
-    parser.add_argument(
-        "--components", type=components, default="1:10", metavar="K", help="K, or a range (default: %(default)s)"
-    )
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    add = parser.add_argument
+    add("departures", metavar="DEPARTURES.parquet", help="what ldc extract wrote")
+    add("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
+    add("--components", type=components, default="1:10", metavar="K", help="K, or a range (default: %(default)s)")
+    add("--criterion", choices=_CRITERIA, default="bic", help="what K is chosen by (default: %(default)s)")
+    add(
+        "--slack", type=number, metavar="X",
+        help="how far the smallest K may be from the best: units of BIC, AIC, ICL (default: 10), or standard errors "
+        "of the held-out likelihood (default: 1)",
+    )  # fmt: skip
+    add(
+        "--indifference", type=number, default=0.0, metavar="X",
+        help="the same in nats an event; the larger one counts (default: 0)",
+    )  # fmt: skip
+    add(
+        "--bounds", choices=("physical", "auto"), default="physical",
+        help="bounds from the extraction and physics, or read off the data (default: %(default)s)",
+    )  # fmt: skip
+    add(
+        "--bound", type=bound, action="append", metavar="NAME=LOW:HIGH",
+        help="bounds of one parameter in SI units, an empty end is open; or NAME=auto, NAME=physical; repeatable",
+    )  # fmt: skip
+    add(
+        "--transform", type=transform, action="append", metavar="auto|none|NAME=KIND",
+        help="map parameters before the fit: auto, none, or one of them by none, log, logit, auto; repeatable "
+        "(default: none)",
+    )  # fmt: skip
+    add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
+    add("--tol", type=number, default=1e-6, metavar="X", help="nats an event and pass (default: %(default)s)")
+    add("--n-init", type=positive_number, default=8, metavar="N", help="starts (default: %(default)s)")
+    add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
+    add(
+        "--page", action=argparse.BooleanOptionalAction, default=True,
+        help="write MODEL.html, which shows how well the model fits (default: yes)",
+    )  # fmt: skip
+    add("--verbose", action="store_true", help="tell of every start and pass on stderr")
     parser.set_defaults(run=run)
 
 
@@ -43,19 +89,42 @@ def components(text: str) -> int | range:
     return range(low, high + 1) if colon else low
 
 
+def transform(text: str) -> tuple[str, str]:
+    """``auto`` or ``none`` for all parameters, under the name ``""``; or ``NAME=KIND``."""
+    if text in ("auto", "none"):
+        return "", text
+    if "=" not in text:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: auto, none or NAME=KIND")
+    return named(text)
+
+
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.recordings import read_departures
     from ldctoolkit.scenario_model import fit_scenario_model
 
     target = output_file(chosen.output, ".json")
+    page = target.with_suffix(".html")
+    if chosen.page and page.is_dir():
+        raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
+    bounds, transforms = _bounds(chosen), _transforms(chosen)
     departures, provenance = read_departures(chosen.departures)
     with progress_bar("fitting") as advance:
         model = fit_scenario_model(
             departures,
             components=chosen.components,
             seed=chosen.seed,
-            bounds=_bounds(provenance.criteria),
+            bounds=bounds,
+            extraction=provenance.criteria,
+            transform=transforms,
+            criterion=chosen.criterion,
+            slack=chosen.slack,
+            indifference=chosen.indifference,
+            prior_strength=chosen.prior_strength,
+            tol=chosen.tol,
+            n_init=chosen.n_init,
+            workers=chosen.workers,
+            verbose=chosen.verbose,
             source_provenance=_source(provenance),
             progress=None if advance is None else lambda _, done, total: advance(done, total),
         )
@@ -64,14 +133,26 @@ def run(chosen: argparse.Namespace) -> None:
         warn(warning)
     _print_fits(model)
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
+    if chosen.page:
+        _write_page(page, model, departures, chosen.seed)
 
 
-def _bounds(criteria: Criteria) -> dict[str, tuple[float, float]]:
-    """The box that the extraction left: no event outside it could have been found."""
-    return {
-        "T": (criteria.min_duration, criteria.max_duration),
-        "v_mean": (criteria.min_speed, math.inf),
-    }
+def _bounds(chosen: argparse.Namespace) -> Any:
+    """All bounds, then those of single parameters."""
+    from ldctoolkit.departures import PARAMETER_NAMES
+
+    each_once("--bound", chosen.bound)
+    return dict.fromkeys(PARAMETER_NAMES, chosen.bounds) | dict(chosen.bound or ())
+
+
+def _transforms(chosen: argparse.Namespace) -> dict[str, str]:
+    """The transform of all parameters, then those of single ones."""
+    from ldctoolkit.departures import PARAMETER_NAMES
+
+    pairs: list[tuple[str, str]] = chosen.transform or []
+    each_once("--transform", pairs)
+    by_name = dict(pairs)
+    return dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
 
 
 def _source(provenance: Provenance) -> dict[str, Any]:
@@ -87,25 +168,57 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     }
 
 
+def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: int) -> None:
+    """Write the page; the model is kept also where there can be none."""
+    from studies.fit_page import write_fit_page
+
+    try:
+        with progress_bar("checking") as advance:
+            write_fit_page(
+                page,
+                model,
+                departures,
+                seed=seed,
+                progress=None if advance is None else lambda _, done, total: advance(done, total),
+            )
+    except LdcError as error:
+        warn(f"no page about the fit: {error}")
+    else:
+        print(f"page about the fit written to {page}")
+
+
+_COLUMNS = (
+    ("p", "n_parameters", "d"),
+    ("log-likelihood an event", "log_likelihood", ".4f"),
+    ("BIC", "bic", ".1f"),
+    ("AIC", "aic", ".1f"),
+    ("ICL", "icl", ".1f"),
+    ("held-out an event", "held_out", ".4f"),
+)
+
+
 def _print_fits(model: ScenarioModel) -> None:
+    out = console()
+    for label, side, summary in (
+        ("left", model.left_side, model.provenance.left),
+        ("right", model.right_side, model.provenance.right),
+    ):
+        if summary is not None:
+            out.print(f"{label}: {summary.events} departures")
+            _print_curve(summary, side.mixture.weights_.size)
+            out.print(f"{label}: {summary.reason}")
+
+
+def _print_curve(summary: SideSummary, taken: int) -> None:
+    """Every K with its criteria; the one that was taken has a star."""
     from rich.table import Table
 
-    out = console()
-    for label, summary in (("left", model.provenance.left), ("right", model.provenance.right)):
-        if summary is None:
-            continue
-        out.print(f"{label}: {summary.events} departures")
-        table = Table()
-        for heading in ("K", "BIC", "log-likelihood an event"):
-            table.add_column(heading, justify="right")
-        for K, bic, mean in _fits(summary):
-            chosen = bic == min(summary.bic)
-            table.add_row(
-                f"{K}", f"{bic:.1f}{' *' if chosen else '  '}", f"{mean:.4f}", style="bold" if chosen else None
-            )
-        out.print(table)
-    print("*: smallest BIC, taken")
-
-
-def _fits(summary: SideSummary) -> list[tuple[int, float, float]]:
-    return list(zip(summary.n_components, summary.bic, summary.log_likelihood, strict=True))
+    columns = [(title, getattr(summary, key), form) for title, key, form in _COLUMNS if getattr(summary, key)]
+    table = Table()
+    table.add_column("K", justify="right")
+    for title, _, _ in columns:
+        table.add_column(title, justify="right")
+    for i, K in enumerate(summary.n_components):
+        cells = [format(values[i], form) for _, values, form in columns]
+        table.add_row(f"{K}{' *' if taken == K else '  '}", *cells, style="bold" if taken == K else None)
+    console().print(table)

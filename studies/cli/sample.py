@@ -6,6 +6,7 @@ import argparse
 
 from ldctoolkit.errors import InputError
 from studies.cli._console import Subparsers, output_file, whole_number
+from studies.cli._ranges import condition, each_once
 
 _MOST = 10_000_000
 """Departures to one side that fit in memory; the same bound as in a study file."""
@@ -23,6 +24,14 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("-n", type=whole_number, metavar="N", help="departures in all, half of them to each side")
     parser.add_argument("--left", type=whole_number, metavar="N", help="departures to the left")
     parser.add_argument("--right", type=whole_number, metavar="N", help="departures to the right")
+    parser.add_argument(
+        "--given",
+        type=condition,
+        action="append",
+        metavar="NAME=LOW:HIGH",
+        help="only departures with this parameter between two values in SI units (an empty end is open), or at one: "
+        "NAME=VALUE; repeatable",
+    )
     parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="table to write, .parquet or .csv")
     parser.set_defaults(run=run)
@@ -35,7 +44,9 @@ def run(chosen: argparse.Namespace) -> None:
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)
-    table = scenario_table(load_model(chosen.model).sample(left, right, seed=chosen.seed))
+    each_once("--given", chosen.given)
+    given = dict(chosen.given or ())
+    table = scenario_table(load_model(chosen.model).sample(left, right, seed=chosen.seed, given=given))
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:

@@ -50,7 +50,7 @@ def model():
         weight=250.5,
         bounds_from=(("T", "given", "auto"),),
     )
-    settings = FitSettings("smallest", 10.0, 1e-6, 8, 500)
+    settings = FitSettings("bic", None, 0.001, 10.0, 1e-6, 8, 500)
     provenance = ModelProvenance(
         {"description": "made up"},
         seed=3,

@@ -28,7 +28,18 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"seed": -1}, "seed: -1; allowed: greater than or equal to 0"),
     ({"name": "a/b"}, "name: 'a/b'; allowed: up to 80 letters"),
     ({"name": 3}, "name: 3; allowed: text"),
-    ({"scenarios": {"lft": 3}}, "scenarios.lft: no such key; did you mean 'left'? (allowed: left, model, right)"),
+    (
+        {"scenarios": {"lft": 3}},
+        "scenarios.lft: no such key; did you mean 'left'? (allowed: given, left, model, right)",
+    ),
+    ({"scenarios": {"given": 3}}, "scenarios.given: 3; allowed: a table of keys"),
+    ({"scenarios": {"given": {"v": 3}}}, "scenarios.given: no parameter 'v'; "),
+    ({"scenarios": {"given": {"v_mean": "fast"}}}, "scenarios.given.v_mean: 'fast'; allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": [35, 25]}}}, "scenarios.given.v_mean: (35, 25); allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": [25]}}}, "scenarios.given.v_mean: (25,); allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": True}}}, "scenarios.given.v_mean: True; allowed: a number"),
+    ({"scenarios": {"given": {"c_0": float("nan")}}}, "scenarios.given.c_0: nan; allowed: a number"),
+    ({"scenarios": {"given": {"c_0": float("inf")}}}, "scenarios.given.c_0: inf; allowed: a number"),
     ({"scenarios": {"left": 0, "right": 0}}, "scenarios: left and right are both 0"),
     ({"scenarios": {"left": True}}, "scenarios.left: True; allowed: a whole number"),
     ({"scenarios": 3}, "scenarios: 3; allowed: a table of keys"),
@@ -174,6 +185,27 @@ def test_identity_follows_numbers_and_not_words(make_study: Callable[..., Study]
     for other in ({"seed": 4}, {"vehicle": {"m": 999.0}}, {"scenarios": {"left": 7, "right": 6}}):
         assert make_study(**other).hash != study.hash
     assert make_study(design=[{"law": "none"}]).hash != study.hash
+
+
+def test_conditions_on_scenarios_are_read_and_decide_the_numbers(
+    make_study: Callable[..., Study], tmp_path: Path
+) -> None:
+    """A study without conditions has the identity that it had before there were any."""
+    plain = make_study()
+    assert plain.identity()["scenarios"] == {"left": 7, "right": 5}
+    (tmp_path / "s.toml").write_text(
+        'name = "motorway"\n[scenarios]\nleft = 5\nright = 5\n[scenarios.given]\nv_mean = [25, inf]\nc_0 = 0.001\n'
+        '[[design]]\nlaw = "none"\n'
+    )
+    study = Study.from_toml(tmp_path / "s.toml")
+    assert study.scenarios.given == {"v_mean": (25.0, None), "c_0": 0.001}
+    assert Study.from_dict(json.loads(json.dumps(study.content()))).content() == study.content()
+    assert study.identity()["scenarios"]["given"] == {"v_mean": [25.0, None], "c_0": 0.001}
+    scenarios = {"left": 7, "right": 5, "given": {"v_mean": [25, 30]}}
+    some = make_study(scenarios=scenarios)
+    other = make_study(scenarios=scenarios | {"given": {"v_mean": [25, 31]}})
+    assert len({plain.hash, some.hash, other.hash}) == 3
+    assert make_study(scenarios=scenarios | {"given": {}}).hash == plain.hash
 
 
 def test_a_design_runs_once_however_often_it_is_written() -> None:

@@ -1,0 +1,128 @@
+"""Settings of a scenario model's fits, checked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.scenario_model.bounds import WantedBounds
+from ldctoolkit.scenario_model.card import FitSettings
+
+FloatArray = npt.NDArray[np.float64]
+
+TRANSFORMS: Final = ("none", "log", "logit", "auto")
+
+
+@dataclasses.dataclass(frozen=True)
+class SideSettings:
+    """How each side is fitted.
+
+    Attributes
+    ----------
+    components : int or tuple of int
+        K, or the K to choose from in ascending order.
+    seed : int
+        Of the fits.
+    bounds : WantedBounds
+        Of each parameter.
+    transform : dict of str to str
+        Of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``.
+    fit : FitSettings
+        Choice of K, prior, tolerance, starts.
+    workers : int, optional
+        Cores; all by default.
+    verbose : bool
+        Tell of every start and pass on stderr.
+    """
+
+    components: int | tuple[int, ...]
+    seed: int
+    bounds: WantedBounds
+    transform: dict[str, str]
+    fit: FitSettings
+    workers: int | None
+    verbose: bool
+
+    def selection(self) -> dict[str, Any]:
+        """Arguments of `select_components` but for the events and the box."""
+        return dataclasses.asdict(self.fit) | {
+            "random_state": self.seed,
+            "n_jobs": self.workers,
+            "verbose": int(self.verbose),
+        }
+
+
+def fit_settings(*values: Any) -> FitSettings:
+    """Settings in Python's own numbers, as a file needs them; the fits check them."""
+    return FitSettings(*(value.item() if isinstance(value, np.generic) else value for value in values))
+
+
+def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
+    """K, or the K to choose from, in ascending order."""
+    allowed = "allowed: an integer >= 1, or several of them"
+    given = (components,) if isinstance(components, int | np.integer) else components
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"components: {components!r}; {allowed}")
+    numbers = tuple(given)
+    for K in numbers:
+        if isinstance(K, bool) or not isinstance(K, int | np.integer) or K < 1:
+            raise InputError(f"components: {K!r}; {allowed}")
+    if not numbers:
+        raise InputError(f"components: an empty range; {allowed}")
+    if isinstance(components, int | np.integer):
+        return int(components)
+    return tuple(sorted({int(K) for K in numbers}))
+
+
+def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
+    """The wanted transform of each parameter."""
+    if transform is None or isinstance(transform, str):
+        return dict.fromkeys(PARAMETER_NAMES, _transform("transform", transform or "none"))
+    out = dict.fromkeys(PARAMETER_NAMES, "none")
+    for name, kind in transform.items():
+        if name not in out:
+            raise InputError(f"transform: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+        out[name] = _transform(f"transform[{name!r}]", kind)
+    return out
+
+
+def _transform(where: str, kind: Any) -> str:
+    if kind not in TRANSFORMS:
+        raise InputError(f"{where}: {kind!r}; {nearest(str(kind), TRANSFORMS)}")
+    return str(kind)
+
+
+def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatArray) -> None:
+    """Refuse a map that the bounds (8,) do not allow, by the parameter's name."""
+    for j, name in enumerate(PARAMETER_NAMES):
+        finite = int(np.isfinite(lower[j])) + int(np.isfinite(upper[j]))
+        needed = {"log": 1, "logit": 2}.get(wanted[name], finite)
+        if finite != needed:
+            allowed = "one finite bound" if needed == 1 else "two finite bounds"
+            raise InputError(
+                f"transform[{name!r}]: {wanted[name]!r} with the bounds {lower[j]:g} to {upper[j]:g}; allowed: with "
+                f"{allowed}"
+            )
+
+
+def event_weights(weights: npt.ArrayLike | None, n: int) -> FloatArray | None:
+    """Events that each departure stands for, (n,)."""
+    if weights is None:
+        return None
+    try:
+        out = np.asarray(weights, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("weights: not numbers; allowed: one number >= 0 a departure") from None
+    if out.shape != (n,):
+        raise InputError(f"weights: shape {out.shape}; allowed: ({n},), one number a departure")
+    bad = ~(np.isfinite(out) & (out >= 0.0))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"weights: {float(out[row])!r} of departure {row}; allowed: finite numbers >= 0")
+    return out

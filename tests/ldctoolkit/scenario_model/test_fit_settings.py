@@ -1,0 +1,277 @@
+"""What a fit can be told: bounds and where they come from, transforms, weights, the choice of K; and its card."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+
+import numpy as np
+import pytest
+
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES
+from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
+from ldctoolkit.recordings import Criteria
+from ldctoolkit.scenario_model import PHYSICAL_BOUNDS, fit_scenario_model, load_model
+
+INF = np.inf
+
+
+def box(model):
+    """Bounds of the left side by name, and where they come from."""
+    side = model.left_side
+    lower, upper = side.bounds()
+    origins = {name: (low, high) for name, low, high in model.provenance.left.bounds_from}
+    return {n: (float(a), float(b), *origins[n]) for n, a, b in zip(side.names, lower, upper, strict=True)}
+
+
+def test_bounds_default_to_physics_then_to_the_extraction(departures):
+    found = box(fit_scenario_model(departures(40), components=1))
+    assert found == {
+        "T": (0.5, 10.0, "physical", "physical"),
+        "d_y": (0.0, INF, "physical", "physical"),
+        "v_mean": (5.0, INF, "physical", "physical"),
+    }
+    extraction = Criteria(min_duration=0.3, max_duration=12.0, min_speed=7.0)
+    model = fit_scenario_model(departures(40), components=1, extraction=extraction, bounds={"d_y": (0.0, 1.5)})
+    assert box(model) == {
+        "T": (0.3, 12.0, "extraction criteria", "extraction criteria"),
+        "d_y": (0.0, 1.5, "given", "given"),
+        "v_mean": (7.0, INF, "extraction criteria", "physical"),
+    }
+    assert model.provenance.source["criteria"] == dataclasses.asdict(extraction)
+    again = fit_scenario_model(departures(40), components=1, bounds="physical")
+    assert box(again) == found
+
+
+def test_auto_bounds_find_the_ends_and_stay_inside_what_is_known(departures):
+    """Accelerations between -0.7 and 0.7: two abrupt ends; d_y ends at zero; v_mean is open."""
+    rng = np.random.default_rng(3)
+    d = departures(1000, a_mean=rng.uniform(-0.7, 0.7, 2000), c_0=rng.normal(0.0, 1e-3, 2000))
+    found = box(fit_scenario_model(d, components=1, bounds="auto", extraction=Criteria(min_duration=0.5)))
+    low, high, *origins = found["a_mean"]
+    np.testing.assert_allclose((low, high), (-0.7, 0.7), atol=4 * 1.4 / 1000)  # four mean gaps of 1,000 values
+    assert low < d.a_mean[:1000].min()
+    assert high > d.a_mean[:1000].max()
+    assert origins == ["auto", "auto"]
+    assert found["d_y"][:2] == (0.0, INF)
+    assert found["v_mean"] == (5.0, INF, "extraction criteria", "auto")
+    assert found["c_0"] == (-INF, INF, "auto", "auto")
+    assert found["T"][1] <= 10.0
+    one = box(fit_scenario_model(d, components=1, bounds={"a_mean": "auto"}))
+    assert one["a_mean"] == found["a_mean"]
+    assert one["T"] == (0.5, 10.0, "physical", "physical")
+
+
+def test_one_end_can_be_open_or_automatic(departures):
+    d = departures(300, seed=1, a_mean=np.random.default_rng(0).normal(0.0, 0.3, 600))
+    given = {"a_mean": (None, 3.0), "d_y": (None, "auto"), "T": (0.25, None), "v_mean": "auto"}
+    found = box(fit_scenario_model(d, components=1, bounds=given))
+    assert found["a_mean"] == (-INF, 3.0, "given", "given")
+    assert found["d_y"] == (0.0, INF, "physical", "auto")  # no departure below 0 can be driven
+    assert found["T"] == (0.25, INF, "given", "given")
+    assert found["v_mean"] == (0.0, INF, "physical", "auto")  # without criteria: what can be driven
+    opened = box(fit_scenario_model(d, components=1, bounds={"a_mean": (-INF, INF)}))
+    assert opened["a_mean"] == (-INF, INF, "given", "given")
+
+
+def test_zeros_with_automatic_bounds_are_moved_inside_and_counted(departures):
+    speed = np.random.default_rng(0).gamma(4.0, 0.01, 400)
+    speed[:5] = 0.0
+    model = fit_scenario_model(departures(200, sigma_v=speed), components=1, bounds="auto")
+    assert box(model)["sigma_v"][0] == 0.0
+    assert model.provenance.left.moved_inside == (("sigma_v", 5),)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ("atuo", r"bounds: 'atuo'; did you mean 'auto'"),
+        (3, r"bounds: 3; allowed: 'auto', 'physical', or a mapping"),
+        ({"d_y": "fixed"}, r"bounds\['d_y'\]: 'fixed'; allowed: auto, physical"),
+        ({"d_y": (1.0,)}, r"bounds\['d_y'\]: \(1\.0,\); allowed: 'auto', 'physical' or \(lower, upper\)"),
+        ({"d_y": ("a", 2)}, r"bounds\['d_y'\]: .*allowed: 'auto', 'physical' or"),
+        ({"d_y": 2.0}, r"bounds\['d_y'\]: 2\.0; allowed"),
+        ({"d_y": None}, r"bounds\['d_y'\]: None; allowed"),
+        ({"d_y": (2.0, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
+        ({"d_y": (np.nan, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
+        ({"c_0": (0.0, 0.0)}, r"bounds\['c_0'\]: .*allowed: -inf <= lower < upper"),
+        ({"T": (0.5, 1.0)}, r"departures \(left\): T = .* in event \d+; allowed: 0\.5 to 1 \(\d+ of 40 events\)"),
+        ({"dy": (0.0, 1.0)}, r"bounds: no parameter 'dy'; did you mean 'd_y'"),
+    ],
+)
+def test_wrong_bounds(departures, bounds, message):
+    with pytest.raises(InputError, match=message):
+        fit_scenario_model(departures(40), components=1, bounds=bounds)
+
+
+def test_transforms_per_parameter(departures, tmp_path):
+    d = departures(150)
+    model = fit_scenario_model(d, components=1, transform={"d_y": "log", "T": "auto"})
+    assert dict(zip(model.left_side.names, model.left_side.transform(), strict=True)) == {
+        "T": "logit", "d_y": "log", "v_mean": "none"
+    }  # fmt: skip
+    # one mapped component: mean and spread of ln d_y are those of the data but for 10 pseudo-events of 150
+    j = model.left_side.names.index("d_y")
+    log_d_y = np.log(d.d_y[d.side == LEFT])
+    np.testing.assert_allclose(model.left.means_[0, j], log_d_y.mean(), atol=1e-3)
+    np.testing.assert_allclose(np.sqrt(model.left.covariances_[0, j, j]), log_d_y.std(), rtol=0.02)
+    model.save(tmp_path / "m.json")
+    back = load_model(tmp_path / "m.json")
+    assert back.content_hash == model.content_hash
+    assert np.array_equal(back.sample(9, 9, 1).matrix(), model.sample(9, 9, 1).matrix())
+    assert fit_scenario_model(d, components=1, transform="auto").left_side.transform() == ("logit", "log", "log")
+    plain = fit_scenario_model(d, components=1)
+    assert fit_scenario_model(d, components=1, transform="none").content_hash == plain.content_hash
+    assert set(plain.left_side.transform()) == {"none"}
+
+
+@pytest.mark.parametrize(
+    ("transform", "message"),
+    [
+        ("lgo", r"transform: 'lgo'; did you mean 'log'"),
+        ({"d_y": "sqrt"}, r"transform\['d_y'\]: 'sqrt'; allowed: auto, log, logit, none"),
+        ({"dy": "log"}, r"transform: no parameter 'dy'; did you mean 'd_y'"),
+        ({"T": "log"}, r"transform\['T'\]: 'log' with the bounds 0\.5 to 10; allowed: with one finite bound"),
+        ({"c_0": "logit"}, r"transform\['c_0'\]: 'logit' with the bounds -inf to inf; allowed: with two finite"),
+    ],
+)
+def test_wrong_transforms(departures, transform, message):
+    with pytest.raises(InputError, match=message):
+        fit_scenario_model(departures(40), components=1, transform=transform)
+
+
+def test_a_weight_of_two_is_two_events(departures):
+    """Weights 1, 2 and 0 against the rows repeated once, twice and not at all: the same maximum."""
+    d = departures(120)
+    weight = np.random.default_rng(5).integers(0, 3, 240)
+    repeated = d.take(np.repeat(np.arange(240), weight))
+    weighted = fit_scenario_model(d, components=1, weights=weight)
+    plain = fit_scenario_model(repeated, components=1)
+    # sums in another order, and two runs that stop within the tolerance
+    np.testing.assert_allclose(weighted.left.means_, plain.left.means_, rtol=1e-4)
+    np.testing.assert_allclose(weighted.left.covariances_, plain.left.covariances_, rtol=1e-3, atol=1e-4)
+    left = weighted.provenance.left
+    assert left.weight == weight[:120].sum()
+    assert left.events == np.count_nonzero(weight[:120])
+    assert plain.provenance.left.weight is None
+    np.testing.assert_allclose(left.bic, plain.provenance.left.bic, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ([1.0], r"weights: shape \(1,\); allowed: \(80,\)"),
+        (np.r_[np.ones(79), -1.0], r"weights: -1\.0 of departure 79; allowed: finite numbers >= 0"),
+        (np.r_[np.nan, np.ones(79)], r"weights: nan of departure 0"),
+        (["a"] * 80, r"weights: not numbers"),
+        (np.zeros(80), r"departures: 0 left and 0 right; allowed: at least 30 a side"),
+        (np.r_[np.zeros(11), np.ones(69)], r"departures: 29 left and 40 right"),
+    ],
+)
+def test_wrong_weights(departures, weights, message):
+    with pytest.raises(InputError, match=message):
+        fit_scenario_model(departures(40), components=1, weights=weights)
+
+
+def test_the_card_tells_how_the_model_was_made(departures, tmp_path):
+    model = fit_scenario_model(
+        departures(150), components=range(1, 4), seed=5, criterion="held_out", prior_strength=20, n_init=np.int64(3),
+        source_provenance={"refused": {"gap": 3}},
+    )  # fmt: skip
+    card, left = model.provenance, model.provenance.left
+    assert list(card.versions) == ["ldctoolkit", "python", "numpy", "scipy", "numba"]
+    assert card.versions["scipy"] == importlib.metadata.version("scipy")
+    assert dataclasses.astuple(card.settings) == ("held_out", None, 0.0, 20, 1e-6, 3, 500)
+    assert left.criterion == "held_out"
+    assert left.reason.startswith(f"K = {model.left.weights_.size}, ")
+    assert (left.stop_reason, left.passes, left.failed) == ("converged", model.left.n_iter_, ())
+    K, d, n = np.array(left.n_components), 3, left.events
+    assert left.n_parameters == tuple(K * (d + d * (d + 1) // 2) + K - 1)
+    deviance = -2.0 * n * np.array(left.log_likelihood)
+    np.testing.assert_allclose(left.bic, deviance + np.array(left.n_parameters) * np.log(n), rtol=1e-12)
+    np.testing.assert_allclose(left.aic, deviance + 2.0 * np.array(left.n_parameters), rtol=1e-12)
+    assert np.all(np.array(left.icl) >= np.array(left.bic) - 1e-9)
+    assert len(left.held_out) == 3
+    assert max(left.held_out) < max(left.log_likelihood)
+    assert [name for name, *_ in left.bounds_from] == list(PARAMETER_NAMES)
+    model.save(tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json").provenance == card
+
+
+def test_one_number_of_components_is_not_called_a_choice(departures):
+    asked = fit_scenario_model(departures(40), components=1).provenance.left
+    assert (asked.criterion, asked.reason, asked.held_out) == ("", "K = 1, as asked", ())
+    few = fit_scenario_model(departures(32), components=range(1, 5)).provenance
+    assert few.left.n_components == (1,)
+    assert few.left.reason == "K = 1, the only one of the range that the events carry"
+    assert any("32 events carry no more than K = 1" in w for w in few.warnings)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"criterion": "bix"}, r"^criterion: 'bix'; did you mean 'bic'"),
+        ({"slack": -1.0}, r"^slack: -1\.0; allowed"),
+        ({"indifference": "x"}, r"^indifference: 'x'; allowed"),
+        ({"prior_strength": -1.0}, r"^prior_strength: -1\.0; allowed: a number >= 0"),
+        ({"tol": np.nan}, r"^tol: nan; allowed: a number >= 0"),
+        ({"n_init": 0}, r"^n_init: 0; allowed: an integer >= 1"),
+        ({"max_iter": 1.5}, r"^max_iter: 1\.5; allowed: an integer >= 1"),
+        ({"workers": 0}, r"^n_jobs: 0; allowed: an integer >= 1"),
+    ],
+)
+def test_wrong_settings(departures, setting, message):
+    with pytest.raises(InputError, match=message):
+        fit_scenario_model(departures(40), components=1, **setting)
+
+
+def failing(monkeypatch, *, above):
+    """Fits of more than `above` components find no maximum."""
+    fit = BoundedGaussianMixture.fit
+
+    def sometimes(self, *arguments, **more):
+        if self.n_components > above:
+            raise InputError("no maximum")
+        return fit(self, *arguments, **more)
+
+    monkeypatch.setattr(BoundedGaussianMixture, "fit", sometimes)
+
+
+def test_a_failed_K_of_a_range_is_a_warning(departures, monkeypatch):
+    failing(monkeypatch, above=1)
+    model = fit_scenario_model(departures(100), components=[1, 2, 3])
+    assert model.provenance.left.n_components == (1,)
+    assert model.provenance.left.failed == ((2, "no maximum"), (3, "no maximum"))
+    assert "left: K = 3 could not be fitted (no maximum)" in model.provenance.warnings
+    failing(monkeypatch, above=0)
+    with pytest.raises(InputError, match=r"departures \(left\): no maximum"):
+        fit_scenario_model(departures(100), components=[1, 2, 3])
+
+
+def test_a_K_that_cannot_be_sampled_gives_way_to_another(departures, monkeypatch):
+    usable = Distribution.check_samplable
+
+    def unreachable(self):
+        if self.weights.size == 1:
+            raise ModelError("component 0 cannot be sampled")
+        usable(self)
+
+    monkeypatch.setattr(Distribution, "check_samplable", unreachable)
+    model = fit_scenario_model(departures(100), components=[1, 2])
+    assert model.left.weights_.size == 2
+    assert model.provenance.left.failed == ((1, "component 0 cannot be sampled"),)
+    assert "right: K = 1 could not be fitted (component 0 cannot be sampled)" in model.provenance.warnings
+
+
+def test_neither_workers_nor_verbosity_change_a_number(departures, capfd):
+    one = fit_scenario_model(departures(60), components=[1, 2], workers=1)
+    assert capfd.readouterr().err == ""
+    two = fit_scenario_model(departures(60), components=[1, 2], workers=2, verbose=True)
+    assert two.content_hash == one.content_hash
+    assert "K = 2: " in capfd.readouterr().err
+
+
+def test_physical_bounds_are_what_the_documentation_says():
+    assert PHYSICAL_BOUNDS["T"] == (0.5, 10.0)
+    assert set(PHYSICAL_BOUNDS) == set(PARAMETER_NAMES)
