@@ -43,13 +43,14 @@ def _misfit(found: SideDiagnostics) -> Iterator[str]:
             f"Kolmogorov distance beyond the {beyond[0].limit:.3g} that chance allows in {len(beyond)} of "
             f"{len(found.names)} parameters: {shown}"
         )
-    for strip in found.strips:
-        if strip_is_off(strip):
-            word = "more" if strip.error > 0 else "less"
-            yield (
-                f"next to the {strip.end} bound of {strip.name} the model has {abs(strip.error):.0%} {word} mass than "
-                f"the events ({strip.model:.2%} against {strip.data:.2%})"
-            )
+    off = sorted((strip for strip in found.strips if strip_is_off(strip)), key=lambda strip: -abs(strip.error))
+    if off:
+        shown = ", ".join(
+            f"{s.name} {s.end} {abs(s.error):.0%} {'too much' if s.error > 0 else 'too little'} ({s.model:.2%}, events "
+            f"{s.data:.2%})"
+            for s in off
+        )
+        yield f"the model's mass next to bounds is not that of the events: {shown}".replace("%", " %")
     c = found.comparison
     if c is not None and c.difference > COMPARISON_STANDARD_ERRORS * c.standard_error:
         yield (
@@ -64,15 +65,14 @@ def _components(found: SideDiagnostics) -> Iterator[str]:
     for k, one in enumerate(found.components, start=1):
         if one.events < free:
             yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
-        if one.log_probability < math.log(LEAST_PROBABILITY):
+        rare = one.log_probability < math.log(LEAST_PROBABILITY)
+        if rare or one.outside > FAR_OUTSIDE:
+            parts = [f"P = 10^{one.log_probability / math.log(10.0):.0f}"] if rare else []
+            if one.outside > 0.0:
+                parts.append(f"mean {one.outside:.1f} standard deviations outside in {one.outside_name}")
             yield (
-                f"component {k} has only 10^{one.log_probability / math.log(10.0):.0f} of its normal inside the "
-                "box: its mean and covariance say little"
-            )
-        if one.outside > FAR_OUTSIDE:
-            yield (
-                f"the mean of component {k} lies {one.outside:.1f} of its standard deviations outside the bounds of "
-                f"{one.outside_name}"
+                f"component {k} is the tail of a normal that lies outside the bounds ({', '.join(parts)}): its mean "
+                "and covariance say little"
             )
         if one.condition > ILL_CONDITIONED:
             yield f"component {k} is nearly flat: its correlation matrix has condition number {one.condition:.2g}"
