@@ -63,7 +63,9 @@ def start_from_clusters(
     x: FloatArray, weight: FloatArray | None, K: int, rng: np.random.Generator, whiten: FloatArray | None = None
 ) -> Components:
     """Shares, means and covariances of k-means clusters, sought in ``whiten^-1 x``; the box is not looked at."""
-    label = kmeans_labels(x if whiten is None else np.linalg.solve(whiten, x.T).T, weight, K, rng)
+    label = kmeans_labels(
+        x if whiten is None else np.asarray(np.linalg.solve(whiten, x.T).T, dtype=float), weight, K, rng
+    )
     w = np.ones(x.shape[0]) if weight is None else weight
     d = x.shape[1]
     counts, mean, scatter = np.zeros(K), np.zeros((K, d)), np.zeros((K, d, d))
