@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -110,8 +110,6 @@ class Cluster:
                 raise ClusterError(
                     "a task has ended one worker after another, perhaps for want of memory; see the workers' logs"
                 ) from None
-            except (CancelledError, asyncio.CancelledError):
-                raise ClusterError("the scheduler has gone, or has dropped the work") from None
             except TimeoutError:
                 now = time.monotonic()
                 if self._empty():
@@ -122,12 +120,17 @@ class Cluster:
                         ) from None
                 else:
                     empty_since = None
+            except (Exception, asyncio.CancelledError):
+                # a future that is cancelled while it is waited for may raise anything; the task's own errors pass
+                if future.status in ("cancelled", "lost") or self.client.status != "running":
+                    raise ClusterError("the scheduler has gone, or has dropped the work") from None
+                raise
 
     def _empty(self) -> bool:
         try:
             return not self.client.nthreads()
-        except (OSError, RuntimeError, ValueError):
-            raise ClusterError("the scheduler has gone") from None
+        except (Exception, asyncio.CancelledError):  # as above: a client that loses its scheduler may raise anything
+            raise ClusterError("the scheduler has gone, or has dropped the work") from None
 
 
 def connect(address: str) -> Client:

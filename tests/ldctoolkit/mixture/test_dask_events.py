@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import socket
+import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -143,23 +146,34 @@ def test_a_task_that_ends_every_worker(files):
 
 
 @slow
-def test_the_scheduler_goes(files):
+def test_the_scheduler_goes(files, tmp_path):
+    """A scheduler and a worker started from the shell, as a user does; the scheduler is killed in the work."""
+
     def work(x, weight):
         time.sleep(60)
 
-    paths, _ = files
-    cluster = distributed.LocalCluster(
-        processes=True, n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=50
-    )
-    with cluster:
-        events = DaskEvents(cluster.scheduler_address, paths, COLUMNS)
-        results = events.map_blocks(work)
-        from threading import Timer
+    def start(program, *options):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--scheduler-file", str(at), *options]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-        Timer(1.0, cluster.close).start()
-        with pytest.raises(ClusterError, match="the scheduler has gone"):
+    at = tmp_path / "scheduler.json"
+    scheduler = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", ":0")
+    worker = start("worker", "--no-nanny", "--dashboard-address", ":0")
+    try:
+        for _ in range(300):
+            if at.exists() and at.read_text().endswith("}"):
+                break
+            time.sleep(0.1)
+        events = DaskEvents(json.loads(at.read_text())["address"], files[0], COLUMNS)
+        results = events.map_blocks(work)
+        threading.Timer(1.0, scheduler.kill).start()
+        with pytest.raises(ClusterError, match=r"^the scheduler has gone, or has dropped the work$"):
             next(results)
-    events.close()
+        events.close()
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
 
 
 def test_no_worker_comes():
