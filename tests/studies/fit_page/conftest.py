@@ -1,0 +1,67 @@
+"""Models and departures for the fit page's tests."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ldctoolkit.departures import PARAMETER_NAMES, Departures
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model import ModelProvenance, ScenarioModel, SideModel, SideSummary
+
+NAMES = ("T", "d_y", "v_mean", "a_mean")
+CONSTANTS = (("sigma_y", 0.02), ("sigma_v", 0.1), ("c_0", 0.0), ("dc", 0.0))
+
+
+def make_model(**provenance: object) -> ScenarioModel:
+    """Two components over four parameters a side, summaries included."""
+    mixture = BoundedGaussianMixture.from_parameters(
+        [0.4, 0.6],
+        [[1.5, 0.25, 14.0, 0.0], [3.0, 0.45, 28.0, 0.1]],
+        [np.diag([0.4, 0.01, 9.0, 0.1]), np.diag([1.5, 0.04, 9.0, 0.1])],
+        lower=[0.5, 0.0, 5.0, -9.81],
+        upper=[10.0, np.inf, np.inf, 9.81],
+    )
+    summary = SideSummary(400, (1, 2, 3), (-120.0, -950.5, -930.0), (0.1, 1.2, 1.25), True, (("d_y", 2),), 0.0)
+    side = SideModel(mixture, NAMES, CONSTANTS)
+    settings = {
+        "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]},
+        "software": "ldctoolkit 0.1.0",
+        "seed": 7,
+        "left": summary,
+        "right": summary,
+    }
+    return ScenarioModel(side, side, ModelProvenance(**(settings | provenance)))  # type: ignore[arg-type]
+
+
+def make_departures(model: ScenarioModel, n: int = 400, seed: int = 1) -> Departures:
+    """As drawn from the model, n a side."""
+    drawn = model.sample(n, n, seed)
+    zero = np.zeros(2 * n, dtype=np.int64)
+    columns = {name: getattr(drawn, name) for name in ("side", *PARAMETER_NAMES)}
+    return Departures(**columns, recording=zero.astype(str), start_time=1.0 * zero, samples=zero)
+
+
+def skewed(departures: Departures) -> Departures:
+    """The same with d_y crowding towards its bound."""
+    return dataclasses.replace(departures, d_y=departures.d_y**6)
+
+
+@pytest.fixture(scope="session")
+def make() -> ModuleType:
+    """The functions of this file."""
+    return sys.modules[__name__]
+
+
+@pytest.fixture(scope="session")
+def model() -> ScenarioModel:
+    return make_model()
+
+
+@pytest.fixture(scope="session")
+def departures(model: ScenarioModel) -> Departures:
+    return make_departures(model)
