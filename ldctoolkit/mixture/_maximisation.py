@@ -29,17 +29,20 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Step = Literal["newton", "lee_scott"]
 
-_TRIALS: Final = 16
+_TRIALS: Final = 8
 """Lengths tried of the chosen step; only those that keep Sigma positive definite are counted."""
 
-_OTHER_TRIALS: Final = 8
+_OTHER_TRIALS: Final = 4
+_SHORTER: Final = 0.25
+"""Next length tried over the last: where the whole Newton step fails, far shorter ones are wanted."""
+
 _VALID_HALVINGS: Final = 40
 _LEAST_PRECISION: Final = 0.1
 """A Newton step leaves at least this share of every whitened precision; the next goes further."""
 
-LEAST_LOG_PROBABILITY: Final = -1e4
+LEAST_LOG_PROBABILITY: Final = -1e5
 """No step goes below this ln P. Where density piles up at a bound without end, the likelihood may rise for ever, by
-less and less: at -1e4 a component is an exponential to 1 part in 1e4, and it can still be integrated and sampled."""
+less and less: at -1e5 a component is an exponential to 1 part in 1e5, and it can still be integrated and sampled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +129,7 @@ def maximise(
             which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]) & _usable(trial, now, rows))
             result = result.with_components(rows[which], trial, which)
             waiting[rows[which]] = False
-            t[waiting] *= 0.5
+            t[waiting] *= _SHORTER
         if not waiting.any():
             break
     return result, ~waiting
