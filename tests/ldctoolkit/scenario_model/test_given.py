@@ -1,0 +1,166 @@
+"""Scenarios under conditions: against brute-force filtering, nested, sides apart; and what cannot be met."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.scenario_model import (
+    PHYSICAL_BOUNDS,
+    ModelProvenance,
+    ScenarioModel,
+    SideModel,
+    conditions,
+    load_model,
+)
+from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return load_model("reference")
+
+
+def box(names):
+    return (np.array([PHYSICAL_BOUNDS[name][end] for name in names]) for end in (0, 1))
+
+
+@pytest.fixture(scope="module")
+def constant():
+    """Two components a side; dc is 0 in every event, T and d_y were fitted after a map."""
+    names = PARAMETER_NAMES[:-1]
+    lower, upper = box(names)
+    mean = np.array([[-1.0, -1.6, 0.05, 25.0, 0.0, 0.04, 0.0], [-1.0, -1.2, 0.04, 12.0, 0.2, 0.05, 1e-3]])
+    spread = np.array([0.5, 0.4, 0.02, 4.0, 0.3, 0.02, 1e-3])
+    correlation = np.eye(7)
+    correlation[0, 1] = correlation[1, 0] = 0.6
+    correlation[3, 6] = correlation[6, 3] = -0.4
+    cov = np.stack([correlation * spread[:, None] * spread] * 2)
+    transform = ["logit", "log", "none", "none", "none", "none", "none"]
+    mixture = BoundedGaussianMixture.from_parameters(
+        [0.6, 0.4], mean, cov, lower=lower, upper=upper, transform=transform
+    )
+    side = SideModel(mixture, names, (("dc", 0.0),))
+    return ScenarioModel(side, side, ModelProvenance({}))
+
+
+def same_distribution(drawn, filtered, names):
+    """Two-sample Kolmogorov-Smirnov in every parameter and a few products: none far beyond chance."""
+    one, two = drawn.matrix(), filtered.matrix()
+    columns = [PARAMETER_NAMES.index(name) for name in names]
+    for j in columns:
+        assert stats.ks_2samp(one[:, j], two[:, j]).pvalue > 1e-4, PARAMETER_NAMES[j]
+    for j in columns:
+        for k in columns:
+            if j < k:
+                a, b = (((x[:, j] - two[:, j].mean()) * (x[:, k] - two[:, k].mean())) for x in (one, two))
+                assert stats.ks_2samp(a, b).pvalue > 1e-5, (PARAMETER_NAMES[j], PARAMETER_NAMES[k])
+
+
+@pytest.mark.parametrize("which", ["reference", "constant"])
+def test_conditional_scenarios_are_those_that_filtering_leaves(which, request):
+    model = request.getfixturevalue(which)
+    given = {"v_mean": (22.0, 30.0), "T": (1.5, None), "c_0": (None, 5e-4)}
+    drawn = model.sample(4000, 0, seed=1, given=given)
+    all_of_them = model.sample(60_000, 0, seed=2)
+    met = (np.abs(all_of_them.v_mean - 26.0) < 4.0) & (all_of_them.T > 1.5) & (all_of_them.c_0 < 5e-4)
+    filtered = all_of_them.take(met)
+    assert len(filtered) > 5000
+    assert drawn.v_mean.min() > 22.0
+    assert drawn.v_mean.max() < 30.0
+    assert drawn.T.min() > 1.5
+    assert drawn.c_0.max() < 5e-4
+    same_distribution(drawn, filtered, PARAMETER_NAMES if which == "reference" else PARAMETER_NAMES[:-1])
+
+
+@pytest.mark.parametrize("which", ["reference", "constant"])
+def test_a_fixed_value_is_the_limit_of_a_narrow_range(which, request):
+    """T = 2.5 s and v_mean = 26 m/s against departures within 0.15 s and 1 m/s of them: a shift below the noise."""
+    model = request.getfixturevalue(which)
+    drawn = model.sample(3000, 0, seed=1, given={"T": 2.5, "v_mean": 26.0})
+    assert np.all(drawn.T == 2.5)
+    assert np.all(drawn.v_mean == 26.0)
+    all_of_them = model.sample(150_000, 0, seed=2)
+    near = all_of_them.take((np.abs(all_of_them.T - 2.5) < 0.15) & (np.abs(all_of_them.v_mean - 26.0) < 1.0))
+    assert len(near) > 700
+    same_distribution(drawn, near, ("d_y", "sigma_y", "a_mean", "sigma_v", "c_0"))
+
+
+def test_conditional_scenarios_are_nested_and_sides_apart(reference):
+    given = {"v_mean": (25.0, 35.0), "c_0": 0.001}
+    s = reference.sample(1500, 300, 7, given=given)
+    assert s.side.tolist() == [LEFT] * 1500 + [RIGHT] * 300
+    fewer = reference.sample(10, 5, 7, given=given)
+    assert np.array_equal(fewer.matrix()[:10], s.matrix()[:10])
+    assert np.array_equal(fewer.matrix()[10:], s.matrix()[1500:1505])
+    assert np.unique(s.T).size == 1800
+    assert not np.array_equal(reference.sample(10, 0, 8, given=given).matrix(), s.matrix()[:10])
+    assert slowest_speed(s.v_mean, s.a_mean, s.T).min() >= SPEED_FLOOR
+
+
+def test_no_condition_is_the_model_itself(reference):
+    plain = reference.sample(20, 20, 1).matrix()
+    for nothing in (None, {}, {"T": (None, None)}, {"c_0": (-np.inf, np.inf)}):
+        assert np.array_equal(reference.sample(20, 20, 1, given=nothing).matrix(), plain)
+
+
+def test_all_parameters_can_be_given(constant):
+    values = dict.fromkeys(PARAMETER_NAMES, 0.1) | {"T": 2.0, "v_mean": 20.0, "c_0": 0.0, "dc": 0.0}
+    s = constant.sample(3, 2, 1, given=values)
+    assert np.array_equal(s.matrix(), np.tile([values[name] for name in PARAMETER_NAMES], (5, 1)))
+
+
+def test_a_constant_must_meet_its_condition(constant):
+    plain = constant.sample(9, 9, 1).matrix()
+    for met in (0.0, (-1.0, 1.0), (0.0, None), (None, 0.0)):
+        assert np.array_equal(constant.sample(9, 9, 1, given={"dc": met}).matrix(), plain)
+    for not_met in (1e-3, (0.1, 1.0)):
+        with pytest.raises(InputError, match=r"given\['dc'\]: dc .*; allowed: 0, as in every left departure"):
+            constant.sample(9, 9, 1, given={"dc": not_met})
+
+
+def test_a_side_that_is_not_drawn_need_not_meet_a_condition(reference, constant):
+    mixed = dataclasses.replace(reference, right_side=constant.right_side)
+    assert len(mixed.sample(5, 0, 1, given={"dc": 1e-4})) == 5
+    with pytest.raises(InputError, match="every right departure"):
+        mixed.sample(5, 1, 1, given={"dc": 1e-4})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"v": 3.0}, r"given: no parameter 'v'; "),
+        ({"v_mea": 3.0}, r"given: no parameter 'v_mea'; did you mean 'v_mean'"),
+        ([("v_mean", 3.0)], r"given: \[.*\]; allowed: a mapping"),
+        ({"v_mean": "fast"}, r"given\['v_mean'\]: 'fast'; allowed: a number, or \(lower, upper\)"),
+        ({"v_mean": True}, r"given\['v_mean'\]: True; allowed"),
+        ({"v_mean": np.nan}, r"given\['v_mean'\]: nan; allowed"),
+        ({"v_mean": np.inf}, r"given\['v_mean'\]: inf; allowed"),
+        ({"v_mean": (3.0,)}, r"given\['v_mean'\]: \(3\.0,\); allowed"),
+        ({"v_mean": (3.0, "x")}, r"given\['v_mean'\]: .*; allowed"),
+        ({"v_mean": (np.nan, 3.0)}, r"given\['v_mean'\]: .*; allowed"),
+        ({"v_mean": (30.0, 20.0)}, r"given\['v_mean'\]: \(30\.0, 20\.0\); allowed"),
+        ({"v_mean": None}, r"given\['v_mean'\]: None; allowed"),
+        ({"v_mean": (np.inf, np.inf)}, r"given\['v_mean'\]: .*; allowed"),
+        ({"T": 0.5}, r"given\['T'\]: T = 0\.5 s; allowed: between 0\.5 and 10, the bounds of the left departures"),
+        ({"T": (10.0, 12.0)}, r"given\['T'\]: T from 10 to 12 s; allowed: between 0\.5 and 10"),
+        ({"d_y": (None, 0.0)}, r"given\['d_y'\]: d_y below 0 m; allowed: between 0 and inf"),
+    ],
+)
+def test_wrong_conditions(reference, given, message):
+    with pytest.raises(InputError, match=message):
+        reference.sample(5, 5, 1, given=given)
+
+
+def test_conditions_in_words():
+    given = {"c_0": 1e-3, "v_mean": [25, None], "T": (None, 3), "d_y": (0.1, 0.5), "dc": (None, None), "a_mean": (1, 1)}
+    assert [str(c) for c in conditions(given)] == [
+        "T below 3 s", "d_y from 0.1 to 0.5 m", "v_mean above 25 m/s", "a_mean = 1 m/s^2", "c_0 = 0.001 1/m"
+    ]  # fmt: skip
+    assert conditions(None) == conditions({}) == ()
