@@ -22,7 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
-_SMALL: Final = 1_000_000
+_SMALL: Final = 100_000
 """Up to so many numbers times components to fit, other processes are not worth their start."""
 
 

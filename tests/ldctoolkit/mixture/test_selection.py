@@ -1,0 +1,409 @@
+"""Choice of K: criteria against brute force, the rule on made-up curves, equal numbers in any number of processes."""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import os
+
+import numpy as np
+import pytest
+from scipy.stats import truncnorm
+
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.mixture import ArrayEvents, BoundedGaussianMixture, select_components
+from ldctoolkit.mixture._parallel import in_processes
+from ldctoolkit.mixture._rule import Rule, choose
+
+INF = np.inf
+QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}
+CURVES = ("n_parameters", "log_likelihood", "bic", "aic", "icl", "held_out", "held_out_error", "held_out_gap_error")
+
+
+def two_groups(n=600, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.abs(rng.normal(size=(n, 2)) + np.repeat([[0.5, 1.0], [5.0, 6.0]], n // 2, axis=0)) + 1e-9
+
+
+def assert_same(one, other):
+    for name in ("n_components", *CURVES):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert (one.chosen, one.reason, one.failures) == (other.chosen, other.reason, other.failures)
+    for a, b in zip(one.models, other.models, strict=True):
+        np.testing.assert_array_equal(a.weights_, b.weights_)
+        np.testing.assert_array_equal(a.means_, b.means_)
+        np.testing.assert_array_equal(a.covariances_, b.covariances_)
+
+
+# ---- the right K
+
+TRUTHS = ((2, 3), (3, 4), (4, 5), (5, 6), (6, 8), (2, 8), (3, 3), (4, 4), (5, 3), (6, 5))
+"""K and d of each seed."""
+
+
+def separated(seed):
+    """Means at least 5 apart, spreads of about one, a bound near one of them; column 0 has two bounds, column 1 one."""
+    K, d = TRUTHS[seed]
+    rng = np.random.default_rng([7, seed])
+    mu, gap = np.ones((K, d)), np.zeros((K, K))
+    while gap.min() <= 5.0 or mu[:, :2].min() > 0.3:
+        mu = rng.uniform(-0.5, 10.5, (K, d))
+        gap = np.linalg.norm(mu[:, None] - mu, axis=2) + np.diag(np.full(K, INF))
+    A = rng.normal(size=(K, d, d))
+    Sigma = A @ A.transpose(0, 2, 1) / d * 0.5 + 0.5 * np.eye(d)
+    lower, upper = np.full(d, -INF), np.full(d, INF)
+    lower[:2], upper[0] = 0.0, 10.0
+    eta = rng.dirichlet(np.full(K, 10.0))
+    return BoundedGaussianMixture.from_parameters(eta, mu, Sigma, lower=lower, upper=upper)
+
+
+@pytest.mark.slow
+def test_bic_finds_the_true_k():
+    """Acceptance: true K in at least 9 of 10 seeds, within one in all; the bounds cut components in every truth."""
+    off = []
+    for seed, (K, _) in enumerate(TRUTHS):
+        true = separated(seed)
+        assert np.exp(true.log_probabilities_.min()) < 0.75
+        found = select_components(
+            true.sample(1500, seed)[0], range(1, K + 2),
+            lower=true.lower, upper=true.upper, random_state=seed, n_init=3, n_jobs=2,
+        )  # fmt: skip
+        off.append(found.best.n_components - K)
+    assert np.count_nonzero(off) <= 1
+    assert np.abs(off).max() <= 1
+
+
+# ---- criteria
+
+
+@pytest.mark.parametrize("transform", [None, ["log", "none"]])
+def test_criteria_equal_a_brute_force_computation(transform):
+    X = two_groups()
+    found = select_components(X, [1, 3], lower=[0.0, -INF], transform=transform, **QUICK)
+    for i, model in enumerate(found.models):
+        K, d = model.means_.shape
+        Y = X.copy()
+        if transform is not None:
+            Y[:, 0] = np.log(X[:, 0])
+        log_terms = np.empty((X.shape[0], K))
+        for k in range(K):
+            mu, Sigma = model.means_[k], model.covariances_[k]
+            gap = Y - mu
+            # only the first column is bounded, so P is its margin's
+            bound = -mu[0] / np.sqrt(Sigma[0, 0]) if transform is None else -INF
+            log_p = truncnorm(-INF, INF).logsf(bound) if np.isfinite(bound) else 0.0
+            log_terms[:, k] = (
+                np.log(model.weights_[k]) - log_p - 0.5 * np.log(np.linalg.det(2 * np.pi * Sigma))
+                - 0.5 * np.einsum("ni,ij,nj->n", gap, np.linalg.inv(Sigma), gap)
+            )  # fmt: skip
+        density = np.exp(log_terms).sum(axis=1)
+        share = np.exp(log_terms) / density[:, None]
+        L = np.log(density).sum() - (0.0 if transform is None else Y[:, 0].sum())
+        p = K * d + K * d * (d + 1) // 2 + K - 1
+        entropy = -np.sum(share * np.log(np.maximum(share, 1e-300)))
+        assert found.n_parameters[i] == p
+        # 600 terms of size 1 to 10, each to about 1e-13
+        np.testing.assert_allclose(found.log_likelihood[i], L / 600, rtol=1e-10)
+        np.testing.assert_allclose(found.aic[i], -2 * L + 2 * p, rtol=1e-10)
+        np.testing.assert_allclose(found.bic[i], -2 * L + p * np.log(600), rtol=1e-10)
+        np.testing.assert_allclose(found.icl[i], -2 * L + p * np.log(600) + 2 * entropy, rtol=1e-10)
+        np.testing.assert_allclose(found.bic[i], model.bic(X), rtol=1e-10)
+        assert entropy > 0.1 or K == 1  # else the test could not see it
+    assert np.isnan(found.held_out).all()
+    assert np.isnan(found.held_out_error).all()
+
+
+@pytest.mark.parametrize("criterion", ["aic", "icl"])
+def test_the_other_criteria_choose_by_their_own_curve(criterion):
+    found = select_components(two_groups(), [1, 2, 3], lower=0.0, criterion=criterion, slack=0, **QUICK)
+    assert found.chosen == np.argmin(getattr(found, criterion))
+    assert criterion.upper() in found.reason
+
+
+def test_weights_count_as_repeated_rows():
+    X = two_groups(400)
+    times = np.random.default_rng(1).integers(0, 4, 400)
+    options = {"lower": 0.0, "criterion": "bic", **QUICK}
+    # one component: no start is drawn, so both fits take the same way
+    weighted = select_components(X, [1], sample_weight=times, **options)
+    repeated = select_components(np.repeat(X, times, axis=0), [1], **options)
+    for name in CURVES[:5]:
+        # the stopping point of the fits differs by rounding
+        np.testing.assert_allclose(getattr(weighted, name), getattr(repeated, name), rtol=1e-8)
+    # two: the weighted fit, seen on the repeated rows
+    found = select_components(X, [2], sample_weight=times, **options)
+    np.testing.assert_allclose(found.bic[0], found.best.bic(np.repeat(X, times, axis=0)), rtol=1e-10)
+
+
+# ---- held out
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_held_out_equals_a_split_made_by_hand(weighted):
+    X = two_groups()
+    weight = np.random.default_rng(5).integers(0, 4, 600).astype(float) if weighted else None
+    found = select_components(
+        X, [1, 2, 3], lower=0.0, criterion="held_out", held_out_share=0.25, sample_weight=weight, **QUICK
+    )
+    held = np.zeros(600, dtype=bool)
+    held[np.random.default_rng([3, 2]).permutation(600)[:150]] = True
+    w = np.ones(600) if weight is None else weight
+    values = []
+    for K in (1, 2, 3):
+        model = BoundedGaussianMixture(K, lower=0.0, **QUICK).fit(X[~held], sample_weight=w[~held])
+        values.append(model.score_samples(X[held]))
+    share = w[held] / w[held].sum()
+    used = np.count_nonzero(share)
+    means = np.array([share @ v for v in values])
+    best = int(np.argmax(means))
+
+    def error(v):
+        return np.sqrt(used / (used - 1) * np.sum(share**2 * (v - share @ v) ** 2))
+
+    # a fit with weights of one may differ from one without by rounding
+    np.testing.assert_allclose(found.held_out, means, rtol=1e-9)
+    np.testing.assert_allclose(found.held_out_error, [error(v) for v in values], rtol=1e-7)
+    np.testing.assert_allclose(found.held_out_gap_error, [error(v - values[best]) for v in values], rtol=1e-6)
+    if not weighted:
+        np.testing.assert_allclose(found.held_out_error[0], values[0].std(ddof=1) / np.sqrt(150), rtol=1e-7)
+    assert found.best.n_components == 2
+    assert "one standard error" in found.reason
+    # the fits that are kept have seen all events
+    plain = select_components(X, [1, 2, 3], lower=0.0, sample_weight=weight, **QUICK)
+    np.testing.assert_array_equal(found.best.means_, plain.best.means_)
+    np.testing.assert_array_equal(found.bic, plain.bic)
+
+
+# ---- the rule
+
+
+@pytest.mark.parametrize(
+    ("loss", "allowed", "index"),
+    [
+        ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 10.0, 2),
+        ([100.0, 50.0, 21.1, 12.0, 11.0, 14.0], 10.0, 3),
+        ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 0.0, 4),
+        ([7.0, 7.0, 7.0], 0.0, 0),  # flat
+        ([1.0, 20.0, 40.0], 10.0, 0),  # rising
+        ([40.0, 20.0, 1.0], 10.0, 2),  # falling
+        ([3.0], 0.0, 0),
+        ([np.nan, 30.0, 5.0, 4.0], 10.0, 2),
+        ([-INF, 30.0, 5.0, INF], 10.0, 2),
+        ([9.0, 8.0, 7.0], [0.0, 1.0, 0.0], 1),  # an allowance of each
+    ],
+)
+def test_the_rule_on_made_up_curves(loss, allowed, index):
+    loss = np.array(loss)
+    assert choose(loss, np.broadcast_to(np.array(allowed, dtype=float), loss.shape)) == index
+
+
+def test_no_finite_criterion_is_an_error():
+    with pytest.raises(InputError, match="finite criterion"):
+        choose(np.array([np.nan, INF]), np.zeros(2))
+
+
+def test_allowances_are_in_the_units_of_the_criterion():
+    error = np.array([0.3, 0.0])
+    assert Rule.of("bic", None, 0.0).allowance(1000.0, error).tolist() == [10.0, 10.0]
+    assert Rule.of("bic", 3, 0.001).allowance(1000.0, error).tolist() == [3.0, 3.0]
+    assert Rule.of("aic", 3, 0.01).allowance(1000.0, error).tolist() == [20.0, 20.0]
+    np.testing.assert_allclose(Rule.of("held_out", 2, 0.1).allowance(1000.0, error), [0.6, 0.1])
+
+
+def test_the_reason_names_k_rule_and_limits():
+    K, same = np.array([1, 2, 3]), np.zeros(3)
+    loss = np.array([90.0, 4.0, 1.0])
+    rule = Rule.of("bic", None, 0.0)
+    assert rule.reason(K, loss, rule.allowance(100.0, same), 1, 100.0) == (
+        "K = 2, the smallest whose BIC lies within 10 of the best (K = 3, better by 3.0); "
+        "the best is the last one tried, so more components may be better still"
+    )
+    rule = Rule.of("bic", None, 0.5)
+    assert rule.reason(K, loss, rule.allowance(100.0, same), 0, 100.0).startswith(
+        "K = 1, the smallest whose BIC lies within 0.5 nats an event of the best (K = 3"
+    )
+    assert rule.reason(K[:1], loss[:1], same[:1], 0, 100.0) == "K = 1, the only one there is"
+
+
+def test_indifference_takes_the_smaller_model():
+    X = two_groups()
+    plain = select_components(X, range(1, 4), lower=0.0, **QUICK)
+    gain = (plain.bic[0] - plain.bic.min()) / (2 * 600)
+    just_less, just_more = (
+        select_components(X, range(1, 4), lower=0.0, indifference=factor * gain, **QUICK) for factor in (0.99, 1.01)
+    )
+    assert (plain.best.n_components, just_less.best.n_components, just_more.best.n_components) == (2, 2, 1)
+
+
+# ---- in parallel
+
+
+@pytest.mark.parametrize("criterion", ["bic", "held_out"])
+def test_numbers_do_not_depend_on_processes(criterion):
+    X = two_groups()
+    options = {"lower": 0.0, "criterion": criterion, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
+    # 201 components are too many for 600 rows
+    serial, parallel, source = (
+        select_components(X, [1, 2, 4, 201], n_jobs=1, **options),
+        select_components(X, [201, 4, 2, 1], n_jobs=3, **options),
+        select_components(
+            ArrayEvents(X, options["sample_weight"]), [1, 2, 4, 201], n_jobs=2, **{**options, "sample_weight": None}
+        ),
+    )
+    assert_same(serial, parallel)
+    assert_same(serial, source)
+    assert serial.failures[0].n_components == 201
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.slow
+def test_processes_that_start_afresh_map_the_events():
+    events = ArrayEvents(two_groups(), np.linspace(0.5, 2.0, 600))
+    ended = dict(in_processes(_sums, [1.0, 2.0], events, 2, "spawn"))
+    total = float(np.sum(events.weight @ events.x))
+    assert ended == {0: (total, True), 1: (2 * total, True)}
+
+
+def _sums(events, factor):
+    return factor * float(np.sum(events.weight @ events.x)), isinstance(events.x, np.memmap)
+
+
+def _broken(events, job):
+    if job == "raise":
+        raise InputError(f"job {job} of {events.x.shape[0]} rows")
+    if job == "die":
+        os._exit(3)
+    if job == "sleep":
+        __import__("time").sleep(60)
+    return job
+
+
+def test_an_error_in_a_worker_arrives_as_it_is():
+    with pytest.raises(InputError, match="job raise of 600 rows"):
+        list(in_processes(_broken, ["sleep", "raise"], ArrayEvents(two_groups()), 2))
+    assert not multiprocessing.active_children()
+
+
+def test_a_worker_that_dies_is_told():
+    with pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
+        list(in_processes(_broken, ["die", "x"], ArrayEvents(two_groups()), 2))
+    assert not multiprocessing.active_children()
+
+
+def test_an_interrupt_ends_the_workers():
+    def interrupt(text, done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        select_components(two_groups(), range(1, 9), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
+    assert not multiprocessing.active_children()
+
+
+@dataclasses.dataclass
+class Stream:
+    """A source that cannot be sent anywhere."""
+
+    inner: ArrayEvents
+
+    def __reduce__(self):
+        raise AssertionError("sent away")
+
+    @property
+    def dimension(self):
+        return self.inner.dimension
+
+    def map_blocks(self, work):
+        return self.inner.map_blocks(work)
+
+    def take(self, rows):
+        return self.inner.take(rows)
+
+    def blocks(self):
+        return self.inner.blocks()
+
+
+def test_another_source_is_fitted_one_k_after_the_other():
+    X = two_groups()
+    streamed = select_components(Stream(ArrayEvents(X)), [1, 2], lower=0.0, n_jobs=2, **QUICK)
+    assert_same(streamed, select_components(X, [1, 2], lower=0.0, **QUICK))
+    with pytest.raises(InputError, match="'held_out' for a source"):
+        select_components(Stream(ArrayEvents(X)), [1, 2], criterion="held_out", **QUICK)
+    with pytest.raises(InputError, match="sample_weight: given beside a source"):
+        select_components(Stream(ArrayEvents(X)), [1, 2], sample_weight=np.ones(600), **QUICK)
+
+
+@pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), (2, "K = 3, 2")])
+def test_progress(n_jobs, first):
+    seen = []
+    select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
+    assert seen[0] == (first, 0, 3)
+    assert [s[1] for s in seen] == [0, 1, 2, 3]
+    assert seen[-1] == ("done", 3, 3)
+
+
+def test_a_seed_may_be_a_generator():
+    X = two_groups()
+    made = [select_components(X, [1, 2], random_state=np.random.default_rng(1), n_init=2) for _ in range(2)]
+    assert_same(*made)
+    assert made[0].models[0].random_state == made[0].models[1].random_state
+
+
+# ---- what cannot be fitted
+
+
+def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
+    found = select_components(two_groups(40), [1, 2, 14], lower=0.0, **QUICK)
+    assert found.n_components.tolist() == [1, 2]
+    assert len(found.models) == found.bic.size == 2
+    assert [f.n_components for f in found.failures] == [14]
+    assert "at least K (d + 1) = 42" in found.failures[0].message
+    assert found.reason.endswith("; K = 14 could not be fitted")
+
+
+def test_a_k_that_the_other_rows_cannot_carry_fails():
+    options = {"criterion": "held_out", "held_out_share": 0.5, **QUICK}
+    found = select_components(two_groups(40), [1, 2, 8], lower=0.0, **options)
+    assert found.failures[0].message.startswith("without the 20 rows held out: X: 20 rows; allowed")
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_where_all_fail_the_message_is_the_fits(n_jobs):
+    X = two_groups()
+    X[7, 1] = -1.0
+    with pytest.raises(InputError, match=r"column 1, row 7: -1.0; allowed: strictly between"):
+        select_components(X, [1, 2], lower=0.0, n_jobs=n_jobs, **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"components": []}, "components: an empty range"),
+        ({"components": 3}, "components: 3; allowed: several integers"),
+        ({"components": "12"}, "components: '12'; allowed: several integers"),
+        ({"components": [0, 1]}, "components: 0; allowed: an integer >= 1"),
+        ({"components": [1, "2"]}, "components: '2'"),
+        ({"criterion": "bci"}, "criterion: 'bci'; did you mean 'bic'"),
+        ({"criterion": ["bic"]}, "criterion: "),
+        ({"slack": -1.0}, "slack: -1.0; allowed: a number >= 0"),
+        ({"indifference": np.nan}, "indifference: nan"),
+        ({"n_jobs": 0}, "n_jobs: 0; allowed: an integer >= 1"),
+        ({"criterion": "held_out", "held_out_share": 1.0}, "held_out_share: 1.0; allowed: a number between 0 and 1"),
+        ({"criterion": "held_out", "held_out_share": 0.001}, "held_out_share: 0.001 holds out 1 of 600 rows"),
+        ({"sample_weight": [1.0]}, "sample_weight: shape"),
+        ({"X": np.empty((0, 2))}, "X: no rows"),
+        ({"X": np.empty((5, 0))}, "X: no columns"),
+        ({"X": [["a"]]}, "X: not a table of numbers"),
+        ({"tol": -1.0}, "tol: -1.0"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    arguments = {"X": two_groups(), "components": [1], **QUICK, **change}
+    with pytest.raises(InputError, match=message.replace("[", r"\[")) as caught:
+        select_components(**arguments)
+    assert "np.float64" not in str(caught.value)
+
+
+def test_an_unknown_setting_is_told_before_anything_starts():
+    with pytest.raises(TypeError, match="n_initial"):
+        select_components(two_groups(), [1], n_initial=3)
