@@ -27,12 +27,6 @@ LEAST_EVENTS: Final = 30
 EVENTS_PER_PARAMETER: Final = 2
 """A range of K is cut where fewer events than this would stand behind each free parameter."""
 
-_STOPPED: Final = {
-    "max_iter": "had not converged",
-    "stuck": "is not at a maximum: no step raised the likelihood",
-    "collapsed": "is not at a maximum: a component became too thin for the arithmetic",
-}
-
 _SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
 """A complaint about one of these is none about the departures."""
 
@@ -99,8 +93,7 @@ def fit_side(
     selection, failed = _select(events, tried, label, settings, progress)
     best = selection.best
     notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
-    if not best.converged_:
-        notes.append(f"{label}: the fit stopped after {best.n_iter_} passes and {_STOPPED[best.stop_reason_]}")
+    notes += [f"{label}: {sentence}" for sentence in best.warnings_]
     several = len(tried) > 1
     why = "as asked" if isinstance(settings.components, int) else "the only one of the range that the events carry"
     summary = SideSummary(

@@ -232,7 +232,7 @@ def test_a_fit_that_cannot_be_sampled_is_an_error(monkeypatch):
 def test_a_fit_that_did_not_converge_is_told(monkeypatch):
     monkeypatch.setattr(_em, "_FALL", -1.0)  # every pass counts as a fall
     warnings = fit_scenario_model(plane(40), components=1).provenance.warnings
-    assert "left: the fit stopped after 0 passes and is not at a maximum: a component became too thin" in warnings[6]
+    assert any(w.startswith("left: Not converged: after 0 passes a component had become too thin") for w in warnings)
 
 
 def test_few_or_wrong_departures_are_refused():
