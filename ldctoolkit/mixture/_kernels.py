@@ -23,12 +23,15 @@ _FLOOR: Final = -100.0
 # sums may be reassociated and contracted; NaN and infinity keep their meaning
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "fastmath": {"contract", "reassoc", "nsz"}}
 
+# the two parts of ln 2 must not be added up
+_EXP_OPTIONS: Final[dict[str, Any]] = _OPTIONS | {"fastmath": {"contract", "nsz"}}
+
 _LOG2_E: Final = 1.4426950408889634
 _LN2_HIGH: Final = 6.93147180369123816490e-01
 _LN2_LOW: Final = 1.90821492927058770002e-10
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_EXP_OPTIONS)  # type: ignore[untyped-decorator]
 def _exp(x: FloatArray, power: npt.NDArray[np.int64], m: int) -> None:
     """Exponential of x[:m], -700 to 0, as x * 2^power in place: a Taylor polynomial that vectorises, to 1 ulp."""
     for e in range(m):
