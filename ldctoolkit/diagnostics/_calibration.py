@@ -63,10 +63,7 @@ def calibrate(name: str, column: FloatArray, weight: FloatArray, model: ModelMar
     u = model.cdf(ordered)
     above = np.cumsum(weight[order])
     below = above - weight[order]
-    # equal values are one step of the events' distribution function, not many
-    last = np.append(ordered[1:] != ordered[:-1], True)
-    first = np.append(True, last[:-1])
-    gaps = np.where(last, above - u, -np.inf), np.where(first, u - below, -np.inf)
+    gaps = above - u, u - below  # among equal values the greatest are those of the whole step
     best = [int(np.argmax(gap)) for gap in gaps]
     which = 0 if gaps[0][best[0]] >= gaps[1][best[1]] else 1
     grid = np.linspace(0.0, 1.0, _GRID)

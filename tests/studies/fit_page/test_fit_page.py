@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from ldctoolkit.departures import Departures
+from ldctoolkit.diagnostics import diagnose
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
 from studies.fit_page import write_fit_page
-from studies.fit_page.figures_pairs import density_levels
+from studies.fit_page.figures_pairs import density_levels, pairs_figure
 from studies.fit_page.page import SECTIONS
 
 
@@ -178,6 +179,32 @@ def test_importing_it_is_light() -> None:
     code = "import sys, studies.fit_page; print([m for m in ('matplotlib', 'jinja2', 'scipy') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_pairs_stand_where_their_axes_say(make: ModuleType, model: ScenarioModel, departures: Departures) -> None:
+    """Rows are vertical axes, columns horizontal ones; events below the diagonal, the model above."""
+    rows = departures.take(departures.side == 1)
+    X = np.column_stack([getattr(rows, name) for name in make.NAMES])
+    found = diagnose(model.left_side, X, n_model=5000)
+    d = len(make.NAMES)
+    figure = pairs_figure(found, "left")
+    for i in range(d):
+        for j in range(d):
+            axes = figure.axes[i * d + j]
+            if i == j:
+                assert not axes.images
+                continue
+            drawn = np.asarray(axes.images[0].get_array().filled(0.0)) ** 2
+            x, y = axes.images[0].get_extent()[:2], axes.images[0].get_extent()[2:]
+            assert x == pytest.approx(found.marginals[j].edges[[0, -1]])
+            assert y == pytest.approx(found.marginals[i].edges[[0, -1]])
+            if i > j:
+                pair = next(p for p in found.pairs if (p.first, p.second) == (make.NAMES[j], make.NAMES[i]))
+                want = np.histogram2d(X[:, i], X[:, j], [pair.second_edges, pair.first_edges])[0] / len(X)
+            else:
+                pair = next(p for p in found.pairs if (p.first, p.second) == (make.NAMES[i], make.NAMES[j]))
+                want = pair.model
+            np.testing.assert_allclose(drawn, want, atol=1e-12)
 
 
 def test_contour_levels_hold_their_shares() -> None:
