@@ -201,9 +201,9 @@ def _take(asked: tuple[Span, IntArray], rows: ParquetRows) -> Rows:
 
 def _read(span: Span, rows: ParquetRows) -> Iterable[Rows]:
     """The span's rows, a piece at a time."""
-    skip, left = span.skip, span.rows
+    skip, left = span.skip, span.rows  # the rows that are passed over lie in the first piece
     for piece in span.pieces:
         x, weight = rows.read(piece)
-        low, high = min(skip, x.shape[0]), min(skip + left, x.shape[0])
-        yield x[low:high], None if weight is None else weight[low:high]
-        skip, left = skip - low, left - (high - low)
+        end = min(skip + left, x.shape[0])
+        yield x[skip:end], None if weight is None else weight[skip:end]
+        skip, left = 0, left - (end - skip)
