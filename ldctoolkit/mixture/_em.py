@@ -172,7 +172,10 @@ def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Component
         raise RuntimeError("no start was run")
     if s.K < 3:
         return best.components
-    return _escape(short, best.components, s, tell).components
+    try:
+        return _escape(short, best.components, s, tell).components
+    except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move: the best start stands
+        return best.components
 
 
 def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -> EMResult:

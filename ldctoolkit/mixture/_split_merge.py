@@ -29,6 +29,7 @@ _LEAST_SHARE: Final = 1e-3
 """Events of which a component has less than this share tell nothing of its shape."""
 
 _JITTER: Final = 1e-9
+_WITHIN: Final = (0.4, 1.6)
 _PAIRS: Final = 3
 """Mergers that are looked at, times K: those of the most overlapping pairs."""
 
@@ -96,7 +97,10 @@ def best_moves(
     pairs, mu_m, Sigma_m, merger = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
     for k in range(now.mu.shape[0]):
-        two, split = _split(z, weight * shares_now[:, k], now, k, run, rng)
+        found = _split(z, weight * shares_now[:, k], now, k, run, rng)
+        if found is None:
+            continue
+        two, split = found
         for m, (i, j) in enumerate(pairs):
             if k in (i, j):
                 continue
@@ -124,16 +128,19 @@ def _varied(ranked: list[Move]) -> list[Move]:
 
 def _split(
     z: FloatArray, weight: FloatArray, now: TruncatedNormal, k: int, run: Run, rng: np.random.Generator
-) -> tuple[Components, float]:
-    """Two components for the events of one, and what they gain at least."""
+) -> tuple[Components, float] | None:
+    """Two components for the events of one, and what they gain at least; None where the events do not carry two."""
     rows = weight > _LEAST_SHARE
     x, w = z[rows], weight[rows]
-    # clusters are sought in the component's own shape: its misfit counts, not its length
+    if w.size == 0 or w.sum() < 2.0 * (z.shape[1] + 1):
+        return None
     d = x.shape[1]
     shape = np.cov(x.T, aweights=w, bias=True).reshape(d, d) + _JITTER * np.eye(d)
-    factor = np.asarray(np.linalg.cholesky(shape), dtype=float)
-    first = start_from_clusters(x, w, 2, rng, whiten=factor)
-    two, value = run(x, w, first)
+    # side by side, sought in the component's own shape (its misfit counts, not its length), or one within the other
+    beside = start_from_clusters(x, w, 2, rng, whiten=np.asarray(np.linalg.cholesky(shape), dtype=float))
+    centre = np.tile(w @ x / w.sum(), (2, 1))
+    within = Components(np.array([0.5, 0.5]), centre, np.array(_WITHIN)[:, None, None] * shape, np.zeros(2))
+    two, value = max((run(x, w, start) for start in (beside, within)), key=lambda end: end[1])
     one = Components(np.ones(1), now.mu[[k]], now.Sigma[[k]], now.log_probability[[k]])
     return two, value - float(w @ log_terms(x, one)[:, 0])
 
@@ -149,19 +156,20 @@ def _mergers(
     """Pairs, the components in their place, and what the mergers gain at least (a loss, as a rule)."""
     K = now.mu.shape[0]
     overlap = (shares_now * weight[:, None]).T @ shares_now
-    overlap /= np.sqrt(np.outer(np.diagonal(overlap), np.diagonal(overlap))) + 1e-300
+    size = np.sqrt(np.diagonal(overlap))
+    overlap /= np.maximum(np.outer(size, size), 1e-300)
     i, j = np.triu_indices(K, 1)
     chosen = np.sort(np.argsort(-overlap[i, j], kind="stable")[: _PAIRS * K])
     i, j = i[chosen], j[chosen]
     n_i, n_j = stats.counts[i], stats.counts[j]
-    n = n_i + n_j
+    n = np.maximum(n_i + n_j, 1e-300)
     a, b = (n_i / n)[:, None], (n_j / n)[:, None]
     mean = a * stats.mean[i] + b * stats.mean[j]
     gap = stats.mean[i] - stats.mean[j]
     scatter = a[:, :, None] * stats.scatter[i] + b[:, :, None] * stats.scatter[j]
     scatter += (a * b)[:, :, None] * gap[:, :, None] * gap[:, None, :]
     merged = Statistics(0.0, n, mean, scatter)
-    target = local_covariance(scatter, n, np.average(scatter, axis=0, weights=n))
+    target = local_covariance(scatter, n, np.einsum("k,kij->ij", n / n.sum(), scatter))
     t = TruncatedNormal(mean, target, now.lower, now.upper, points=points)
     prior = Prior(strength, target)
     for _ in range(_MERGER_STEPS):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from ldctoolkit.mixture._checks import (
     as_matrix,
     check_bound_array,
     check_events,
+    check_matrix,
     check_number,
     check_sample_weight,
     seed_of,
@@ -22,9 +23,11 @@ from ldctoolkit.mixture._checks import (
 from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components, FloatArray
+from ldctoolkit.mixture._fit_warnings import correlation_of, fit_warnings
 from ldctoolkit.mixture._fitted import FittedMixture
 from ldctoolkit.mixture._maximisation import Step
 from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.bounds import auto_bounds
 from ldctoolkit.mixture.sources import ArrayEvents, EventSource, profile_of, transformed
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
 
@@ -39,8 +42,9 @@ class BoundedGaussianMixture(FittedMixture):
     ----------
     n_components : int
         K.
-    lower, upper : (d,) or float, optional
-        The box, in the data's units; infinite entries are open, None is open everywhere.
+    lower, upper : (d,), float or "auto", optional
+        The box, in the data's units; infinite entries are open, None is open everywhere. ``"auto"`` reads the bounds
+        off the data, see `auto_bounds`.
     random_state : int or Generator, optional
         Seed of the starts, and of `sample` when it is given none.
     n_init : int
@@ -93,6 +97,10 @@ class BoundedGaussianMixture(FittedMixture):
         Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates.
     lower_bounds_ : (n_iter_ + 1,)
         Its history; it never falls.
+    lower_, upper_ : (d,)
+        The box.
+    warnings_ : tuple of str
+        What a user should know before trusting the fit, the gravest first; empty where nothing is to be said.
     n_features_in_ : int
         d.
 
@@ -132,14 +140,17 @@ class BoundedGaussianMixture(FittedMixture):
     n_iter_: int
     lower_bound_: float
     lower_bounds_: FloatArray
+    lower_: FloatArray
+    upper_: FloatArray
+    warnings_: tuple[str, ...]
     n_features_in_: int
 
     def __init__(
         self,
         n_components: int = 1,
         *,
-        lower: npt.ArrayLike | None = None,
-        upper: npt.ArrayLike | None = None,
+        lower: npt.ArrayLike | Literal["auto"] | None = None,
+        upper: npt.ArrayLike | Literal["auto"] | None = None,
         random_state: RandomState = None,
         n_init: int = 8,
         short_iter: int = 15,
@@ -207,22 +218,29 @@ class BoundedGaussianMixture(FittedMixture):
         if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
             raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
         model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
-        model._store(eta, mu, np.asarray(covariances, dtype=float))
+        model._store(
+            eta, mu, np.asarray(covariances, dtype=float), _checked_transform(lower, upper, transform, mu.shape[1])
+        )
         return model
 
-    def _transform(self, dimension: int) -> Transform:
-        low = check_bound_array(self.lower, "lower", -np.inf, dimension)
-        high = check_bound_array(self.upper, "upper", np.inf, dimension)
-        check_bounds(low, high)
-        return Transform.of(self.transform, low, high)
+    def _transform(self, source: EventSource) -> Transform:
+        d = source.dimension
+        low, high = self.lower, self.upper
+        if "auto" in (_word(low), _word(high)):
+            if not isinstance(source, ArrayEvents):
+                raise InputError("lower, upper: 'auto' for a stream of events; allowed: numbers, or events in memory")
+            found = auto_bounds(check_matrix(source.x, d, self.names))
+            low, high = (found[0] if _word(low) == "auto" else low), (found[1] if _word(high) == "auto" else high)
+        return _checked_transform(low, high, self.transform, d)
 
-    def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> None:
-        transform = self._transform(means.shape[1])
+    def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray, transform: Transform) -> None:
         truncated = TruncatedNormal(means, covariances, *transform.box())
         self._distribution = Distribution(weights, truncated, transform)
         self.n_features_in_ = means.shape[1]
+        self.lower_, self.upper_ = transform.lower, transform.upper
         self.weights_, self.means_, self.covariances_ = weights, means, covariances
         self.log_probabilities_ = truncated.log_probability
+        self.warnings_ = ()
 
     def _check_settings(self) -> None:
         for name, least in (("n_components", 1), ("n_init", 1), ("short_iter", 1), ("subsample", 1), ("max_iter", 1)):
@@ -270,7 +288,7 @@ class BoundedGaussianMixture(FittedMixture):
             source = ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs)
         if source.dimension == 0:
             raise InputError("X: no columns")
-        transform = self._transform(source.dimension)
+        transform = self._transform(source)
         profile = check_events(source, self.n_components, transform.lower, transform.upper, self.names)
         if not transform.identity:
             source = transformed(source, transform)
@@ -292,10 +310,18 @@ class BoundedGaussianMixture(FittedMixture):
         )
         result = fit_components(source, profile, settings, self._start(location, scale), self._tell)
         c = result.components
-        self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale)
+        self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
         self.n_iter_ = result.history.size - 1
         self.lower_bounds_, self.lower_bound_ = result.history, float(result.history[-1])
+        self.warnings_ = fit_warnings(
+            self._distribution,
+            profile,
+            correlation_of(source, profile),
+            stop_reason=result.stop_reason,
+            passes=self.n_iter_,
+            names=self.names,
+        )
         return self
 
     def _start(self, location: FloatArray, scale: FloatArray) -> Components | None:
@@ -314,3 +340,16 @@ class BoundedGaussianMixture(FittedMixture):
     def _tell(self, line: str) -> None:
         if self.verbose:
             print(f"K = {self.n_components}: {line}", file=sys.stderr)
+
+
+def _word(bound: object) -> str:
+    return bound if isinstance(bound, str) else ""
+
+
+def _checked_transform(
+    lower: npt.ArrayLike | None, upper: npt.ArrayLike | None, wanted: str | Sequence[str] | None, dimension: int
+) -> Transform:
+    low = check_bound_array(lower, "lower", -np.inf, dimension)
+    high = check_bound_array(upper, "upper", np.inf, dimension)
+    check_bounds(low, high)
+    return Transform.of(wanted, low, high)
