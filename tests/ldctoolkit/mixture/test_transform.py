@@ -1,0 +1,185 @@
+"""Maps of bounded columns onto the line: inverse, slope, density, and what they gain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.mixture._transform import Transform
+
+INF = np.inf
+
+ends = st.floats(-1e3, 1e3)
+lengths = st.floats(1e-2, 1e3)
+shares = st.lists(st.floats(1e-6, 1.0 - 1e-6), min_size=1, max_size=20)
+
+
+def box(kind, low, length):
+    """A transform of one column: ``above`` a lower bound, ``below`` an upper one, between ``both`` or ``open``."""
+    lower = np.array([-INF if kind in ("below", "open") else low])
+    upper = np.array([INF if kind in ("above", "open") else low + length])
+    return Transform.of("auto", lower, upper)
+
+
+@settings(max_examples=150, deadline=None)
+@given(kind=st.sampled_from(["above", "below", "both", "open"]), low=ends, length=lengths, shares=shares)
+def test_there_and_back(kind, low, length, shares):
+    t = box(kind, low, length)
+    x = (low + length * np.array(shares))[:, None]
+    x = x[np.all((x > t.lower) & (x < t.upper), axis=1)]
+    back = t.inverse(t.forward(x))
+    # rounding of x - bound, which is exact to half a unit in the last place of the larger of the two
+    np.testing.assert_allclose(back, x, rtol=1e-12, atol=8 * np.spacing(abs(low) + length))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    kind=st.sampled_from(["above", "below", "both"]),
+    low=ends,
+    length=lengths,
+    share=st.floats(0.01, 0.99),
+    other=st.floats(0.01, 0.99),
+)
+def test_the_slope_is_the_derivative_and_rises(kind, low, length, share, other):
+    t = box(kind, low, length)
+    x = low + length * share
+    h = 1e-4 * length * min(share, 1.0 - share)
+    y = t.forward(np.array([[x - h], [x + h]]))[:, 0]
+    assert y[1] > y[0]
+    # the finite difference errs by its third derivative, 1e-8, and by rounding, 1e-16 low/h
+    error = 1e-7 + 4e-16 * (abs(low) + length) / h
+    np.testing.assert_allclose((y[1] - y[0]) / (2 * h), np.exp(t.log_slope(np.array([[x]])))[0], rtol=error)
+    assert (low + length * other > x) == (
+        t.forward(np.array([[low + length * other]]))[0, 0] > t.forward(np.array([[x]]))[0, 0]
+    )
+
+
+@pytest.mark.parametrize("y", [-800.0, -50.0, 0.0, 50.0, 800.0, INF, -INF])
+def test_extreme_values_stay_strictly_inside(y):
+    t = Transform.of("auto", np.array([0.0, -INF, 1.0]), np.array([INF, 3.0, 2.0]))
+    x = t.inverse(np.full((1, 3), y))
+    assert np.isfinite(x).all()
+    assert np.all((x > t.lower) & (x < t.upper))
+
+
+def test_values_on_and_outside_a_bound():
+    t = Transform.of("auto", np.array([0.0, 0.0]), np.array([INF, 1.0]))
+    assert t.forward(np.array([[0.0, 0.0]])).tolist() == [[-INF, -INF]]
+    assert t.forward(np.array([[1.0, 1.0]]))[0, 1] == INF
+    assert np.isnan(t.forward(np.array([[-1.0, 2.0]]))).all()
+    model = BoundedGaussianMixture.from_parameters(
+        [1.0], [[0.0, 0.0]], [np.eye(2)], lower=[0.0, 0.0], upper=[INF, 1.0], transform="auto"
+    )
+    assert model.score_samples([[0.0, 0.5], [1.0, 1.0], [-1.0, 0.5], [1.0, 2.0]]).tolist() == [-INF] * 4
+
+
+def test_nothing_is_copied_where_nothing_is_mapped():
+    t = Transform.of(None, np.array([0.0]), np.array([INF]))
+    x = np.array([[1.0]])
+    assert t.identity
+    assert t.forward(x) is x
+    assert t.inverse(x) is x
+    assert t.log_slope(x).tolist() == [0.0]
+
+
+def test_the_input_is_not_changed():
+    t = Transform.of("auto", np.array([0.0, -INF]), np.array([INF, INF]))
+    x = np.array([[2.0, -3.0]])
+    y = t.forward(x)
+    t.inverse(y)
+    np.testing.assert_allclose(y, [[np.log(2.0), -3.0]])
+    assert x.tolist() == [[2.0, -3.0]]
+    assert (t.kinds, [side.tolist() for side in t.box()]) == (("log", "none"), [[-INF, -INF], [INF, INF]])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ("lgo", "did you mean 'log'"),
+        (["log"], "1 names; allowed: one name, or 3"),
+        (["logit", "none", "none"], "'logit' for column 0 with 1 finite bounds; allowed: two"),
+        (["none", "log", "none"], "'log' for column 1 with 2 finite bounds; allowed: exactly one"),
+        ("log", "'log' for column 1 with 2 finite bounds"),
+        (["none", "none", "log"], "'log' for column 2 with 0 finite bounds"),
+    ],
+)
+def test_maps_that_the_bounds_do_not_allow(wanted, message):
+    with pytest.raises(InputError, match=message):
+        Transform.of(wanted, np.array([0.0, 0.0, -INF]), np.array([INF, 1.0, INF]))
+
+
+def test_a_log_normal_density_is_scipys():
+    """One component, ln x: the density is the normal one over x."""
+    model = BoundedGaussianMixture.from_parameters([1.0], [[0.3]], [[[0.49]]], lower=0.0, transform="log")
+    x = np.array([1e-8, 0.1, 1.0, 30.0])
+    np.testing.assert_allclose(
+        model.score_samples(x[:, None]), norm(0.3, 0.7).logpdf(np.log(x)) - np.log(x), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("kind", ["above", "below", "both"])
+def test_one_dimension_integrates_to_one(kind):
+    low, high = (-INF if kind == "below" else 1.0), (INF if kind == "above" else 3.0)
+    model = BoundedGaussianMixture.from_parameters(
+        [0.3, 0.7], [[-1.0], [0.5]], [[[0.4]], [[0.9]]], lower=low, upper=high, transform="auto"
+    )
+    t = model.distribution.transform
+    # a grid that is even in the mapped coordinate covers both tails; the trapezoidal rule errs by its own curvature
+    x = t.inverse(np.linspace(-9.0, 9.0, 40_001)[:, None])
+    assert abs(np.trapezoid(np.exp(model.score_samples(x)), x[:, 0]) - 1.0) < 1e-6
+
+
+def test_two_dimensions_integrate_to_one_with_one_column_mapped():
+    """A log column beside a truncated one: the box of the second is still normalised; midpoint rule on 600 x 600."""
+    model = BoundedGaussianMixture.from_parameters(
+        [0.6, 0.4],
+        [[0.0, 0.2], [-1.0, 1.5]],
+        [[[0.3, 0.2], [0.2, 0.8]], [[0.2, -0.1], [-0.1, 0.5]]],
+        lower=[0.0, 0.0],
+        upper=[INF, 2.0],
+        transform=["log", "none"],
+    )
+    edges = np.exp(np.linspace(-7.0, 5.0, 601))
+    x, dx = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    y = (np.arange(600) + 0.5) / 300.0
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    mass = np.exp(model.score_samples(grid)).reshape(600, 600) * dx[:, None] / 300.0
+    assert abs(mass.sum() - 1.0) < 1e-4
+    drawn = model.sample(40_000, 1)[0]
+    assert np.all((drawn > 0.0) & (drawn[:, 1:] < 2.0))
+    # shares of quadrants by samples and by the grid, four standard errors of a share of one half
+    inside = (grid[:, 0] < 0.7) & (grid[:, 1] < 1.0)
+    assert abs(np.mean((drawn[:, 0] < 0.7) & (drawn[:, 1] < 1.0)) - mass.ravel()[inside].sum()) < 4 * 0.5 / 200.0
+
+
+def test_a_transform_fit_is_a_plain_fit_of_the_mapped_events():
+    X = np.random.default_rng(0).gamma(1.5, size=(600, 2))
+    mapped = BoundedGaussianMixture(2, lower=0.0, transform="log", random_state=0, n_init=2).fit(X)
+    plain = BoundedGaussianMixture(2, random_state=0, n_init=2).fit(np.log(X))
+    np.testing.assert_array_equal(mapped.means_, plain.means_)
+    np.testing.assert_array_equal(mapped.covariances_, plain.covariances_)
+    np.testing.assert_allclose(mapped.score(X), plain.score(np.log(X)) - np.log(X).sum(axis=1).mean(), rtol=1e-12)
+
+
+def gamma_like(d, n, seed):
+    """Correlated gamma margins with shapes 1 to 2.5: a normal copula of correlation 0.4."""
+    from scipy.stats import gamma
+
+    z = np.random.default_rng(seed).normal(size=(n, d + 1))
+    u = norm.cdf(np.sqrt(0.6) * z[:, :d] + np.sqrt(0.4) * z[:, d:])
+    return gamma.ppf(u, np.linspace(1.0, 2.5, d))
+
+
+@pytest.mark.parametrize(
+    ("d", "n", "K", "least"), [(2, 3000, 3, 0.005), pytest.param(8, 8000, 3, 0.05, marks=pytest.mark.slow)]
+)
+def test_a_transform_wins_on_gamma_margins(d, n, K, least):
+    X, held_out = gamma_like(d, n, 1), gamma_like(d, 10_000, 2)
+    plain = BoundedGaussianMixture(K, lower=0.0, random_state=0, n_init=4).fit(X)
+    mapped = BoundedGaussianMixture(K, lower=0.0, transform="log", random_state=0, n_init=4).fit(X)
+    assert mapped.score(held_out) - plain.score(held_out) > least
