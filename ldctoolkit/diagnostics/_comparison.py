@@ -91,6 +91,9 @@ def comparison_or_reason(
     transform = mixture.distribution.transform
     if not (np.isfinite(transform.lower) | np.isfinite(transform.upper)).any():
         return None, "no parameter has a finite bound, so there is nothing to transform"
+    half, free = min(x.shape[0], MOST_EVENTS) // 2, mixture.n_parameters()
+    if half < free:
+        return None, f"half of the events, {half}, are fewer than the {free} parameters of the mixture"
     try:
         return compare_transforms(mixture, names, x, weight, seed), ""
     except LdcError as error:

@@ -124,12 +124,14 @@ def test_png(page: Path) -> None:
     assert height > 800
 
 
+@pytest.mark.slow
 def test_same_input_same_bytes(page: Path, model: ScenarioModel, departures: Departures, tmp_path: Path) -> None:
     write_fit_page(tmp_path / "again.html", model, departures, seed=3)
     assert (tmp_path / "again.html").read_bytes() == page.read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["again.html"]
 
 
+@pytest.mark.slow
 def test_a_foreign_model_without_summaries(tmp_path: Path, make: ModuleType, departures: Departures) -> None:
     bare = make.make_model(left=None, right=None, source={}, software="", synthetic=True)
     write_fit_page(tmp_path / "fit.html", bare, departures)
@@ -138,6 +140,7 @@ def test_a_foreign_model_without_summaries(tmp_path: Path, make: ModuleType, dep
     assert "the model is synthetic" in text
 
 
+@pytest.mark.slow
 def test_a_misfit_is_warned_of_first(
     tmp_path: Path, make: ModuleType, model: ScenarioModel, departures: Departures
 ) -> None:
@@ -151,6 +154,7 @@ def test_a_misfit_is_warned_of_first(
     assert "right: the model was fitted" not in warned
 
 
+@pytest.mark.slow
 def test_hostile_text_is_escaped(tmp_path: Path, make: ModuleType, departures: Departures) -> None:
     evil = "<script>alert(1)</script>"
     model = make.make_model(source={"description": evil}, software=evil, warnings=(evil,))
@@ -160,12 +164,14 @@ def test_hostile_text_is_escaped(tmp_path: Path, make: ModuleType, departures: D
     assert "&lt;script&gt;alert(1)" in text
 
 
+@pytest.mark.slow
 def test_weights_reach_the_checks(tmp_path: Path, model: ScenarioModel, departures: Departures) -> None:
     weights = np.where(np.median(departures.T) > departures.T, 5.0, 1.0)
     write_fit_page(tmp_path / "fit.html", model, departures, weights=weights)
     assert "Kolmogorov distance beyond" in plain((tmp_path / "fit.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_a_page_that_cannot_be_made(tmp_path: Path, make: ModuleType, model: ScenarioModel) -> None:
     rows = make.make_departures(model, 20)
     with pytest.raises(InputError, match=r"departures \(right\)"):
