@@ -244,10 +244,10 @@ def test_numbers_do_not_depend_on_processes(criterion):
     options = {"lower": 0.0, "criterion": criterion, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
     serial, parallel, source = (
-        select_components(X, [1, 2, 4, 201], n_jobs=1, **options),
-        select_components(X, [201, 4, 2, 1], n_jobs=3, **options),
+        select_components(X, [1, 2, 201], n_jobs=1, **options),
+        select_components(X, [201, 2, 1], n_jobs=3, **options),
         select_components(
-            ArrayEvents(X, options["sample_weight"]), [1, 2, 4, 201], n_jobs=2, **{**options, "sample_weight": None}
+            ArrayEvents(X, options["sample_weight"]), [1, 2, 201], n_jobs=2, **{**options, "sample_weight": None}
         ),
     )
     assert_same(serial, parallel)
@@ -274,7 +274,7 @@ def _broken(events, job):
     if job == "die":
         os._exit(3)
     if job == "sleep":
-        __import__("time").sleep(60)
+        __import__("time").sleep(600)
     return job
 
 
