@@ -6,14 +6,14 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, Distribution
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.scenario_model import json_form as form
 from ldctoolkit.scenario_model._reader import read_text
 from ldctoolkit.scenario_model.card import ModelProvenance
@@ -23,12 +23,32 @@ from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
-_REPORT_BLOCKS: Final = 10
+_REPORT_EVENTS: Final = 10_240
+
+
+class _Drawn(Protocol):
+    """A distribution, or one under conditions."""
+
+    def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
+        """Events from the random stream named by (seed, key), and their components."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Point:
+    """All parameters are given: nothing is left to chance."""
+
+    values: FloatArray
+
+    def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
+        """The one event there is, again and again."""
+        del seed, key
+        return np.tile(self.values, (SAMPLE_BLOCK, 1)), np.zeros(SAMPLE_BLOCK, dtype=np.int64)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +56,7 @@ class _Source:
     """What the events of a side are drawn from: its distribution, or that under conditions."""
 
     side: SideModel
-    distribution: Distribution
+    distribution: _Drawn
     stream: int
 
     def block(self, block: int, seed: int) -> dict[str, FloatArray]:
@@ -118,8 +138,8 @@ class ScenarioModel:
 
         Notes
         -----
-        Events are drawn in blocks of 1,024, each from its own random stream (seed, side, block). An event whose speed
-        falls below ``SPEED_FLOOR`` within the departure is passed over and the next one of the stream taken; the
+        Events are drawn in blocks of one size, each from its own random stream (seed, side, block). An event whose
+        speed falls below ``SPEED_FLOOR`` within the departure is passed over and the next one of the stream taken; the
         share of such events is ``provenance.left.redrawn_share``, or by `redrawn_share`.
 
         Examples
@@ -141,8 +161,13 @@ class ScenarioModel:
         """What the events of a side are drawn from."""
         half, label = (self.left_side, "left") if side == LEFT else (self.right_side, "right")
         columns = mixture_conditions(wanted, half, label)
-        distribution = half.mixture.distribution
-        return _Source(half, distribution.condition(columns) if columns else distribution, _STREAM[side])
+        values = {j: value for j, value in columns.items() if isinstance(value, float)}
+        distribution: _Drawn = half.mixture.distribution
+        if len(values) == len(half.names):
+            distribution = _Point(np.array([values[j] for j in range(len(half.names))]))
+        elif columns:
+            distribution = half.mixture.distribution.condition(columns)
+        return _Source(half, distribution, _STREAM[side])
 
     def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:
         if n == 0:
@@ -164,10 +189,11 @@ class ScenarioModel:
         return {name: np.concatenate([block[name] for block in blocks])[:n] for name in PARAMETER_NAMES}
 
     def redrawn_share(self, side: int, seed: int = 0) -> float:
-        """Share of events of a side (LEFT or RIGHT) below the speed floor, from 10,240 draws."""
+        """Share of events of a side (LEFT or RIGHT) below the speed floor, from about 10,000 draws."""
         source = self._source(side)
-        kept = sum(source.block(block, seed)["T"].size for block in range(_REPORT_BLOCKS))
-        return 1.0 - kept / (_REPORT_BLOCKS * SAMPLE_BLOCK)
+        blocks = -(-_REPORT_EVENTS // SAMPLE_BLOCK)
+        kept = sum(source.block(block, seed)["T"].size for block in range(blocks))
+        return 1.0 - kept / (blocks * SAMPLE_BLOCK)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one JSON file, whole or not at all.
