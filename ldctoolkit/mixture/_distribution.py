@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+import functools
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.errors import ModelError
+from ldctoolkit.mixture._draw import Sampler
 from ldctoolkit.mixture._expectation import Components, FloatArray, log_density, log_terms, shares
 from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.sources import usable_cores
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
+
+if TYPE_CHECKING:
+    from ldctoolkit.mixture._conditional import Conditional, Given
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-SAMPLE_BLOCK: Final = 1024
+SAMPLE_BLOCK: Final = 4096
 """Events drawn from one random stream; fixed, so that the first m of n samples do not depend on n."""
 
 
@@ -57,10 +66,15 @@ class Distribution:
         out: BoolArray = np.all((x >= self.transform.lower) & (x <= self.transform.upper), axis=1)
         return out
 
+    def _columns(self, x: FloatArray) -> FloatArray:
+        """The columns that `truncated` and `transform` speak of."""
+        return x
+
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log-density of each row, (n,); -inf outside the box, and on a bound that is mapped to infinity."""
         scaled, location, scale = self._own_units()
-        y = self.transform.forward(x)
+        own = self._columns(x)
+        y = self.transform.forward(own)
         inside = self.inside(x) & np.isfinite(y).all(axis=1)
         if not inside.all():
             out = np.full(x.shape[0], -np.inf)
@@ -68,31 +82,96 @@ class Distribution:
                 out[inside] = self.log_density(x[inside])
             return out
         values = log_density(y, scaled, location, scale) - float(np.log(scale).sum())
-        return values if self.transform.identity else values + self.transform.log_slope(x)
+        return values if self.transform.identity else values + self.transform.log_slope(own)
 
     def shares(self, x: FloatArray) -> FloatArray:
         """Share of each component in each row, (n, K); rows inside the box."""
         scaled, location, scale = self._own_units()
-        return shares(log_terms((self.transform.forward(x) - location) / scale, scaled))
+        return shares(log_terms((self.transform.forward(self._columns(x)) - location) / scale, scaled))
+
+    def condition(self, given: Given, names: Sequence[str] | None = None) -> Conditional:
+        """The distribution given intervals or values of some columns, exactly.
+
+        Parameters
+        ----------
+        given : mapping
+            Column number, or name -> (lower, upper), either None or infinite where open, or a value.
+        names : sequence of str, optional
+            Column names.
+
+        Returns
+        -------
+        Conditional
+            A distribution too: its rows have all columns.
+
+        Raises
+        ------
+        InputError
+            For an unknown column, an interval that is reversed or misses the box, a value that is not strictly inside
+            it, what is not a number, or values for all columns.
+
+        Notes
+        -----
+        Given an interval, component k keeps mu and Sigma, and its share becomes eta_k P_k(interval)/P_k; given a
+        value, its share is multiplied by its marginal density there, and mu and Sigma become those of the regression
+        on it. All shares are logarithms until they are normalised, so a condition may be as rare as it likes.
+        """
+        from ldctoolkit.mixture._conditional import condition  # it is a distribution itself
+
+        return condition(self, given, names)
+
+    @functools.cached_property
+    def _samplers(self) -> dict[int, Sampler]:
+        """Components that can be drawn; made when first wanted."""
+        return {}
+
+    def _sampler(self, k: int) -> Sampler:
+        if k not in self._samplers:
+            self._samplers[k] = self.truncated.sampler(k)
+        return self._samplers[k]
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """`SAMPLE_BLOCK` events and their components, from the random stream named by (seed, key)."""
         rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
         label = rng.choice(self.weights.size, size=SAMPLE_BLOCK, p=self.weights / self.weights.sum())
-        y = np.empty((SAMPLE_BLOCK, self.dimension))
+        y = np.empty((SAMPLE_BLOCK, self.truncated.mu.shape[1]))
         for k in range(self.weights.size):
             rows = np.flatnonzero(label == k)
-            y[rows] = self.truncated.sample(rows.size, rng, component=k)
-        return self.transform.inverse(y), label.astype(np.int64)
+            if rows.size:
+                y[rows] = self._draw(k, rows.size, rng)
+        return self._own_columns(self.transform.inverse(y)), label.astype(np.int64)
+
+    def _draw(self, k: int, n: int, rng: np.random.Generator) -> FloatArray:
+        try:
+            return self._sampler(k).draw(n, rng)
+        except ModelError as error:
+            raise ModelError(f"component {k}: {error}") from None
+
+    def _own_columns(self, x: FloatArray) -> FloatArray:
+        """Drawn rows as the distribution's rows."""
+        return x
 
     def sample(self, n: int, seed: int) -> tuple[FloatArray, IntArray]:
-        """Draw n events (n, d) and their components (n,); the first m of n do not depend on n."""
-        parts = [self.sample_block(seed, (block,)) for block in range(-(-n // SAMPLE_BLOCK))]
-        if not parts:
-            return np.empty((0, self.dimension)), np.empty(0, dtype=np.int64)
-        return np.concatenate([p[0] for p in parts])[:n], np.concatenate([p[1] for p in parts])[:n]
+        """Draw n events (n, d) and their components (n,); the first m of n depend neither on n nor on the threads."""
+        blocks = -(-n // SAMPLE_BLOCK)
+        x, label = np.empty((n, self.dimension)), np.empty(n, dtype=np.int64)
+
+        def fill(block: int) -> None:
+            rows = slice(block * SAMPLE_BLOCK, min(n, (block + 1) * SAMPLE_BLOCK))
+            drawn, component = self.sample_block(seed, (block,))
+            x[rows], label[rows] = drawn[: rows.stop - rows.start], component[: rows.stop - rows.start]
+
+        threads = min(usable_cores(), blocks)
+        if threads <= 1:
+            for block in range(blocks):
+                fill(block)
+            return x, label
+        with ThreadPoolExecutor(threads) as pool:
+            for _ in pool.map(fill, range(blocks)):  # an error in a block is raised here
+                pass
+        return x, label
 
     def check_samplable(self) -> None:
         """Draw from every component: a `ModelError` here rather than in a later `sample`."""
         for k in np.flatnonzero(self.weights > 0.0):
-            self.truncated.sample(4, 0, component=int(k))
+            self._draw(int(k), 4, np.random.default_rng(0))

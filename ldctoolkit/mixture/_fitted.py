@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
+from ldctoolkit.mixture._conditional import Given
 from ldctoolkit.mixture._conventions import Parameters
 from ldctoolkit.mixture._distribution import Distribution, IntArray
 from ldctoolkit.mixture._expectation import FloatArray
+
+_BLOCK: Final = 8192
 
 
 class FittedMixture(Parameters):
@@ -55,12 +60,79 @@ class FittedMixture(Parameters):
         d, K = self.distribution.dimension, self.distribution.weights.size
         return int(K * (d + d * (d + 1) // 2) + K - 1)
 
-    def bic(self, X: npt.ArrayLike) -> float:
-        """Bayesian information criterion, -2 ln L + p ln n: lower is better."""
-        values = self.score_samples(X)
-        return float(-2.0 * values.sum() + self.n_parameters() * np.log(values.size))
+    def log_prob(self, X: npt.ArrayLike, given: Given | None = None) -> FloatArray:
+        """Exact log-density of each row, for reweighting, (n,).
 
-    def sample(self, n_samples: int = 1, random_state: RandomState = None) -> tuple[FloatArray, IntArray]:
+        Parameters
+        ----------
+        X : (n, d)
+            Rows.
+        given : mapping, optional
+            Conditions as for `sample`. The density is then that of the columns without a given value, normalised over
+            the rows that meet the conditions, and -inf for all others.
+
+        Raises
+        ------
+        InputError
+            As for `sample`.
+
+        Examples
+        --------
+        >>> from ldctoolkit.mixture import BoundedGaussianMixture
+        >>> model = BoundedGaussianMixture.from_parameters(
+        ...     [1.0], [[0.0, 0.0]], [[[1.0, 0.5], [0.5, 1.0]]], lower=0.0, names=["x", "y"]
+        ... )
+        >>> rows = model.sample(3, 0, given={"x": (1.0, None)})[0]
+        >>> bool((model.log_prob(rows, given={"x": (1.0, None)}) > model.log_prob(rows)).all())
+        True
+        """
+        distribution = self._given(given)
+        return distribution.log_density(check_matrix(X, distribution.dimension, self.names))
+
+    def bic(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
+        """Bayesian information criterion, -2 ln L + p ln n, n the sum of the weights: lower is better."""
+        likelihood, n = self._likelihood(X, sample_weight)
+        return -2.0 * likelihood + self.n_parameters() * math.log(n)
+
+    def aic(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
+        """Akaike information criterion, -2 ln L + 2 p: lower is better."""
+        likelihood, _ = self._likelihood(X, sample_weight)
+        return -2.0 * likelihood + 2.0 * self.n_parameters()
+
+    def icl(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
+        """Integrated completed likelihood, BIC plus twice the entropy of the shares: lower is better.
+
+        It prefers components that do not overlap.
+
+        References
+        ----------
+        Biernacki, Celeux, Govaert, IEEE PAMI 22(7):719-725, 2000.
+        """
+        x = check_matrix(X, self.distribution.dimension, self.names)
+        weight = check_sample_weight(sample_weight, x.shape[0])
+        bic = self.bic(x, weight)
+        entropy = 0.0
+        for first in range(0, x.shape[0], _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            share = self.predict_proba(x[rows])
+            own = -np.sum(share * np.log(np.maximum(share, 1e-300)), axis=1)
+            entropy += float(own.sum() if weight is None else weight[rows] @ own)
+        return bic + 2.0 * entropy
+
+    def _likelihood(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None) -> tuple[float, float]:
+        """Log-likelihood and number of events, both weighted."""
+        values = self.score_samples(X)
+        weight = check_sample_weight(sample_weight, values.size)
+        if values.size == 0:
+            raise InputError("X: no rows")
+        if weight is None:
+            return float(values.sum()), float(values.size)
+        used = weight > 0.0  # a row of no weight may lie outside
+        return float(weight[used] @ values[used]), float(weight.sum())
+
+    def sample(
+        self, n_samples: int = 1, random_state: RandomState = None, given: Given | None = None
+    ) -> tuple[FloatArray, IntArray]:
         """Draw events inside the box, exactly.
 
         Parameters
@@ -69,23 +141,45 @@ class FittedMixture(Parameters):
             Number of events; the first m of n events do not depend on n.
         random_state : int or Generator, optional
             Seed; the estimator's own by default.
+        given : mapping, optional
+            Conditions: column name (if there are `names`) or number -> a value that all events have, or (lower,
+            upper) between which they lie, None or infinite where open.
 
         Returns
         -------
         X : (n_samples, d)
-            Events in random order.
+            Events in random order, all columns.
         component : (n_samples,)
             The component each came from.
 
         Raises
         ------
+        InputError
+            For conditions on unknown columns, reversed intervals, intervals and values outside the box, what is not
+            a number, or values for all columns.
         ModelError
             If a component cannot be sampled (proposals are capped).
+
+        Notes
+        -----
+        Conditions are met exactly and not by filtering, however rare they are: see `Distribution.condition`.
+
+        Examples
+        --------
+        >>> from ldctoolkit.mixture import BoundedGaussianMixture
+        >>> model = BoundedGaussianMixture.from_parameters(
+        ...     [1.0], [[0.0, 0.0]], [[[1.0, 0.5], [0.5, 1.0]]], lower=0.0, names=["x", "y"]
+        ... )
+        >>> x, _ = model.sample(1000, 0, given={"x": (1.0, 1.5), "y": 0.25})
+        >>> bool(x[:, 0].min() > 1.0 and x[:, 0].max() < 1.5 and (x[:, 1] == 0.25).all())
+        True
         """
-        distribution = self.distribution
         check_number("n_samples", n_samples, 0, integer=True)
         seed = seed_of(self.random_state if random_state is None else random_state)
-        return distribution.sample(int(n_samples), seed)
+        return self._given(given).sample(int(n_samples), seed)
+
+    def _given(self, given: Given | None) -> Distribution:
+        return self.distribution if given is None else self.distribution.condition(given, self.names)
 
     @property
     def distribution(self) -> Distribution:

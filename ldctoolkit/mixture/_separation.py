@@ -16,14 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._lattice import lattice
-from ldctoolkit.mixture._univariate import FloatArray, log_mass, mass_and_quantile, mean_and_second
+from ldctoolkit.mixture._lattice import Lattice, lattice
+from ldctoolkit.mixture._tilt import minimax_tilt
+from ldctoolkit.mixture._univariate import FloatArray, Restricted, log_mass
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-_NEWTON_STEPS: Final = 60
-_TILT_TOLERANCE: Final = 1e-9
+_CACHED: Final = 16_384
+"""Points times components handled at once, so that they stay in the second cache; it changes no number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +68,8 @@ class WhitenedMoments:
         E z inside the box.
     second : (K, p, p)
         E z z^T inside the box.
+    covariance : (K, p, p)
+        Covariance of z inside the box, without the cancellation of a far mean.
     points : (K, p, n)
         Weighted points inside the box.
     weights : (K, n)
@@ -76,6 +79,7 @@ class WhitenedMoments:
     log_p: FloatArray
     mean: FloatArray
     second: FloatArray
+    covariance: FloatArray
     points: FloatArray
     weights: FloatArray
 
@@ -95,7 +99,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
         pick = np.argmin(np.where(left, mass, np.inf), axis=1)
         order[:, step], left[rows, pick] = pick, False
         at = (rows, pick)
-        mean, _ = mean_and_second(a[at], b[at], mass[at])
+        mean, _ = Restricted.of(a[at], b[at]).moments()
         column = S[rows, :, pick]
         shift = shift + column * (mean / deviation[at])[:, None]
         S = S - column[:, :, None] * column[:, None, :] / (deviation[at] ** 2)[:, None, None]
@@ -134,81 +138,10 @@ def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order
     factor[rows, order] = L
     a, b = lower[rows, order] / diagonal, upper[rows, order] / diagonal
     if p > 1:
-        tilt, log_peak = _minimax_tilt(strict, a, b)
+        tilt, log_peak = minimax_tilt(strict, a, b)
     else:
         tilt, log_peak = np.zeros((K, p)), log_mass(a, b)[:, 0]
     return Separation(order, factor, strict, a, b, tilt, log_peak)
-
-
-def _tilt_terms(
-    strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray, mu: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Log weight psi (K,), its gradient (K, 2p) and the derivative of the truncated means (K, p)."""
-    c = np.einsum("kij,kj->ki", strict, x)
-    low, high = a - c - mu, b - c - mu
-    mass = log_mass(low, high)
-    mean, second = mean_and_second(low, high, mass)
-    psi = np.sum(0.5 * mu**2 - x * mu + mass, axis=1)
-    by_x = -mu + np.einsum("kij,ki->kj", strict, mean)
-    by_mu = mu - x + mean
-    return psi, np.concatenate([by_x, by_mu], axis=1), second - 1.0 - mean**2
-
-
-def _minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Saddle point of psi(x; mu) by damped Newton, all components at once."""
-    K, p = a.shape
-    m = p - 1  # x_p and mu_p stay zero
-    free = np.r_[0:m, p : p + m]
-    eye = np.eye(m)
-    # start: every variable at its truncated mean given the ones before it
-    x = np.zeros((K, p))
-    for j in range(m):
-        c = np.einsum("ki,ki->k", strict[:, j], x)
-        low, high = (a[:, j] - c), (b[:, j] - c)
-        x[:, j], _ = mean_and_second(low, high, log_mass(low, high))
-    mu = np.zeros((K, p))
-    psi, gradient, slope = _tilt_terms(strict, a, b, x, mu)
-    norm = np.linalg.norm(gradient[:, free], axis=1)
-    # not below the rounding of the terms themselves, which grow with the distance to the box
-    scale = 1.0 + np.abs(x).max(axis=1)
-    open_ = norm > _TILT_TOLERANCE * scale
-    for _ in range(_NEWTON_STEPS):
-        if not open_.any():
-            break
-        k = np.flatnonzero(open_)
-        J = np.zeros((k.size, 2 * m, 2 * m))
-        s, d = strict[k], slope[k]
-        J[:, :m, :m] = np.einsum("kia,ki,kib->kab", s[:, :, :m], d, s[:, :, :m])
-        cross = d[:, :m, None] * s[:, :m, :m] - eye
-        J[:, m:, :m] = cross
-        J[:, :m, m:] = cross.transpose(0, 2, 1)
-        J[:, m:, m:] = eye * (1.0 + d[:, :m])[:, :, None]
-        try:
-            step = np.linalg.solve(J, -gradient[k][:, free][:, :, None])[:, :, 0]
-        except np.linalg.LinAlgError:
-            break
-        t = np.ones(k.size)
-        waiting = np.arange(k.size)
-        for _ in range(30):
-            kk = k[waiting]
-            x_new, mu_new = x[kk].copy(), mu[kk].copy()
-            x_new[:, :m] += t[waiting, None] * step[waiting, :m]
-            mu_new[:, :m] += t[waiting, None] * step[waiting, m:]
-            psi_new, gradient_new, slope_new = _tilt_terms(strict[kk], a[kk], b[kk], x_new, mu_new)
-            norm_new = np.linalg.norm(gradient_new[:, free], axis=1)
-            good = norm_new < (1.0 - 1e-3 * t[waiting]) * norm[kk]
-            done = kk[good]
-            x[done], mu[done], psi[done] = x_new[good], mu_new[good], psi_new[good]
-            gradient[done], slope[done], norm[done] = gradient_new[good], slope_new[good], norm_new[good]
-            waiting = waiting[~good]
-            t[waiting] *= 0.5
-            if waiting.size == 0:
-                break
-        scale = 1.0 + np.abs(x).max(axis=1)
-        open_[k] = norm[k] > _TILT_TOLERANCE * scale[k]
-        open_[k[waiting]] = False  # no further descent: judged below
-    failed = ~(norm <= 1e-6 * scale)
-    return np.where(failed[:, None], 0.0, mu), np.where(failed, np.inf, psi)
 
 
 def integrate(box: Separation, points: int) -> WhitenedMoments:
@@ -224,31 +157,81 @@ def integrate(box: Separation, points: int) -> WhitenedMoments:
     Returns
     -------
     WhitenedMoments
-        The last coordinate of `points` is drawn too (for the Fisher matrix), mean and second moments use its
-        conditional expectation instead.
+        The last coordinate of `points` is drawn too (for the Fisher matrix), the moments use its conditional
+        expectation instead.
+
+    Notes
+    -----
+    Each variable is drawn from a distribution whose mean and variance given the ones before it are known. The moments
+    are therefore sums of known ones and of differences from them, and those differences are weighted by how far the
+    weights are from their average (control variates): where the weights are nearly equal, a far box or a weak
+    correlation, the lattice's own error drops out.
     """
     K, p = box.lower.shape
     grid = lattice(points, p)
-    z = np.empty((K, p, points))
-    log_weight = np.repeat(grid.log_weight[None], K, axis=0)
+    at_once = max(1, _CACHED // points)
+    parts = [_integrate(_component_rows(box, slice(k, k + at_once)), grid) for k in range(0, K, at_once)]
+    if len(parts) == 1:
+        return parts[0]
+    names = [field.name for field in dataclasses.fields(WhitenedMoments)]
+    return WhitenedMoments(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _component_rows(box: Separation, rows: slice) -> Separation:
+    return Separation(**{field.name: getattr(box, field.name)[rows] for field in dataclasses.fields(Separation)})
+
+
+def _integrate(box: Separation, grid: Lattice) -> WhitenedMoments:
+    """All components at once."""
+    K, p = box.lower.shape
+    z = np.empty((K, p, grid.weight.size))
+    expected, variance = np.empty_like(z), np.empty_like(z)
+    log_weight = np.zeros((K, grid.weight.size))
     for j in range(p):
-        c = np.einsum("ki,kin->kn", box.strict[:, j, :j], z[:, :j])
         mu = box.tilt[:, j, None]
-        low, high = box.lower[:, j, None] - c - mu, box.upper[:, j, None] - c - mu
-        mass, within = mass_and_quantile(low, high, grid.log_u[j], grid.log_1mu[j])
-        z[:, j] = within + mu
-        log_weight += 0.5 * mu**2 - z[:, j] * mu + mass
-    mean_last, second_last = mean_and_second(low, high, mass)
+        shift = (box.strict[:, j, None, :j] @ z[:, :j])[:, 0] + mu
+        inner = Restricted.of(box.lower[:, j, None] - shift, box.upper[:, j, None] - shift)
+        mean, variance[:, j] = inner.moments()
+        expected[:, j] = mean + mu
+        z[:, j] = inner.quantile(grid.u[j], grid.v[j]) + mu
+        log_weight += inner.log_mass - z[:, j] * mu
+    log_weight += 0.5 * np.sum(box.tilt**2, axis=1)[:, None]
     peak = log_weight.max(axis=1, keepdims=True)
-    weights = np.exp(log_weight - peak)
+    weights = np.exp(log_weight - peak) * grid.weight
     total = weights.sum(axis=1, keepdims=True)
     weights /= total
-    log_p = peak[:, 0] + np.log(total[:, 0])
-    smooth = np.concatenate([z[:, :-1], np.broadcast_to(mean_last[:, None], (K, 1, points))], axis=1)
-    weighted = smooth * weights[:, None, :]
-    mean = weighted.sum(axis=2)
-    second = weighted @ smooth.transpose(0, 2, 1)
-    second[:, -1, -1] = np.sum(weights * second_last, axis=1)
-    drawn = weights * np.exp(grid.log_last)
+    drawn = weights * grid.last
     drawn /= drawn.sum(axis=1, keepdims=True)
-    return WhitenedMoments(log_p, mean, second, z, drawn)
+    log_p = peak[:, 0] + np.log(total[:, 0])
+    return _moments(z, expected, variance, weights, grid.weight, log_p, drawn)
+
+
+def _moments(
+    z: FloatArray,
+    expected: FloatArray,
+    variance: FloatArray,
+    weights: FloatArray,
+    lattice_weights: FloatArray,
+    log_p: FloatArray,
+    drawn: FloatArray,
+) -> WhitenedMoments:
+    """Mean and covariance with control variates, from points, their conditional moments and both sets of weights."""
+    last = z.shape[1] - 1
+    smooth = z.copy()
+    smooth[:, last] = expected[:, last]
+    noise = smooth - expected  # of expectation zero given the variables before; none in the last one
+    W, L = weights[:, None, :], lattice_weights
+    mean = (weights[:, None] @ smooth.transpose(0, 2, 1))[:, 0] - noise @ L
+    centred = smooth - mean[:, :, None]
+    covariance = (centred * W) @ centred.transpose(0, 2, 1)
+    # an entry i < j loses the lattice's sum of (z_i - mean_i) noise_j, an entry j, j that of noise_j^2 - variance_j
+    # + 2 noise_j (expected_j - mean_j), all of expectation zero
+    cross = np.triu((centred * L) @ noise.transpose(0, 2, 1), 1)
+    covariance -= cross + cross.transpose(0, 2, 1)
+    own = noise * (noise + 2.0 * (expected - mean[:, :, None])) - variance
+    own[:, last] = 0.0
+    diagonal = np.arange(last + 1)
+    covariance[:, diagonal, diagonal] -= own @ L
+    covariance[:, last, last] += np.sum(weights * variance[:, last], axis=1)
+    second = covariance + mean[:, :, None] * mean[:, None, :]
+    return WhitenedMoments(log_p, mean, second, covariance, z, drawn)

@@ -1,22 +1,127 @@
-"""The standard normal restricted to an interval: mass, moments and quantiles that keep their digits in the tails."""
+"""The standard normal restricted to intervals: mass, moments and quantiles that keep their digits in the tails."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 _LOG_ROOT_2PI: Final = 0.5 * float(np.log(2.0 * np.pi))
-_NARROW: Final = 1e-3
-"""Below this width (times 1 + |midpoint|) the mass is taken from a series: the difference of two CDFs cancels."""
+_NARROW: Final = 1e-2
+"""Below this width (times 1 + distance from zero) differences of CDFs and densities cancel: quadrature instead."""
+
+_FAR: Final = 20.0
+"""So far from zero the moments cancel too."""
+
+_DEEP: Final = 36.0
+"""So far from zero the CDF nears the smallest double: quantiles are taken from logarithms."""
+
+_THREAD: Final = 1e-3
+"""On intervals narrower than this the density is an exponential to seven digits: its quantile is explicit."""
+
+_DEPTH: Final = 45.0
+"""A far interval is integrated to where its density has fallen to exp(-45) of its largest."""
+
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
-def _log_density(z: FloatArray) -> FloatArray:
-    out: FloatArray = -0.5 * z * z - _LOG_ROOT_2PI
-    return out
+@dataclasses.dataclass(frozen=True)
+class Restricted:
+    """Standard normals restricted to intervals, mirrored so that each lies mostly left of zero.
+
+    Attributes
+    ----------
+    low, high : (...)
+        Ends of the mirrored intervals.
+    flip : (...) bool
+        Which ones are mirrored.
+    at_low, share : (...)
+        Phi(low), and Phi(high) - Phi(low).
+    log_mass : (...)
+        Logarithm of the mass.
+    special : (...) bool
+        Far or narrow ones, whose mass and moments come from quadrature.
+    offset, spread : (special,)
+        For those: high - E z, and Var z.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> tail = Restricted.of(np.array([30.0]), np.array([np.inf]))
+    >>> mean, variance = tail.moments()
+    >>> [round(float(x[0]), 6) for x in (tail.log_mass, mean, variance)]
+    [-454.321244, 30.03326, 0.001104]
+    """
+
+    low: FloatArray
+    high: FloatArray
+    flip: BoolArray
+    at_low: FloatArray
+    share: FloatArray
+    log_mass: FloatArray
+    special: BoolArray
+    offset: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, a: FloatArray, b: FloatArray) -> Restricted:
+        """Intervals (a, b), a < b; infinite ends are allowed."""
+        from scipy.special import ndtr  # here, so that importing the package stays fast
+
+        flip = a > -b
+        low, high = np.where(flip, -b, a), np.where(flip, -a, b)
+        at_low = ndtr(low)
+        share = ndtr(high) - at_low
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_mass = np.log(share)
+        special = (high < -_FAR) | (high - low < _NARROW / (1.0 + np.abs(high)))
+        offset = spread = np.empty(0)
+        if special.any():
+            log_mass[special], offset, spread = _quadrature(low[special], high[special])
+        return cls(low, high, flip, at_low, share, log_mass, special, offset, spread)
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """E z and Var z, in the caller's orientation."""
+        root = float(np.exp(-_LOG_ROOT_2PI))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            at_low = root * np.exp(-0.5 * self.low**2) / self.share
+            at_high = root * np.exp(-0.5 * self.high**2) / self.share
+            mean = at_low - at_high
+            # an infinite end has no density: 0 in place of 0 times infinity
+            variance = 1.0 + np.where(at_low > 0.0, self.low, 0.0) * at_low
+            variance -= np.where(at_high > 0.0, self.high, 0.0) * at_high + mean * mean
+        if self.offset.size:
+            mean[self.special] = self.high[self.special] - self.offset
+            variance[self.special] = self.spread
+        return np.where(self.flip, -mean, mean), variance
+
+    def mean_between(self, a: FloatArray, b: FloatArray, shift: FloatArray) -> FloatArray:
+        """E z + shift, where a and b are the ends plus that shift: no digits are lost to a large one."""
+        out: FloatArray = self.moments()[0] + shift
+        if self.offset.size:
+            k = self.special
+            out[k] = np.where(self.flip[k], a[k] + self.offset, b[k] - self.offset)
+        return out
+
+    def quantile(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """The z below which a share u of the mass lies; v = 1 - u, given apart so that neither end loses digits."""
+        from scipy.special import ndtr, ndtri
+
+        below, above = np.where(self.flip, v, u), np.where(self.flip, u, v)
+        left, right = self.at_low + below * self.share, ndtr(-self.high) + above * self.share
+        z = ndtri(np.minimum(left, right))
+        z = np.where(left <= right, z, -z)
+        if self.offset.size:
+            k = self.special
+            z[k] = _special_quantile(self.low[k], self.high[k], below[k], above[k], z[k])
+        z = np.minimum(np.maximum(z, self.low), self.high)
+        out: FloatArray = np.where(self.flip, -z, z)
+        return out
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -28,49 +133,42 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
     >>> round(float(log_mass(np.array([30.0]), np.array([np.inf]))[0]), 6)
     -454.321244
     """
-    from scipy.special import log_ndtr  # here, so that importing the package stays fast
-
-    low, high, _ = _to_left_tail(a, b)
-    return _log_mass_left(low, high, log_ndtr(low), log_ndtr(high))
+    return Restricted.of(a, b).log_mass
 
 
-def _to_left_tail(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Mirror the intervals that lie mostly right of zero: log_ndtr and ndtri_exp are exact on the left."""
-    flip = a > -b
-    return np.where(flip, -b, a), np.where(flip, -a, b), flip
+def _quadrature(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Logarithm of the mass, high - E z and Var z: Gauss-Legendre in the distance from the end nearer to zero."""
+    depth = np.maximum(-high, 0.0)
+    reach = np.minimum(high - low, 2.0 * _DEPTH / (depth + np.sqrt(depth**2 + 2.0 * _DEPTH)))
+    reach = np.maximum(reach, np.spacing(depth))  # ends that rounding has made equal
+    total, first, second = np.zeros_like(low), np.zeros_like(low), np.zeros_like(low)
+    for t, w in zip(0.5 * (_NODES + 1.0), 0.5 * _NODE_WEIGHTS, strict=True):
+        s = t * reach
+        density = w * np.exp(s * (high - 0.5 * s))
+        total += density
+        first += density * t
+        second += density * t * t
+    first, second = first / total, second / total
+    log_p = np.log(total * reach) - 0.5 * high**2 - _LOG_ROOT_2PI
+    return log_p, first * reach, (second - first**2) * reach**2
 
 
-def _log_mass_left(low: FloatArray, high: FloatArray, log_low: FloatArray, log_high: FloatArray) -> FloatArray:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out: FloatArray = log_high + np.log1p(-np.exp(log_low - log_high))
-        width, middle = high - low, 0.5 * (high + low)
-        narrow = width * (1.0 + np.abs(middle)) < _NARROW
-        if np.any(narrow):
-            series = np.log(width) + _log_density(middle) + np.log1p(width**2 * (middle**2 - 1.0) / 24.0)
-            out = np.where(narrow, series, out)
-    return out
-
-
-def mean_and_second(a: FloatArray, b: FloatArray, log_p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """E z and E z^2 of the standard normal on (a, b), given ``log_p = log_mass(a, b)``."""
-    density_a, density_b = np.exp(_log_density(a) - log_p), np.exp(_log_density(b) - log_p)
-    mean: FloatArray = density_a - density_b
-    ends = np.where(np.isfinite(a), a, 0.0) * density_a - np.where(np.isfinite(b), b, 0.0) * density_b
-    return mean, 1.0 + ends
-
-
-def mass_and_quantile(
-    a: FloatArray, b: FloatArray, log_u: FloatArray, log_1mu: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """`log_mass`, and the z in (a, b) below which a share u of that mass lies; u is given as log u and log(1 - u)."""
+def _special_quantile(
+    low: FloatArray, high: FloatArray, below: FloatArray, above: FloatArray, z: FloatArray
+) -> FloatArray:
+    """`z`, bettered where it lies so deep, or the interval is so narrow, that the CDF has no digits left."""
     from scipy.special import log_ndtr, ndtri_exp
 
-    low, high, flip = _to_left_tail(a, b)
-    log_low, log_high = log_ndtr(low), log_ndtr(high)
-    mass = _log_mass_left(low, high, log_low, log_high)
-    upper_share = np.where(flip, log_1mu, log_u)
-    lower_share = np.where(flip, log_u, log_1mu)
-    z = ndtri_exp(np.minimum(np.logaddexp(lower_share + log_low, upper_share + log_high), 0.0))
-    z = np.where(flip, -z, z)
-    out: FloatArray = np.clip(z, a, b)
-    return mass, out
+    deep = high < -_DEEP
+    if deep.any():
+        with np.errstate(divide="ignore"):
+            one, two = np.log(above[deep]) + log_ndtr(low[deep]), np.log(below[deep]) + log_ndtr(high[deep])
+        z[deep] = ndtri_exp(np.logaddexp(one, two))
+    thread = high - low < _THREAD
+    if thread.any():
+        width = high[thread] - low[thread]
+        rate = 0.5 * width - high[thread]
+        width = np.maximum(width, 1e-300)  # ends that rounding has made equal
+        rate = np.where(np.abs(rate * width) < 1e-9, 1e-9 / width, rate)
+        z[thread] = high[thread] + np.log1p(above[thread] * np.expm1(-rate * width)) / rate
+    return z
