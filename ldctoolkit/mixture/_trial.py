@@ -73,6 +73,11 @@ class Trial:
     criteria: Criteria
     held_out: HeldOut
 
+    @property
+    def n_components(self) -> int:
+        """K."""
+        return self.model.n_components
+
 
 Outcome = Trial | Failure
 

@@ -218,31 +218,31 @@ def _run(
     if isinstance(events, ArrayEvents) and may_start_processes():
         size = events.x.size * sum(model.n_components for model in models)
         workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), len(models))
-    order = list(range(len(models)))
+    queue = list(models)
     ended: Generator[tuple[int, Outcome], None, None]
     if isinstance(events, ArrayEvents) and workers > 1:
-        order.reverse()
-        done = in_processes(trials, [models[i] for i in order], events, workers)
-        ended = ((order[j], outcome) for j, outcome in done)
+        queue.reverse()
+        ended = in_processes(trials, queue, events, workers)
     else:
-        ended = ((i, trials(events, models[i])) for i in order)
+        ended = ((i, trials(events, model)) for i, model in enumerate(queue))
     outcomes: dict[int, Outcome] = {}
 
     def tell() -> None:
         if progress is not None:
-            under_way = [str(models[i].n_components) for i in order if i not in outcomes][:workers]
-            progress(f"K = {', '.join(under_way)}" if under_way else "done", len(outcomes), len(models))
+            under_way = [str(model.n_components) for i, model in enumerate(queue) if i not in outcomes][:workers]
+            progress(f"K = {', '.join(under_way)}" if under_way else "done", len(outcomes), len(queue))
 
+    # closed here: an interrupt ends the processes at once
     with contextlib.closing(ended):
         tell()
         for i, outcome in ended:
             outcomes[i] = outcome
             tell()
-    return [outcomes[i] for i in range(len(models))]
+    return sorted(outcomes.values(), key=lambda outcome: outcome.n_components)
 
 
 def _selection(rule: Rule, trials: Sequence[Trial], failures: tuple[Failure, ...]) -> Selection:
-    K = np.array([trial.model.n_components for trial in trials], dtype=np.int64)
+    K = np.array([trial.n_components for trial in trials], dtype=np.int64)
     criteria = [trial.criteria for trial in trials]
     events = criteria[0].events
     held_out, error, gap_error = np.full((3, K.size), np.nan)
