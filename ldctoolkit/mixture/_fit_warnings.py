@@ -22,7 +22,7 @@ _FAR_OUTSIDE: Final = 6.0
 _SAME: Final = 0.9999
 """Correlation of two columns of which one could be left out."""
 
-_THIN: Final = 2e-3
+_THIN: Final = 5e-3
 """Standard deviation of a component, in the data's, below which it describes single values rather than a spread."""
 
 _LOST_DIGITS: Final = 1e-8

@@ -1,0 +1,226 @@
+"""The estimator's conventions: parameters, weights, going on from a fit, progress, and what a fit leaves alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.mixture import BoundedGaussianMixture
+
+INF = np.inf
+
+
+def events(n=900, seed=0):
+    mixture = BoundedGaussianMixture.from_parameters(
+        [0.4, 0.6], [[0.2, 0.0], [2.0, 3.0]], [[[1.0, 0.5], [0.5, 1.0]], [[0.5, -0.2], [-0.2, 0.8]]], lower=[0.0, -INF]
+    )
+    return mixture.sample(n, seed)[0]
+
+
+def started(**params):
+    """An estimator that goes on from given parameters: the same start whatever the rows are."""
+    model = BoundedGaussianMixture.from_parameters(
+        [0.5, 0.5], [[0.5, 0.5], [2.5, 2.5]], [np.eye(2), np.eye(2)], lower=[0.0, -INF]
+    )
+    return model.set_params(**{"warm_start": True, "tol": 1e-10, "max_iter": 2000} | params)
+
+
+def assert_equal_fits(one, two, tolerance):
+    """Parameters in units of the data's spread, here about one."""
+    np.testing.assert_allclose(one.weights_, two.weights_, atol=tolerance)
+    np.testing.assert_allclose(one.means_, two.means_, atol=tolerance)
+    np.testing.assert_allclose(one.covariances_, two.covariances_, atol=tolerance)
+
+
+def assert_same_bits(one, two):
+    for name in ("weights_", "means_", "covariances_", "log_probabilities_", "lower_bounds_"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+FEW = {"lower": [0.0, -INF], "random_state": 0, "n_init": 2, "max_iter": 30}
+
+
+def test_fit_returns_the_estimator_and_parameters_survive_a_clone():
+    base = pytest.importorskip("sklearn.base")
+    model = BoundedGaussianMixture(2, names=("a", "b"), transform=["log", "none"], **FEW)
+    assert model.fit(events()) is model
+    copy = base.clone(model)
+    assert not hasattr(copy, "weights_")
+    assert {k: v for k, v in copy.get_params().items() if k != "lower"} == {
+        k: v for k, v in model.get_params().items() if k != "lower"
+    }
+    assert_same_bits(copy.fit(events()), model)
+    assert model.n_features_in_ == 2
+
+
+def test_a_fit_leaves_its_parameters_as_they_were():
+    lower, names = [0.0, -INF], ["a", "b"]
+    model = BoundedGaussianMixture(2, lower=lower, names=names, random_state=3, n_init=1, max_iter=5)
+    before = dict(model.get_params())
+    model.fit(events())
+    assert model.get_params() == before
+    assert model.lower is lower
+
+
+def test_fitting_twice_gives_the_same_bits():
+    X = events()
+    model = BoundedGaussianMixture(2, **FEW).fit(X)
+    first = BoundedGaussianMixture(2, **FEW).fit(X)
+    assert_same_bits(model.fit(X), first)
+
+
+def test_threads_change_no_bit():
+    X = np.tile(events(4000), (5, 1))  # three blocks
+    one = BoundedGaussianMixture(2, n_jobs=1, **FEW | {"max_iter": 8}).fit(X)
+    for jobs in (2, 5, None):
+        assert_same_bits(BoundedGaussianMixture(2, n_jobs=jobs, **FEW | {"max_iter": 8}).fit(X), one)
+
+
+@pytest.mark.parametrize("kind", ["fortran", "view", "reversed", "list", "read-only"])
+def test_the_layout_of_the_rows_changes_no_bit(kind):
+    X = events()
+    given = {
+        "fortran": np.asfortranarray(X),
+        "view": np.repeat(np.repeat(X, 2, axis=0), 3, axis=1)[::2, ::3],
+        "reversed": X[::-1].copy()[::-1],
+        "list": X.tolist(),
+        "read-only": X.copy(),
+    }[kind]
+    if kind == "read-only":
+        given.setflags(write=False)
+    one = BoundedGaussianMixture(2, **FEW).fit(X)
+    two = BoundedGaussianMixture(2, **FEW).fit(given)
+    # sums over columns of another layout may be taken in another order
+    assert_equal_fits(one, two, 1e-9)
+    np.testing.assert_allclose(two.score_samples(given), one.score_samples(X), rtol=1e-9)
+
+
+def test_single_precision_is_widened():
+    X = events().astype(np.float32)
+    X = X[X[:, 0] > 0.0]
+    assert_same_bits(
+        BoundedGaussianMixture(2, **FEW).fit(X), BoundedGaussianMixture(2, **FEW).fit(X.astype(np.float64))
+    )
+
+
+@pytest.mark.parametrize("transform", [None, "auto"])
+def test_the_data_are_not_changed(transform):
+    X = events()
+    weight = np.random.default_rng(0).uniform(size=X.shape[0])
+    kept, kept_weight = X.copy(), weight.copy()
+    model = BoundedGaussianMixture(2, transform=transform, **FEW).fit(X, sample_weight=weight)
+    for ask in (model.score_samples, model.predict_proba, model.predict, model.score, model.bic):
+        ask(X)
+    np.testing.assert_array_equal(X, kept)
+    np.testing.assert_array_equal(weight, kept_weight)
+
+
+@pytest.mark.parametrize("step", ["newton", "lee_scott"])
+def test_whole_weights_are_repeated_rows(step):
+    X = events(400)
+    weight = np.random.default_rng(1).integers(1, 5, size=400)
+    settings = {"step": step, "prior_strength": 10.0} | ({"tol": 1e-9} if step == "lee_scott" else {})
+    by_weight = started(**settings).fit(X, sample_weight=weight)
+    by_rows = started(**settings).fit(np.repeat(X, weight, axis=0))
+    # the same sums in another order: 1e-9 after some hundred passes
+    np.testing.assert_allclose(by_weight.lower_bound_, by_rows.lower_bound_, rtol=1e-11)
+    assert_equal_fits(by_weight, by_rows, 1e-7)
+    np.testing.assert_allclose(by_weight.score(X, sample_weight=weight), by_rows.score(np.repeat(X, weight, axis=0)))
+
+
+def test_rows_without_weight_are_absent():
+    X = events(600)
+    weight = (np.arange(600) % 3 > 0).astype(float)
+    assert_equal_fits(started().fit(X, sample_weight=weight), started().fit(X[weight > 0]), 1e-7)
+
+
+def test_rows_without_weight_are_absent_from_the_starts_too():
+    X = np.vstack([events(600), np.full((50, 2), 40.0)])
+    weight = np.concatenate([np.ones(600), np.zeros(50)])
+    model = BoundedGaussianMixture(2, **FEW).fit(X, sample_weight=weight)
+    assert model.means_.max() < 10.0
+
+
+def test_without_a_prior_the_scale_of_the_weights_does_not_matter():
+    X = events(600)
+    weight = np.random.default_rng(2).uniform(0.1, 3.0, size=600)
+    one = started(prior_strength=0.0).fit(X, sample_weight=weight)
+    other = started(prior_strength=0.0).fit(X, sample_weight=1e-3 * weight)
+    assert_equal_fits(one, other, 1e-7)
+
+
+@pytest.mark.parametrize(
+    ("weight", "message"),
+    [
+        (np.ones(5), r"sample_weight: shape \(5,\); allowed: \(900,\)"),
+        (np.r_[np.ones(899), -1.0], r"sample_weight: -1\.0 in row 899; allowed: finite numbers >= 0"),
+        (np.r_[np.nan, np.ones(899)], "sample_weight: nan in row 0"),
+        (np.zeros(900), "sample_weight: all zero"),
+        (["a"] * 900, "sample_weight: not numbers"),
+    ],
+)
+def test_weights_that_are_none(weight, message):
+    with pytest.raises(InputError, match=message):
+        BoundedGaussianMixture(2, **FEW).fit(events(), sample_weight=weight)
+
+
+def test_a_warm_start_goes_on():
+    X = events()
+    model = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, short_iter=2, max_iter=4, warm_start=True)
+    first = model.fit(X).lower_bound_
+    assert model.stop_reason_ == "max_iter"
+    model.max_iter = 1000
+    second = model.fit(X)
+    cold = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, short_iter=2, max_iter=1000).fit(X)
+    assert second.lower_bounds_[0] >= first - 1e-3  # the prior's target has moved on with the components
+    assert second.lower_bound_ > first
+    assert second.n_iter_ < cold.n_iter_
+    assert second.score(X) > cold.score(X) - 1e-4  # another target of the prior, hardly another maximum
+    again = model.fit(X).n_iter_
+    assert again <= 6  # five passes tell that nothing is gained
+
+
+def test_a_warm_start_from_another_shape_is_refused():
+    model = BoundedGaussianMixture(2, warm_start=True, **FEW).fit(events())
+    with pytest.raises(InputError, match="the last fit has K = 2 and 2 columns; allowed: n_components = 3"):
+        model.set_params(n_components=3).fit(events())
+    model.set_params(n_components=2, lower=0.0)
+    with pytest.raises(InputError, match="and 3 columns, as now"):
+        model.fit(np.abs(np.random.default_rng(0).normal(size=(50, 3))))
+
+
+def test_progress_is_told_on_stderr_and_only_when_wanted(capsys):
+    X = events()
+    silent = BoundedGaussianMixture(2, **FEW).fit(X)
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", "")
+    told = BoundedGaussianMixture(2, verbose=1, **FEW).fit(X)
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert out == ""
+    assert all(line.startswith("K = 2: ") for line in lines)
+    assert sum("start 1 of 2" in line for line in lines) == 1
+    assert sum(line.startswith("K = 2: pass ") for line in lines) == told.n_iter_
+    assert f"pass {told.n_iter_}: {told.lower_bound_:.8f} nats an event" in lines[-1]
+    assert_same_bits(told, silent)
+
+
+@pytest.mark.parametrize("K", [1, 2])
+def test_both_steps_reach_the_same_optimum(K):
+    """Lee and Scott's fixed point is where Newton's step stands still; their step is slow near a bound."""
+    X = events(500)
+    start = BoundedGaussianMixture(K, lower=[0.0, -INF], random_state=0, n_init=4, tol=1e-10, max_iter=3000).fit(X)
+    ends = []
+    for step in ("newton", "lee_scott"):
+        model = BoundedGaussianMixture.from_parameters(
+            start.weights_, start.means_ + 0.02, start.covariances_ * 1.05, lower=[0.0, -INF]
+        )
+        ends.append(model.set_params(warm_start=True, step=step, tol=1e-12, max_iter=20_000).fit(X))
+        assert ends[-1].converged_
+    # 1e-3 deviations: what gains of 1e-12 a pass and the lattice's error leave, along the flattest direction
+    assert abs(ends[0].lower_bound_ - ends[1].lower_bound_) < 1e-7
+    np.testing.assert_allclose(ends[0].distribution.truncated.mean, ends[1].distribution.truncated.mean, atol=1e-3)
+    np.testing.assert_allclose(
+        ends[0].distribution.truncated.covariance, ends[1].distribution.truncated.covariance, atol=1e-3
+    )
