@@ -37,6 +37,7 @@ test-fast: lint  ## the same without the slow tests
 
 bench: $(VENV)/.dev  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/mixture.py
 
 format: $(VENV)/.dev  ## rewrite the code in the project's format
 	$(BIN)/ruff check --fix .

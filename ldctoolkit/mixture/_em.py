@@ -56,6 +56,7 @@ class EMSettings:
     n_init: int
     short_iter: int
     subsample: int
+    split_merge: bool
     tol: float
     max_iter: int
     prior_strength: float
@@ -170,7 +171,7 @@ def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Component
             best = result
     if best is None:
         raise RuntimeError("no start was run")
-    if s.K < 3:
+    if s.K < 3 or not s.split_merge:
         return best.components
     try:
         return _escape(short, best.components, s, tell).components

@@ -52,7 +52,11 @@ class BoundedGaussianMixture(FittedMixture):
     short_iter : int
         Passes of a short run.
     subsample : int
-        Rows used by the short runs.
+        Rows used by the short runs, and by the moves.
+    split_merge : bool
+        Whether the best short run is led out of local optima: one component is split and two are merged, as long as
+        that raises the likelihood. It finds optima that many more starts miss, and takes longer than they do on few
+        events.
     tol : float
         Stop when the penalised log-likelihood per event gained less than this per pass, on average over five passes.
     max_iter : int
@@ -155,6 +159,7 @@ class BoundedGaussianMixture(FittedMixture):
         n_init: int = 8,
         short_iter: int = 15,
         subsample: int = 25_000,
+        split_merge: bool = True,
         tol: float = 1e-6,
         max_iter: int = 500,
         prior_strength: float = 10.0,
@@ -172,6 +177,7 @@ class BoundedGaussianMixture(FittedMixture):
         self.n_init = n_init
         self.short_iter = short_iter
         self.subsample = subsample
+        self.split_merge = split_merge
         self.tol = tol
         self.max_iter = max_iter
         self.prior_strength = prior_strength
@@ -303,6 +309,7 @@ class BoundedGaussianMixture(FittedMixture):
             n_init=int(self.n_init),
             short_iter=int(self.short_iter),
             subsample=int(self.subsample),
+            split_merge=bool(self.split_merge),
             tol=float(self.tol),
             max_iter=int(self.max_iter),
             prior_strength=float(self.prior_strength),
