@@ -221,7 +221,8 @@ def _moments(
     smooth[:, last] = expected[:, last]
     noise = smooth - expected  # of expectation zero given the variables before; none in the last one
     W, L = weights[:, None, :], lattice_weights
-    mean = (weights[:, None] @ smooth.transpose(0, 2, 1))[:, 0] - noise @ L
+    origin = smooth[:, :, 0]  # far outside, points differ in their last digits only: sums are taken from one of them
+    mean = origin + (weights[:, None] @ (smooth - origin[:, :, None]).transpose(0, 2, 1))[:, 0] - noise @ L
     centred = smooth - mean[:, :, None]
     covariance = (centred * W) @ centred.transpose(0, 2, 1)
     # an entry i < j loses the lattice's sum of (z_i - mean_i) noise_j, an entry j, j that of noise_j^2 - variance_j

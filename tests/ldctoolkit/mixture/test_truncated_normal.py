@@ -13,8 +13,8 @@ from scipy.stats import multivariate_normal, truncnorm
 
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture._lattice import _GENERATORS, generator, lattice
 from ldctoolkit.mixture._draw import Sampler
+from ldctoolkit.mixture._lattice import _GENERATORS, generator, lattice
 from ldctoolkit.mixture._univariate import Restricted, log_mass
 
 INF = np.inf
@@ -192,7 +192,7 @@ def test_samples_have_the_moments_and_stay_inside(shift):
 def test_a_hopeless_component_is_an_error_and_not_a_hang(monkeypatch):
     t = TruncatedNormal([[-3.0, 0.0]], [equicorrelated(2, 0.5)], [0.0, 0.0], [INF, INF])
     monkeypatch.setattr(Sampler, "_tilted", lambda self, m, rng: np.empty((2, 0)))
-    with pytest.raises(ModelError, match="component 0: .*no proposal reaches it"):
+    with pytest.raises(ModelError, match=r"component 0: .*no proposal reaches it"):
         t.sample(3, 0)
 
 

@@ -1,0 +1,320 @@
+"""Moments of hard boxes against an independent route, and what happens at the edge of the arithmetic.
+
+The reference: x_i = mu_i + sum_q lambda_iq f_q + sqrt(1 - |lambda_i|^2) e_i with one or two common factors f. Given f
+the variables are independent, so probability and moments are a Gauss-Legendre sum over f of products of one-dimensional
+integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize, minimize_scalar
+
+from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.mixture import TruncatedNormal
+from ldctoolkit.mixture.truncated_normal import moment_points
+
+INF = np.inf
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(80)
+LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
+
+
+def interval(a, b):
+    """Log mass, mean and variance of the standard normal on (a, b): two panels about the peak."""
+    peak = np.clip(0.0, a, b)
+    reach = 80.0 / (np.abs(peak) + np.sqrt(peak**2 + 80.0))  # where the density has fallen to exp(-40)
+    low, high = np.maximum(a, peak - reach), np.minimum(b, peak + reach)
+    half = 0.25 * (high - low)[..., None]
+    t = np.concatenate([half * (NODES + 1.0), half * (NODES + 3.0)], axis=-1)
+    offset = (low - peak)[..., None] + t
+    density = np.exp(-offset * peak[..., None] - 0.5 * offset**2) * half * np.concatenate([WEIGHTS, WEIGHTS])
+    total = density.sum(axis=-1)
+    mean = (density * offset).sum(axis=-1) / total
+    variance = (density * (offset - mean[..., None]) ** 2).sum(axis=-1) / total
+    return np.log(total) - 0.5 * peak**2 - LOG_ROOT_2PI, peak + mean, variance
+
+
+def reference(mu, loadings, lower, upper):
+    """ln P, mean and covariance; unit variances."""
+    own = np.sqrt(1.0 - np.sum(loadings**2, axis=1))
+    q = loadings.shape[1]
+
+    def given(f):
+        shift = mu + f @ loadings.T
+        log_mass, mean, variance = interval((lower - shift) / own, (upper - shift) / own)
+        return (
+            log_mass.sum(axis=1) - 0.5 * np.sum(f**2, axis=1) - q * LOG_ROOT_2PI,
+            shift + own * mean,
+            own**2 * variance,
+        )
+
+    def log_density(f):
+        return float(given(np.reshape(f, (1, q)))[0][0])
+
+    best = minimize(
+        lambda f: -log_density(f), np.zeros(q), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8}
+    )
+
+    def profile(axis, value):
+        if q == 1:
+            return log_density([value])
+        rest = best.x[1 - axis]
+        line = minimize_scalar(
+            lambda w: -log_density([value, w] if axis == 0 else [w, value]), bracket=(rest - 0.1, rest + 0.1), tol=1e-4
+        )
+        return -line.fun
+
+    panels, axes = 10 if q == 1 else 6, []
+    for axis in range(q):
+        ends = []
+        for sign in (-1.0, 1.0):
+            step = 1e-3
+            while profile(axis, best.x[axis] + sign * step) > -best.fun - 40.0:
+                step *= 1.5
+            ends.append(best.x[axis] + sign * step)
+        x, w = np.polynomial.legendre.leggauss(60 if q == 1 else 16)
+        edges = np.linspace(*ends, panels + 1)
+        half = 0.5 * np.diff(edges)[:, None]
+        axes.append(((half * (x + 1.0) + edges[:-1, None]).ravel(), (half * w).ravel()))
+    f = np.stack([g.ravel() for g in np.meshgrid(*(axis[0] for axis in axes), indexing="ij")], axis=1)
+    weight = axes[0][1] if q == 1 else np.outer(axes[0][1], axes[1][1]).ravel()
+    value, centre, variance = (
+        np.concatenate(part) for part in zip(*(given(rows) for rows in np.array_split(f, 8)), strict=True)
+    )
+    share = weight * np.exp(value - value.max())
+    total = share.sum()
+    share /= total
+    mean = share @ centre
+    gap = centre - mean
+    return np.log(total) + value.max(), mean, (gap * share[:, None]).T @ gap + np.diag(share @ variance)
+
+
+def equal(d, r):
+    """Loadings of equal correlations r; of alternating signs where r is negative."""
+    sign = (-1.0) ** np.arange(d) if r < 0.0 else np.ones(d)
+    return (np.sqrt(abs(r)) * sign)[:, None]
+
+
+def hard_list(d):
+    """Name -> mu, loadings, lower, upper."""
+    zero, ones, out = np.zeros(d), np.ones(d), {}
+    for r in (0.95, -0.9, 0.5):
+        out[f"r = {r}, one-sided"] = zero, equal(d, r), zero, INF * ones
+        out[f"r = {r}, two-sided"] = 0.3 * ones, equal(d, r), -0.5 * ones, 0.7 * ones
+    for distance in (4.0, 30.0):
+        for where in sorted({1, min(3, d)}):
+            mu = np.where(np.arange(d) < where, -distance, 0.0)
+            for r in (0.5, 0.95, -0.9):
+                out[f"{distance:g} sigma out in {where}, r = {r}"] = mu, equal(d, r), zero, INF * ones
+    for j in (0, d - 1):
+        slab = np.arange(d) == j
+        for r in (0.5, 0.95, -0.9):
+            out[f"slab in {j}, r = {r}"] = zero, equal(d, r), np.where(slab, 0.5, -1.0), np.where(slab, 0.6, 1.5)
+    out["P about 1e-8"] = np.full(d, -4.6 - 0.15 * d), equal(d, 0.8), zero, INF * ones
+    for seed in range(3):  # seeds that no choice of points was made on
+        rng = np.random.default_rng([seed, d])
+        loadings = rng.normal(size=(d, 2))
+        loadings *= (rng.uniform(0.3, 0.97, d) / np.linalg.norm(loadings, axis=1))[:, None]
+        upper = np.where(rng.random(d) < 0.5, 1.5, INF)
+        out[f"two factors, seed {seed}"] = 1.5 * rng.normal(size=d), loadings, zero, upper
+    return out
+
+
+def covariance_of(loadings):
+    Sigma = loadings @ loadings.T
+    np.fill_diagonal(Sigma, 1.0)
+    return Sigma
+
+
+def errors(t, Sigma, expected):
+    """Of ln P, whitened mean and whitened covariance."""
+    log_p, mean, covariance = expected
+    inverse = np.linalg.inv(np.linalg.cholesky(Sigma))
+    return (
+        abs(t.log_probability[0] - log_p),
+        np.abs(inverse @ (t.mean[0] - mean)).max(),
+        np.abs(inverse @ (t.covariance[0] - covariance) @ inverse.T).max(),
+    )
+
+
+def check(name, mu, Sigma, lower, upper, expected, points):
+    t = TruncatedNormal([mu], [Sigma], lower, upper, points=points)
+    found = errors(t, Sigma, expected)
+    # ln P to 1e-4, whitened mean to 2e-4, whitened covariance to 1e-3: what a fit needs to keep its 1e-6 a pass honest
+    assert all(np.array(found) <= (1e-4, 2e-4, 1e-3)), f"{name}, {points} points: {found}"
+    return t
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 5])
+def test_hard_boxes_equal_the_factor_integral(d):
+    """Both numbers of points, 1,021 of the fits and 4,093."""
+    for name, (mu, loadings, lower, upper) in hard_list(d).items():
+        Sigma = covariance_of(loadings)
+        expected = reference(mu, loadings, lower, upper)
+        check(name, mu, Sigma, lower, upper, expected, 1021)
+        t = check(name, mu, Sigma, lower, upper, expected, 4093)
+        # in units of the moments inside the box, 30 sigma outside included: measured 3e-6 and 2e-5
+        inverse = np.linalg.inv(np.linalg.cholesky(expected[2]))
+        assert np.abs(inverse @ (t.mean[0] - expected[1])).max() < 2e-5, name
+        assert np.abs(inverse @ (t.covariance[0] - expected[2]) @ inverse.T).max() < 2e-4, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("d", [6, 8])
+def test_hard_boxes_in_many_dimensions_equal_the_factor_integral(d):
+    for name, (mu, loadings, lower, upper) in hard_list(d).items():
+        Sigma = covariance_of(loadings)
+        check(name, mu, Sigma, lower, upper, reference(mu, loadings, lower, upper), None)
+
+
+def test_five_bounded_of_eight_equal_the_factor_integral():
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 58])
+        loadings = rng.normal(size=(8, 2))
+        loadings *= (rng.uniform(0.3, 0.97, 8) / np.linalg.norm(loadings, axis=1))[:, None]
+        lower = np.array([0.0, -INF, 0.0, 0.0, -INF, -1.0, -INF, -INF])
+        upper = np.array([INF, INF, 1.5, INF, INF, 2.0, 0.5, INF])
+        mu = 1.5 * rng.normal(size=8)
+        expected = reference(mu, loadings, lower, upper)
+        for points in (1021, 4093):
+            check(f"seed {seed}", mu, covariance_of(loadings), lower, upper, expected, points)
+
+
+def test_more_points_where_more_dimensions_are_bounded():
+    assert [moment_points(p) for p in (1, 6, 7, 8)] == [4093, 4093, 16381, 16381]
+    d = 7
+    box = np.zeros((1, d)), [covariance_of(equal(d, 0.5))], np.zeros(d), np.full(d, INF)
+    t, few = TruncatedNormal(*box), TruncatedNormal(*box, points=4093)
+    assert (t.whitened.points.shape[2], few.whitened.points.shape[2]) == (16381, 4093)
+
+
+FAR = (-40.0, -300.0, -14142.0, -3e5)  # the last but one: ln P = -1e8
+
+
+@pytest.mark.parametrize("d", [1, 2, 5])
+@pytest.mark.parametrize("r", [0.5, -0.9])
+def test_far_outside_is_exact_to_rounding(d, r):
+    """A box so far off that the density inside is exponential: independent ones, where the reference allows it."""
+    for distance in FAR:
+        mu, Sigma = np.full(d, distance), covariance_of(equal(d, r))
+        rate = np.linalg.solve(Sigma, -mu)  # slope of the log-density at the corner
+        t = TruncatedNormal([mu], [Sigma], np.zeros(d), np.full(d, INF))
+        assert t.tilt_converged.all()
+        if rate.min() > 0.0:
+            # density exp(-rate.x - x Sigma^-1 x/2), whose curvature moves the moments by 1/rate^2 relative
+            log_p = 0.5 * mu @ rate - np.log(rate).sum()
+            log_p -= 0.5 * np.linalg.slogdet(Sigma)[1] + d * LOG_ROOT_2PI
+            # and whitened points of size sqrt(-2 ln P) are rounded, against a spread of its inverse
+            loose = 20.0 * np.linalg.inv(Sigma).max() / rate.min() ** 2 + 1e-4 - 2e-15 * log_p
+            np.testing.assert_allclose(t.log_probability[0], log_p, rtol=1e-12, atol=loose)
+            np.testing.assert_allclose(t.mean[0] * rate, 1.0, atol=loose)
+            np.testing.assert_allclose(np.diag(t.covariance[0]) * rate**2, 1.0, atol=4 * loose)
+        x = t.sample(1000, 3)
+        assert np.all(x > 0.0)
+        # five standard errors, ten comparisons a case: one false alarm in 2e5
+        assert np.all(np.abs(x.mean(axis=0) - t.mean[0]) < 5.0 * np.sqrt(np.diag(t.covariance[0]) / 1000)), distance
+
+
+def test_nearly_opposite_variables_in_a_far_corner_are_tilted():
+    """Plain Newton steps do not find this tilt; ln P = -9e4 in a box that is 1e-3 wide one way and open the other."""
+    r = -0.999999
+    mu, Sigma = np.full(2, -0.3), np.array([[1.0, r], [r, 1.0]])
+    t = TruncatedNormal([mu], [Sigma], [0.0, 0.0], [2.0, INF])
+    assert t.tilt_converged.all()
+    rate = np.linalg.solve(Sigma, -mu)
+    # exp(-rate.(x1 + x2) - (x1 - x2)^2/(4 (1 - |r|))...): along x1 + x2 exponential of rate 3e5, across it no bound
+    # of x1 - x2 is felt before the corner's faces: log-density by brute force on a grid in x * rate
+    g = (np.arange(4000) + 0.5) / 100.0
+    x, y = np.meshgrid(g / rate[0], g / rate[1], indexing="ij")
+    precision = np.linalg.inv(Sigma)
+    exponent = -(rate[0] * x + rate[1] * y)
+    exponent -= 0.5 * (precision[0, 0] * x * x + 2 * precision[0, 1] * x * y + precision[1, 1] * y * y)
+    cell = (0.01 / rate[0]) * (0.01 / rate[1])
+    expected = np.log(np.exp(exponent).sum() * cell) - 0.5 * mu @ np.linalg.solve(Sigma, mu)
+    expected -= 0.5 * np.log(1.0 - r * r) + 2 * LOG_ROOT_2PI
+    # Sigma itself is rounded to 1e-16/1e-6 relative, which moves ln P by 9e4 times that
+    np.testing.assert_allclose(t.log_probability[0], expected, atol=1e-4)
+    sample = t.sample(2000, 1)
+    assert np.all((sample > 0.0) & (sample[:, :1] < 2.0))
+    weight = np.exp(exponent)
+    np.testing.assert_allclose(t.mean[0, 0], (weight * x).sum() / weight.sum(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("width", [1e-12, 1e-6, 1e3, 1e10, 1e150])
+@pytest.mark.parametrize("far", [0.3, -30.0])
+def test_tiny_and_huge_boxes(width, far):
+    d = 3
+    Sigma = covariance_of(equal(d, 0.7))
+    lower = np.zeros(d) if width < 1.0 else np.full(d, -width)
+    lower = np.zeros(d) if far < 0.0 else lower
+    with np.errstate(all="raise", under="ignore"):
+        t = TruncatedNormal([np.full(d, far)], [Sigma], lower, np.full(d, width))
+    x = t.sample(500, 2)
+    assert np.all((x > lower) & (x < width))
+    assert np.all((t.mean >= lower) & (t.mean <= width))
+    if width == 1e-12 and far > 0.0:  # uniform on the cube
+        flat = -0.5 * np.full(d, far) @ np.linalg.solve(Sigma, np.full(d, far)) - 0.5 * np.linalg.slogdet(Sigma)[1]
+        np.testing.assert_allclose(t.log_probability[0], d * (np.log(width) - LOG_ROOT_2PI) + flat, atol=1e-4)
+        np.testing.assert_allclose(t.mean[0], 0.5 * width, rtol=1e-3)  # 0.3 + 1e-12 keeps four digits of 1e-12
+    if width >= 1e3 and far > 0.0:
+        assert t.log_probability[0] == pytest.approx(0.0, abs=1e-12)
+        np.testing.assert_allclose(t.covariance[0], Sigma, atol=1e-5)
+
+
+def test_beyond_the_arithmetic_is_an_error_and_not_a_wrong_sample():
+    t = TruncatedNormal([[-1e8]], [[[1.0]]], [0.0], [INF])
+    assert np.isfinite(t.log_probability).all()
+    with pytest.raises(ModelError, match=r"component 0: .*no proposal reaches it"):
+        t.sample(1, 0)
+
+
+def test_a_tilt_that_was_not_found_is_told(monkeypatch):
+    from ldctoolkit.mixture import _separation
+
+    lost = lambda strict, a, b: (np.zeros_like(a), np.full(a.shape[0], INF))  # noqa: E731
+    monkeypatch.setattr(_separation, "minimax_tilt", lost)
+    t = TruncatedNormal([[-5.0, 0.0]], [covariance_of(equal(2, 0.5))], [0.0, 0.0], [INF, INF])
+    assert not t.tilt_converged.any()
+    with pytest.raises(ModelError, match="component 0"):
+        t.sample(1, 0)
+
+
+def test_calls_repeat_and_leave_their_inputs_alone():
+    mu = np.array([[0.2, -6.0], [1.0, 0.5]])
+    Sigma = np.array([covariance_of(equal(2, 0.5)), covariance_of(equal(2, -0.8))])
+    lower, upper = np.array([0.0, 0.0]), np.array([1.0, INF])
+    given = [a.copy() for a in (mu, Sigma, lower, upper)]
+    one, two = TruncatedNormal(mu, Sigma, lower, upper), TruncatedNormal(mu, Sigma, lower, upper)
+    for name in ("log_probability", "mean", "covariance"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+    first = [one.sample(100, 4, component=k) for k in (0, 1)]
+    again = [one.sample(100, 4, component=k) for k in (0, 1)]
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(given, (mu, Sigma, lower, upper), strict=True))
+
+
+def test_components_do_not_depend_on_their_neighbours():
+    """One at a time, all at once, and in pieces (4,093 points take four at once) are the same numbers."""
+    rng = np.random.default_rng(5)
+    mu, Sigma = rng.normal(size=(7, 3)) - 2.0, np.repeat(covariance_of(equal(3, 0.6))[None], 7, axis=0)
+    lower, upper = np.zeros(3), np.array([INF, 1.0, 2.0])
+    together = TruncatedNormal(mu, Sigma, lower, upper)
+    for k in range(7):
+        alone = TruncatedNormal(mu[k : k + 1], Sigma[k : k + 1], lower, upper)
+        np.testing.assert_allclose(alone.log_probability[0], together.log_probability[k], rtol=1e-13)
+        np.testing.assert_allclose(alone.covariance[0], together.covariance[k], rtol=1e-11, atol=1e-14)
+
+
+def test_log_density_is_scipys_over_p():
+    from scipy.stats import multivariate_normal
+
+    mu, Sigma = np.array([[0.5, -1.0], [2.0, 0.0]]), np.array([covariance_of(equal(2, 0.5)), np.eye(2)])
+    t = TruncatedNormal(mu, Sigma, [0.0, 0.0], [INF, 3.0])
+    x = np.abs(np.random.default_rng(1).normal(size=(50, 2)))
+    for k in range(2):
+        expected = multivariate_normal(mu[k], Sigma[k]).logpdf(x) - t.log_probability[k]
+        np.testing.assert_allclose(t.log_density(x)[:, k], expected, rtol=1e-12)
+    assert np.all(t.log_density([[-0.1, 1.0], [1.0, 3.1]]) == -INF)
+    with pytest.raises(InputError, match=r"x of shape \(2,\); allowed: \(n, 2\)"):
+        t.log_density([1.0, 2.0])
