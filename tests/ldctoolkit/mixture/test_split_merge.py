@@ -83,12 +83,15 @@ def shortfall(model: BoundedGaussianMixture, true: BoundedGaussianMixture, X: np
 
 
 def test_moves_lead_out_of_local_optima() -> None:
-    """One k-means start each: without the moves some fits end at a worse optimum, with them none does."""
+    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does.
+
+    A fit from the truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open.
+    """
     with_moves, without = [], []
     for seed in range(4):
         true, X = groups(seed)
-        one = BoundedGaussianMixture(8, lower=0.0, n_init=1, random_state=0)
-        with_moves.append(shortfall(one.fit(X), true, X))
-        without.append(shortfall(one.set_params(split_merge=False).fit(X), true, X))
+        model = BoundedGaussianMixture(8, lower=0.0, n_init=2, random_state=0)
+        with_moves.append(shortfall(model.fit(X), true, X))
+        without.append(shortfall(model.set_params(split_merge=False).fit(X), true, X))
     assert max(with_moves) < 1e-3
-    assert max(without) > 0.02
+    assert max(without) > 0.01
