@@ -32,7 +32,7 @@ def margin(name, shape, seed=1):
 
 def fitted(X, K, *, lower=0.0, upper=INF, **kwargs):
     """A fit with every numpy warning an error."""
-    wanted = {"random_state": 0, "n_init": 2} | kwargs
+    wanted = {"random_state": 0, "n_init": 2, "split_merge": False} | kwargs
     with warnings.catch_warnings(), np.errstate(all="warn", under="ignore"):
         warnings.simplefilter("error")
         return BoundedGaussianMixture(K, lower=lower, upper=upper, **wanted).fit(X)
@@ -190,6 +190,14 @@ def test_broken_data_give_a_sound_model_or_a_clear_refusal(kind, n0):
         assert "raise prior_strength" in str(error)  # noqa: PT017
     else:
         check_sound(model, X)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["K = 50", "rows 50 times", "integers, one column", "outlier", "1e-15 from a bound"])
+def test_broken_data_and_the_moves_between_short_and_final_run(kind):
+    make, K, lower, upper = BROKEN[kind]
+    X = make()
+    check_sound(fitted(X, K, lower=lower, upper=upper, split_merge=True), X)
 
 
 def test_a_constant_column_is_named():
