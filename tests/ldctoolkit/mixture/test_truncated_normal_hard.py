@@ -318,3 +318,16 @@ def test_log_density_is_scipys_over_p():
     assert np.all(t.log_density([[-0.1, 1.0], [1.0, 3.1]]) == -INF)
     with pytest.raises(InputError, match=r"x of shape \(2,\); allowed: \(n, 2\)"):
         t.log_density([1.0, 2.0])
+
+
+def test_independent_variables_are_exact_however_few_the_points():
+    """With equal weights nothing but the known conditional moments is left, in eight dimensions too."""
+    d = 8
+    mu = np.linspace(-30.0, 2.0, d)
+    upper = np.where(np.arange(d) % 2 == 0, 1.5, INF)
+    t = TruncatedNormal([mu], [np.eye(d)], np.zeros(d), upper, points=1021)
+    log_p, mean, variance = interval(-mu, upper - mu)
+    # rounding of both quadratures; the lattice alone is wrong by 5e-2 here
+    np.testing.assert_allclose(t.log_probability[0], log_p.sum(), rtol=1e-12)
+    np.testing.assert_allclose(t.mean[0], mu + mean, rtol=1e-8)
+    np.testing.assert_allclose(t.covariance[0], np.diag(variance), rtol=1e-6, atol=1e-9)
