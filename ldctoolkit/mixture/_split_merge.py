@@ -34,6 +34,9 @@ _PAIRS: Final = 3
 """Mergers that are looked at, times K: those of the most overlapping pairs."""
 
 _REPEATS: Final = 2
+_SPLITS: Final = 12
+"""Components that are tried to be split: those with most events, where a misfit counts most."""
+
 
 Run = Callable[[FloatArray, FloatArray, Components], tuple[Components, float]]
 """From rows, weights and two components: these after a few passes, and the log-likelihood of the rows."""
@@ -96,7 +99,8 @@ def best_moves(
     """
     pairs, mu_m, Sigma_m, merger = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
-    for k in range(now.mu.shape[0]):
+    largest = np.argsort(-stats.counts, kind="stable")[:_SPLITS]
+    for k in np.sort(largest).tolist():
         found = _split(z, weight * shares_now[:, k], now, k, run, rng)
         if found is None:
             continue

@@ -49,7 +49,7 @@ def local_covariance(scatter: FloatArray, counts: FloatArray, overall: FloatArra
     d = overall.shape[0]
     share = (d + 1.0) / (np.maximum(counts, 0.0) + d + 1.0)
     # a group of n events says nothing about its size when n is small: the overall variances, shrunk with K groups
-    size = np.trace(scatter, axis1=1, axis2=2) / np.trace(overall)
+    size = np.trace(scatter, axis1=1, axis2=2) / max(float(np.trace(overall)), 1e-300)
     typical = float(np.average(size, weights=np.maximum(counts, 1e-12)))
     target = np.diag(np.diag(overall)) * max(typical, _VARIANCE_FLOOR)
     mixed = (1.0 - share)[:, None, None] * scatter + share[:, None, None] * target
