@@ -34,6 +34,10 @@ class StoreError(LdcError, RuntimeError):
     """Stored results are missing, broken, or belong to another study."""
 
 
+class ClusterError(LdcError, RuntimeError):
+    """A Dask cluster cannot do the work: it has no workers, or they die."""
+
+
 class UnknownNameError(LdcError, KeyError):
     """A name (law, gain, model, catalog study) is not known; the message lists what is."""
 

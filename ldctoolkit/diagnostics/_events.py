@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ldctoolkit.diagnostics.parts import FloatArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import Distribution
+from ldctoolkit.mixture import ArrayEvents, Distribution, inside_bounds
 
 LEAST_EVENTS: Final = 10
 
@@ -95,18 +95,5 @@ def checked_events(
         raise InputError(
             f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
         )
-    for j in range(d):
-        _move_inside(x[:, j], float(low[j]), float(high[j]))
-    return Events(x, weight, weights is not None, counts)
-
-
-def _move_inside(column: FloatArray, lower: float, upper: float) -> None:
-    """Values on a bound go inside by half the smallest other distance, at most a thousandth of the spread."""
-    for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        on = column == bound
-        if not on.any():
-            continue
-        rest = sign * (column[~on] - bound)
-        step = min(0.5 * float(rest.min()), 1e-3 * float(column.std())) if rest.size else 0.0
-        moved = bound + sign * step
-        column[on] = moved if moved != bound else np.nextafter(bound, bound + sign)
+    inside = inside_bounds(ArrayEvents(x, weight), low, high, names, keep_constant=True)
+    return Events(inside.source.take(np.arange(x.shape[0]))[0], weight, weights is not None, counts)

@@ -308,3 +308,5 @@ def chosen(parts: Iterable[Rows], rows: npt.NDArray[np.int64], first: int = 0) -
             at = rows[low:high] - first
             yield np.array(x[at], order="C"), None if weight is None else weight[at]
         first += x.shape[0]
+        if rows.size and rows[-1] < first:
+            return  # no need to read on

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
-from ldctoolkit.mixture._cluster import Cluster
 from ldctoolkit.mixture._parquet_rows import (
     ParquetRows,
     Piece,
@@ -21,6 +20,7 @@ from ldctoolkit.mixture._parquet_rows import (
     chosen,
     joined,
 )
+from ldctoolkit.mixture.cluster import Cluster
 from ldctoolkit.mixture.sources import BLOCK, FloatArray, IntArray, Part, Work
 
 if TYPE_CHECKING:
@@ -127,6 +127,10 @@ class DaskEvents:
     def columns(self) -> tuple[str, ...]:
         """Columns of an event, in order."""
         return self._rows.columns
+
+    def count_rows(self) -> int:
+        """Number of rows that are taken."""
+        return int(self._ends[-1])
 
     def _counts(self) -> list[int]:
         """Taken rows of each piece."""

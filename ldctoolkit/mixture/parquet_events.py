@@ -91,6 +91,10 @@ class ParquetEvents:
         """Columns of an event, in order."""
         return self._rows.columns
 
+    def count_rows(self) -> int:
+        """Number of rows that are taken; only the columns of the row filter are read."""
+        return sum(self._rows.count(piece) for piece in self._rows.pieces())
+
     def _parts(self) -> Iterator[Rows]:
         """What is taken of each piece, in order; later pieces are being read meanwhile."""
         with ThreadPoolExecutor(1) as reader:

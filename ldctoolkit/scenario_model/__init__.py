@@ -1,14 +1,17 @@
 """Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
 
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
+from ldctoolkit.scenario_model.departure_sources import DepartureSources, open_departures, table_rows
 from ldctoolkit.scenario_model.fit import fit_scenario_model
 from ldctoolkit.scenario_model.given import Given, conditions
 from ldctoolkit.scenario_model.library import bundled_models, load_model
+from ldctoolkit.scenario_model.merged import merged_provenance, read_all_departures
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
 
 __all__ = [
     "PHYSICAL_BOUNDS",
+    "DepartureSources",
     "FitSettings",
     "Given",
     "ModelProvenance",
@@ -19,4 +22,8 @@ __all__ = [
     "conditions",
     "fit_scenario_model",
     "load_model",
+    "merged_provenance",
+    "open_departures",
+    "read_all_departures",
+    "table_rows",
 ]

@@ -143,34 +143,3 @@ def _decided(end: _End, found: float, inwards: float) -> tuple[float, str]:
         return end.value, end.origin
     further_in = inwards * found >= inwards * end.value
     return (found, AUTO) if further_in else (end.value, end.origin)
-
-
-def check_inside(x: FloatArray, box: Box, label: str) -> None:
-    """Refuse events outside the box; those on a bound are allowed.
-
-    Raises
-    ------
-    InputError
-        Naming column, row and count.
-    """
-    for j, name in enumerate(PARAMETER_NAMES):
-        outside = (x[:, j] < box.lower[j]) | (x[:, j] > box.upper[j])
-        if outside.any():
-            row = int(np.argmax(outside))
-            raise InputError(
-                f"departures ({label}): {name} = {float(x[row, j])!r} in event {row}; allowed: "
-                f"{box.lower[j]:g} to {box.upper[j]:g} ({int(outside.sum())} of {x.shape[0]} events)"
-            )
-
-
-def moved_inside(column: FloatArray, lower: float, upper: float) -> tuple[FloatArray, int]:
-    """Move values on a bound inside by half the smallest other distance, at most a thousandth of the spread."""
-    out = column.copy()
-    count = 0
-    for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        distance = sign * (column - bound)
-        on = distance == 0.0
-        if on.any():
-            count += int(on.sum())
-            out[on] = bound + sign * min(0.5 * float(distance[~on].min()), 1e-3 * float(column.std()))
-    return out, count

@@ -1,4 +1,4 @@
-"""Fit one side of a scenario model: bounds, constant columns, how many components the data carry."""
+"""Fit one side of a scenario model: how many components the data carry, and which of them to take."""
 
 from __future__ import annotations
 
@@ -9,20 +9,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import Selection, select_components
-from ldctoolkit.scenario_model.bounds import Box, box_of, check_inside, moved_inside
 from ldctoolkit.scenario_model.card import SideSummary
 from ldctoolkit.scenario_model.parts import SideModel, check_usable
-from ldctoolkit.scenario_model.settings import SideSettings, check_transform
+from ldctoolkit.scenario_model.settings import SideSettings
+from ldctoolkit.scenario_model.side_events import SideEvents
 
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
-
-LEAST_EVENTS: Final = 30
-"""Departures a side needs."""
 
 EVENTS_PER_PARAMETER: Final = 2
 """A range of K is cut where fewer events than this would stand behind each free parameter."""
@@ -40,48 +35,9 @@ class SideFit:
     warnings: tuple[str, ...]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Events:
-    """What the mixture is fitted to.
-
-    Attributes
-    ----------
-    x : (n, 8)
-        Events, none on a bound.
-    weight : (n,), optional
-        Events that each stands for.
-    varies : (8,)
-        Columns that are not constant.
-    box : Box
-    moved : tuple of (str, int)
-        Events that lay on a bound.
-    """
-
-    x: FloatArray
-    weight: FloatArray | None
-    varies: BoolArray
-    box: Box
-    moved: tuple[tuple[str, int], ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(self.varies))
-
-    @property
-    def constants(self) -> tuple[tuple[str, float], ...]:
-        return tuple((PARAMETER_NAMES[j], float(self.x[0, j])) for j in np.flatnonzero(~self.varies))
-
-
-def fit_side(
-    departures: Departures,
-    weight: FloatArray | None,
-    label: str,
-    settings: SideSettings,
-    progress: Progress | None,
-) -> SideFit:
-    """Fit the departures of one side (all rows are used; a weight is positive)."""
-    events = _events(departures, weight, label, settings)
-    n = events.x.shape[0]
+def fit_side(events: SideEvents, settings: SideSettings, progress: Progress | None) -> SideFit:
+    """Fit the departures of one side."""
+    label, n = events.label, events.rows
     notes = [
         f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
     ]
@@ -90,7 +46,7 @@ def fit_side(
     ]
     tried, cut = _carried(settings.components, n, len(events.names), label)
     notes += cut
-    selection, failed = _select(events, tried, label, settings, progress)
+    selection, failed = _select(events, tried, settings, progress)
     best = selection.best
     notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
     notes += [f"{label}: {sentence}" for sentence in best.warnings_]
@@ -113,7 +69,7 @@ def fit_side(
         failed=failed,
         passes=best.n_iter_,
         stop_reason=best.stop_reason_,
-        weight=None if weight is None else float(weight.sum()),
+        weight=events.weight,
         bounds_from=events.box.origins,
     )
     return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
@@ -122,28 +78,6 @@ def fit_side(
 def _curve(values: FloatArray) -> tuple[float, ...]:
     """A criterion of each K; empty where it was not computed."""
     return tuple(values.tolist()) if np.isfinite(values).all() else ()
-
-
-def _events(departures: Departures, weight: FloatArray | None, label: str, settings: SideSettings) -> _Events:
-    """The events as a matrix inside its box."""
-    x = departures.matrix()
-    if not np.isfinite(x).all():
-        row, j = np.argwhere(~np.isfinite(x))[0]
-        raise InputError(
-            f"departures ({label}): {PARAMETER_NAMES[j]}[{row}] = {float(x[row, j])!r}; allowed: finite numbers"
-        )
-    varies = np.array([np.ptp(x[:, j]) > 1e-12 * np.max(np.abs(x[:, j])) for j in range(x.shape[1])])
-    if not varies.any():
-        raise InputError(f"departures ({label}): all {x.shape[0]} events are equal; there is nothing to fit")
-    box = box_of(settings.bounds, x)
-    check_inside(x, box, label)
-    check_transform(settings.transform, box.lower, box.upper)
-    moved: list[tuple[str, int]] = []
-    for j in np.flatnonzero(varies):
-        x[:, j], count = moved_inside(x[:, j], float(box.lower[j]), float(box.upper[j]))
-        if count:
-            moved.append((PARAMETER_NAMES[j], count))
-    return _Events(x, weight, varies, box, tuple(moved))
 
 
 def _carried(components: int | tuple[int, ...], n: int, d: int, label: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
@@ -163,21 +97,21 @@ def _carried(components: int | tuple[int, ...], n: int, d: int, label: str) -> t
 
 
 def _select(
-    events: _Events, tried: tuple[int, ...], label: str, settings: SideSettings, progress: Progress | None
+    events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
+    label, varies = events.label, events.inside.varies
     arguments: dict[str, Any] = settings.selection() | {
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
-        "sample_weight": events.weight,
-        "lower": events.box.lower[events.varies],
-        "upper": events.box.upper[events.varies],
+        "lower": events.box.lower[varies],
+        "upper": events.box.upper[varies],
         "transform": [settings.transform[name] for name in events.names],
         "names": events.names,
     }
     failed: list[tuple[int, str]] = []
     while True:
         try:
-            selection = select_components(events.x[:, events.varies], tried, **arguments)
+            selection = select_components(events.source, tried, **arguments)
         except (InputError, ModelError) as error:
             if str(error).partition(":")[0] in _SETTINGS:
                 raise

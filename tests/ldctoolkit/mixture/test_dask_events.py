@@ -15,11 +15,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import ClusterError, InputError, LdcError
 from ldctoolkit.mixture import ArrayEvents, BoundedGaussianMixture, EventSource, dask_events
-from ldctoolkit.mixture._cluster import Cluster, ClusterError
+from ldctoolkit.mixture.bounded_events import inside_bounds
+from ldctoolkit.mixture.cluster import Cluster
 from ldctoolkit.mixture.dask_events import DaskEvents
-from ldctoolkit.mixture.inside_bounds import inside_bounds
 from ldctoolkit.mixture.parquet_events import ParquetEvents
 from ldctoolkit.mixture.sources import BLOCK, Pass, profile_of, sums_of
 
@@ -222,18 +222,18 @@ def test_relative_paths_are_those_of_this_process(address, files, monkeypatch):
 
 @slow
 def test_the_workers_have_another_version(address, monkeypatch):
-    from ldctoolkit.mixture import _cluster
+    from ldctoolkit.mixture import cluster
 
-    monkeypatch.setattr(_cluster, "__version__", "0.0.1")
+    monkeypatch.setattr(cluster, "__version__", "0.0.1")
     with pytest.raises(ClusterError, match=r"^worker tcp://.*: has ldctoolkit .*; allowed: 0\.0\.1, as here$"):
         DaskEvents(address, __file__, COLUMNS)
 
 
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:1", "127.0.0.1:1", "tcp://scheduler.invalid:8786", "silent"])
 def test_nobody_answers(where, monkeypatch):
-    from ldctoolkit.mixture import _cluster
+    from ldctoolkit.mixture import cluster
 
-    monkeypatch.setattr(_cluster, "ANSWER", 0.5)
+    monkeypatch.setattr(cluster, "ANSWER", 0.5)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()

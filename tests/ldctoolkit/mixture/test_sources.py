@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import ArrayEvents, BoundedGaussianMixture, EventSource
 from ldctoolkit.mixture._transform import Transform
-from ldctoolkit.mixture.inside_bounds import MappedEvents, inside_bounds
+from ldctoolkit.mixture.bounded_events import MappedEvents, inside_bounds
 from ldctoolkit.mixture.sources import BLOCK, Pass, Profile, TransformedEvents, profile_of, sums_of, transformed
 
 INF = np.inf

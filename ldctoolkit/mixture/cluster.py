@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import ClusterError, InputError, LdcError
 from ldctoolkit.version import __version__
 
 if TYPE_CHECKING:
@@ -24,10 +24,6 @@ ANSWER: Final = 5.0
 
 PATIENCE: Final = 15.0
 """How long a cluster may be without any worker [s]: one that died is back sooner."""
-
-
-class ClusterError(LdcError, RuntimeError):
-    """A Dask cluster cannot do the work: it has no workers, or they die."""
 
 
 class Cluster:

@@ -42,12 +42,19 @@ class InsideBounds:
 
 
 def inside_bounds(
-    source: EventSource, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None = None
+    source: EventSource,
+    lower: FloatArray,
+    upper: FloatArray,
+    names: Sequence[str] | None = None,
+    *,
+    profile: Profile | None = None,
+    keep_constant: bool = False,
 ) -> InsideBounds:
     """Leave constant columns out, and move values exactly on a bound inside.
 
     They move by half the smallest other distance to that bound, at most a thousandth of the standard deviation. It
-    takes two passes over the events. Values outside a bound or not finite stay as they are: a fit names them.
+    takes a pass over the events, and another one where values are on a bound. Values outside a bound or not finite
+    stay as they are: a fit names them.
 
     Parameters
     ----------
@@ -57,6 +64,10 @@ def inside_bounds(
         The box; infinite entries are open.
     names : sequence of str, optional
         Column names for messages.
+    profile : Profile, optional
+        Of the source, where it is known: it saves a pass.
+    keep_constant : bool
+        Constant columns are kept, and their values on a bound moved as well.
 
     Raises
     ------
@@ -73,10 +84,11 @@ def inside_bounds(
     True
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        profile = profile_of(source)
+        profile = profile_of(source) if profile is None else profile
         size = np.maximum(np.abs(profile.least), np.abs(profile.most))
         varies = ~(profile.most - profile.least <= _FLAT * size)  # NaN varies: the fit is to name it
         scale = profile.scale
+    varies |= keep_constant
     outside = ~varies & ((profile.least < lower) | (profile.most > upper))
     if outside.any():
         j = int(np.argmax(outside))

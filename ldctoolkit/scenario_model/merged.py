@@ -1,0 +1,74 @@
+"""Several departures tables as one."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ldctoolkit.departures import Departures
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings import Provenance, Refused, read_departures
+
+
+def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
+    """Read departures tables, in this order, as one.
+
+    Raises
+    ------
+    RecordingError
+        As `read_departures`; for tables of different criteria, or of the same recordings.
+    """
+    tables = [read_departures(path) for path in paths]
+    names = [Path(path).name for path in paths]
+    provenance = merged_provenance(names, [found for _, found in tables])
+    if len(tables) == 1:
+        return tables[0][0], provenance
+    columns = {
+        field.name: np.concatenate([getattr(departures, field.name) for departures, _ in tables])
+        for field in dataclasses.fields(Departures)
+    }
+    return Departures(**columns), provenance
+
+
+def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:
+    """Where the departures of several tables come from; `names` are the tables', for messages.
+
+    Raises
+    ------
+    RecordingError
+        If the criteria differ, or a recording is in two tables.
+    """
+    first = found[0]
+    if len(found) == 1:
+        return first
+    seen: dict[str, str] = {}
+    for name, one in zip(names, found, strict=True):
+        for key, value in dataclasses.asdict(one.criteria).items():
+            if value != getattr(first.criteria, key):
+                raise RecordingError(
+                    f"{name}: extracted with {key} = {value!r}, {names[0]} with {getattr(first.criteria, key)!r}; "
+                    "allowed: tables of the same criteria"
+                )
+        for source in one.sources:
+            if seen.setdefault(source.sha256, name) != name:
+                raise RecordingError(
+                    f"{name}: holds departures of {source.name}, as does {seen[source.sha256]}; "
+                    "allowed: every recording once"
+                )
+    refused = [dataclasses.asdict(one.refused) for one in found]
+    kinds = {one.curvature for one in found}
+    return Provenance(
+        criteria=first.criteria,
+        refused=Refused(**{reason: sum(one[reason] for one in refused) for reason in refused[0]}),
+        sources=tuple(source for one in found for source in one.sources),
+        recordings=sum(one.recordings for one in found),
+        samples=sum(one.samples for one in found),
+        invalid_samples=sum(one.invalid_samples for one in found),
+        hours=sum(one.hours for one in found),
+        curvature=first.curvature if len(kinds) == 1 else "mixed",
+        warnings=tuple(dict.fromkeys(warning for one in found for warning in one.warnings)),
+    )
