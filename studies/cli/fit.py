@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,9 +24,16 @@ from studies.cli._ranges import bound, each_once, named
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from ldctoolkit.recordings import Provenance
-    from ldctoolkit.scenario_model import ScenarioModel, SideSummary
+    from ldctoolkit.scenario_model import DepartureSources, ScenarioModel, SideSummary
 
 _CRITERIA = ("bic", "aic", "icl", "held_out")
+
+_STREAM_FROM = 4_000_000
+"""Departures above which tables are not kept in memory by default: 244 MiB of parameters, several times as much while
+they are read."""
+
+_SHOWN = 1_000_000
+"""Departures that the page looks at, where they are not in memory."""
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -38,7 +46,7 @@ def add_parser(commands: Subparsers) -> None:
         "model fits is written beside it.",
     )
     add = parser.add_argument
-    add("departures", metavar="DEPARTURES.parquet", help="what ldc extract wrote")
+    add("departures", nargs="+", metavar="DEPARTURES.parquet", help="what ldc extract wrote, by the same criteria")
     add("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
     add("--components", type=components, default="1:10", metavar="K", help="K, or a range (default: %(default)s)")
     add("--criterion", choices=_CRITERIA, default="bic", help="what K is chosen by (default: %(default)s)")
@@ -70,6 +78,16 @@ def add_parser(commands: Subparsers) -> None:
     add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(
+        "--stream", action=argparse.BooleanOptionalAction,
+        help="read the tables anew at every pass, in bounded memory; the same numbers, no faster (default: from "
+        f"{_STREAM_FROM:,} departures on)",
+    )  # fmt: skip
+    add(
+        "--dask", metavar="ADDRESS",
+        help="let the workers of a Dask cluster read the tables, which they must see under the same path; the address "
+        "of its scheduler, such as tcp://10.0.0.1:8786",
+    )  # fmt: skip
+    add(
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
     )  # fmt: skip
@@ -100,17 +118,76 @@ def transform(text: str) -> tuple[str, str]:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ldctoolkit.recordings import read_departures
-    from ldctoolkit.scenario_model import fit_scenario_model
+    from ldctoolkit.scenario_model import read_all_departures
 
     target = output_file(chosen.output, ".json")
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
     bounds, transforms = _bounds(chosen), _transforms(chosen)
-    departures, provenance = read_departures(chosen.departures)
+    if not _streams(chosen):
+        departures, provenance = read_all_departures(chosen.departures)
+        model = _fitted(chosen, departures, provenance, bounds, transforms)
+        _tell(target, model)
+        if chosen.page:
+            _write_page(page, model, departures, chosen.seed)
+        return
+    _check_streamable(chosen, bounds)
+    with _opened(chosen) as sources:
+        model = _fitted(chosen, sources, sources.provenance, bounds, transforms)
+        _tell(target, model)
+        if chosen.page:
+            drawn, _ = sources.draw(_SHOWN, chosen.seed)
+            _write_page(page, model, drawn, chosen.seed, drawn=True)
+
+
+def _streams(chosen: argparse.Namespace) -> bool:
+    """Whether the departures stay where they are."""
+    if chosen.dask is not None:
+        if chosen.stream is False:
+            raise InputError("--no-stream: given beside --dask; allowed: one of them")
+        if chosen.workers is not None:
+            raise InputError("--workers: has no meaning with --dask; the cluster has its own workers")
+        return True
+    if chosen.stream is not None:
+        return bool(chosen.stream)
+    from ldctoolkit.scenario_model import table_rows
+
+    return table_rows(chosen.departures) >= _STREAM_FROM
+
+
+def _check_streamable(chosen: argparse.Namespace, bounds: dict[str, Any]) -> None:
+    """Refuse what needs the departures in memory."""
+    where = "beside --dask" if chosen.dask else "for departures in files"
+    instead = "" if chosen.dask else ", or --no-stream, which reads them into memory"
+    if chosen.criterion == "held_out":
+        raise InputError(f"--criterion held_out: {where}; allowed: bic, aic, icl{instead}")
+    for name, wanted in bounds.items():
+        if "auto" in (wanted if isinstance(wanted, tuple) else (wanted,)):
+            option = "--bounds auto" if chosen.bounds == "auto" else f"--bound {name}=auto"
+            raise InputError(f"{option}: {where}; allowed: physical or given bounds{instead}")
+
+
+def _opened(chosen: argparse.Namespace) -> DepartureSources:
+    from ldctoolkit.scenario_model import open_departures
+
+    if chosen.dask is not None:
+        # what the user needs to know of a cluster is in our own errors
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    return open_departures(chosen.departures, cluster=chosen.dask, threads=chosen.workers)
+
+
+def _fitted(
+    chosen: argparse.Namespace,
+    departures: Departures | DepartureSources,
+    provenance: Provenance,
+    bounds: dict[str, Any],
+    transforms: dict[str, str],
+) -> ScenarioModel:
+    from ldctoolkit.scenario_model import fit_scenario_model
+
     with progress_bar("fitting") as advance:
-        model = fit_scenario_model(
+        return fit_scenario_model(
             departures,
             components=chosen.components,
             seed=chosen.seed,
@@ -128,16 +205,18 @@ def run(chosen: argparse.Namespace) -> None:
             source_provenance=_source(provenance),
             progress=None if advance is None else lambda _, done, total: advance(done, total),
         )
+
+
+def _tell(target: Path, model: ScenarioModel) -> None:
+    """Write the model and say what was done."""
     model.save(target)
     for warning in model.provenance.warnings:
         warn(warning)
     _print_fits(model)
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
-    if chosen.page:
-        _write_page(page, model, departures, chosen.seed)
 
 
-def _bounds(chosen: argparse.Namespace) -> Any:
+def _bounds(chosen: argparse.Namespace) -> dict[str, Any]:
     """All bounds, then those of single parameters."""
     from ldctoolkit.departures import PARAMETER_NAMES
 
@@ -168,8 +247,8 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: int) -> None:
-    """Write the page; the model is kept also where there can be none."""
+def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: int, *, drawn: bool = False) -> None:
+    """Write the page, of all departures or of those drawn; the model is kept also where there can be none."""
     from studies.fit_page import write_fit_page
 
     try:
@@ -179,6 +258,7 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: 
                 model,
                 departures,
                 seed=seed,
+                drawn=drawn,
                 progress=None if advance is None else lambda _, done, total: advance(done, total),
             )
     except LdcError as error:

@@ -23,6 +23,7 @@ def write_fit_page(
     seed: int = 0,
     weights: npt.ArrayLike | None = None,
     png: Path | None = None,
+    drawn: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
     """Check a scenario model against departures and write what was found as one HTML file that needs nothing else.
@@ -41,6 +42,8 @@ def write_fit_page(
         Events that each departure stands for, as in the fit.
     png : Path, optional
         Also write a summary as one picture there.
+    drawn : bool
+        Whether the departures are only some of those that the model was fitted to, drawn at random; the page says so.
     progress : callable, optional
         Called as ``progress("left: held-out likelihood", done, total)``.
 
@@ -54,4 +57,4 @@ def write_fit_page(
     # templates and plots take a second to import; a command that writes no page should not wait for them
     from studies.fit_page.page import write_page
 
-    write_page(Path(target), model, departures, seed=seed, weights=weights, png=png, progress=progress)
+    write_page(Path(target), model, departures, seed=seed, weights=weights, png=png, drawn=drawn, progress=progress)

@@ -69,17 +69,21 @@ def sides_of(model: ScenarioModel, found: ModelDiagnostics) -> tuple[Side, Side]
     )
 
 
-def all_warnings(model: ScenarioModel, sides: tuple[Side, Side]) -> list[str]:
-    """Warnings of the diagnosis, of the data, and those that the model carries; nothing twice."""
+def all_warnings(model: ScenarioModel, sides: tuple[Side, Side], *, drawn: bool = False) -> list[str]:
+    """Warnings of the diagnosis, of the data, and those that the model carries; nothing twice.
+
+    With `drawn` the model was fitted to more departures, of which those that it is checked against were drawn.
+    """
     origin = model.provenance
     lines: list[str] = []
     if origin.synthetic:
         lines.append("the model is synthetic: it was fitted to drawn, not to recorded departures")
     for side in sides:
         if side.summary is not None and side.summary.events != side.found.events + _left_out(side.found):
+            others = "of them, drawn at random" if drawn else "others"
             lines.append(
                 f"{side.key}: the model was fitted to {side.summary.events:,} departures and is checked here against "
-                f"{side.found.events:,} others"
+                f"{side.found.events:,} {others}"
             )
         lines += side.found.warnings
     stopped = {side.key for side in sides if any(w.startswith(f"{side.key}: the fit stopped") for w in origin.warnings)}

@@ -160,7 +160,7 @@ def _style() -> Markup:
     )
 
 
-def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
+def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
     """The page as one HTML document; the same input gives the same text.
 
     Parameters
@@ -171,6 +171,8 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
         What `diagnose_model` says of it.
     seed : int
         Seed of the diagnosis, to be told.
+    drawn : bool
+        Whether the model was fitted to more departures, of which these were drawn at random.
 
     Returns
     -------
@@ -190,7 +192,7 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int) -> str:
         sides=sides,
         seed=seed,
         version=__version__,
-        warnings=content.all_warnings(model, sides),
+        warnings=content.all_warnings(model, sides, drawn=drawn),
         tiles=content.tiles(sides),
         source=content.source_line(model),
         notes=[note for note in model_notes(model) if not note.startswith(WARNING)],
@@ -219,11 +221,12 @@ def write_page(
     seed: int,
     weights: npt.ArrayLike | None,
     png: Path | None,
+    drawn: bool,
     progress: Progress | None,
 ) -> None:
     """Check, render and write; see `studies.fit_page.write_fit_page`."""
     found = diagnose_model(model, departures, seed=seed, weights=weights, progress=progress)
-    page = render(model, found, seed=seed)
+    page = render(model, found, seed=seed, drawn=drawn)
     image = None if png is None else picture(content.sides_of(model, found))
     write_text(target, page)
     if png is not None and image is not None:
