@@ -1,91 +1,24 @@
-"""A mixture under conditions: some columns within intervals, some at given values, exactly."""
+"""Conditions on the columns of a mixture: what a caller may write, and components at given values."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._checks import column_name
-from ldctoolkit.mixture._distribution import BoolArray, Distribution, IntArray
 from ldctoolkit.mixture._expectation import FloatArray
 from ldctoolkit.mixture._transform import Transform
-from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
+IntArray = npt.NDArray[np.int64]
 Given = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
 """Column name or number -> a value, or (lower, upper) with None or an infinite number where open."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Conditional(Distribution):
-    """A distribution given intervals or values of some columns; its rows have all columns.
-
-    `weights` and `truncated` are those of the columns that are left to draw, `transform` maps these columns.
-
-    Attributes
-    ----------
-    lower, upper : (d,)
-        The box and the intervals' common part, in the data's units; equal in a column with a given value.
-    free : (d - fixed,) int
-        Columns that are left to draw.
-    log_mass : float
-        Logarithm of the condition's probability; where values are given, of its density at them.
-    """
-
-    lower: FloatArray
-    upper: FloatArray
-    free: IntArray
-    log_mass: float
-
-    @property
-    def dimension(self) -> int:
-        """Number of columns d, those with given values included."""
-        return int(self.lower.size)
-
-    def inside(self, x: FloatArray) -> BoolArray:
-        """Which rows meet the conditions, (n,)."""
-        out: BoolArray = np.all((x >= self.lower) & (x <= self.upper), axis=1)
-        return out
-
-    def _columns(self, x: FloatArray) -> FloatArray:
-        return np.asarray(x[:, self.free])
-
-    def _own_columns(self, x: FloatArray) -> FloatArray:
-        out = np.empty((x.shape[0], self.dimension))
-        out[:] = self.lower
-        low, high = np.nextafter(self.lower, np.inf)[self.free], np.nextafter(self.upper, -np.inf)[self.free]
-        out[:, self.free] = np.clip(x, low, high)  # a map back to the data's units rounds
-        return out
-
-
-def condition(whole: Distribution, given: Given, names: Sequence[str] | None) -> Conditional:
-    """See `Distribution.condition`."""
-    if isinstance(whole, Conditional):
-        raise InputError("given: the distribution has conditions already; allowed: all conditions at once")
-    lower, upper = _intervals(given, names, whole.transform)
-    fixed, free = np.flatnonzero(lower == upper), np.flatnonzero(lower < upper)
-    if free.size == 0:
-        raise InputError("given: values for all columns; allowed: at least one column left to draw")
-    t = whole.truncated
-    with np.errstate(divide="ignore"):
-        log_weights = np.log(whole.weights) - t.log_probability
-    ends = whole.transform.forward(np.array([lower, upper]))  # a bound is mapped to infinity
-    mu, Sigma, log_marginal = _given_values(t.mu, t.Sigma, fixed, free, ends[0, fixed])
-    inner = TruncatedNormal(mu, Sigma, ends[0, free], ends[1, free])
-    log_weights = log_weights + log_marginal + inner.log_probability
-    peak = float(log_weights.max())
-    weights = np.exp(log_weights - peak)
-    log_mass = peak + math.log(weights.sum())
-    if fixed.size:
-        log_mass += float(_part(whole.transform, fixed).log_slope(lower[None, fixed])[0])
-    rest = _part(whole.transform, free)
-    return Conditional(weights / weights.sum(), inner, rest, lower, upper, free, log_mass)
-
-
-def _given_values(
+def given_values(
     mu: FloatArray, Sigma: FloatArray, fixed: IntArray, free: IntArray, value: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Means and covariances of the free columns at given values of the others, and those values' log-density, (K,)."""
@@ -101,13 +34,13 @@ def _given_values(
     return there, 0.5 * (rest + rest.transpose(0, 2, 1)), log_density
 
 
-def _part(transform: Transform, columns: IntArray) -> Transform:
+def part_of(transform: Transform, columns: IntArray) -> Transform:
     """The maps of some columns."""
     kinds = tuple(transform.kinds[j] for j in columns)
     return Transform(kinds, transform.lower[columns], transform.upper[columns])
 
 
-def _intervals(given: Given, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
+def intervals(given: Given, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
     """The box's part that meets the conditions; both ends equal where a value is given."""
     if not isinstance(given, Mapping):
         raise InputError(f"given: {given!r}; allowed: a mapping from columns to values or (lower, upper)")

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import ModelError
+from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.mixture._conditional import Given, given_values, intervals, part_of
 from ldctoolkit.mixture._draw import Sampler
 from ldctoolkit.mixture._expectation import Components, FloatArray, log_density, log_terms, shares
 from ldctoolkit.mixture._transform import Transform
-from ldctoolkit.mixture.sources import usable_cores
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
-
-if TYPE_CHECKING:
-    from ldctoolkit.mixture._conditional import Conditional, Given
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-SAMPLE_BLOCK: Final = 4096
+SAMPLE_BLOCK: Final = 8192
 """Events drawn from one random stream; fixed, so that the first m of n samples do not depend on n."""
 
 
@@ -116,9 +113,26 @@ class Distribution:
         value, its share is multiplied by its marginal density there, and mu and Sigma become those of the regression
         on it. All shares are logarithms until they are normalised, so a condition may be as rare as it likes.
         """
-        from ldctoolkit.mixture._conditional import condition  # it is a distribution itself
-
-        return condition(self, given, names)
+        if isinstance(self, Conditional):
+            raise InputError("given: the distribution has conditions already; allowed: all conditions at once")
+        lower, upper = intervals(given, names, self.transform)
+        fixed, free = np.flatnonzero(lower == upper), np.flatnonzero(lower < upper)
+        if free.size == 0:
+            raise InputError("given: values for all columns; allowed: at least one column left to draw")
+        t = self.truncated
+        with np.errstate(divide="ignore"):
+            log_weights = np.log(self.weights) - t.log_probability
+        ends = self.transform.forward(np.array([lower, upper]))  # a bound is mapped to infinity
+        mu, Sigma, log_marginal = given_values(t.mu, t.Sigma, fixed, free, ends[0, fixed])
+        inner = TruncatedNormal(mu, Sigma, ends[0, free], ends[1, free])
+        log_weights = log_weights + log_marginal + inner.log_probability
+        peak = float(log_weights.max())
+        weights = np.exp(log_weights - peak)
+        log_mass = peak + math.log(weights.sum())
+        if fixed.size:
+            log_mass += float(part_of(self.transform, fixed).log_slope(lower[None, fixed])[0])
+        rest = part_of(self.transform, free)
+        return Conditional(weights / weights.sum(), inner, rest, lower, upper, free, log_mass)
 
     @functools.cached_property
     def _samplers(self) -> dict[int, Sampler]:
@@ -152,26 +166,58 @@ class Distribution:
         return x
 
     def sample(self, n: int, seed: int) -> tuple[FloatArray, IntArray]:
-        """Draw n events (n, d) and their components (n,); the first m of n depend neither on n nor on the threads."""
-        blocks = -(-n // SAMPLE_BLOCK)
+        """Draw n events (n, d) and their components (n,); the first m of n do not depend on n."""
         x, label = np.empty((n, self.dimension)), np.empty(n, dtype=np.int64)
-
-        def fill(block: int) -> None:
+        # one after the other: threads gain nothing, so short are the array operations between which they take turns
+        for block in range(-(-n // SAMPLE_BLOCK)):
             rows = slice(block * SAMPLE_BLOCK, min(n, (block + 1) * SAMPLE_BLOCK))
             drawn, component = self.sample_block(seed, (block,))
             x[rows], label[rows] = drawn[: rows.stop - rows.start], component[: rows.stop - rows.start]
-
-        threads = min(usable_cores(), blocks)
-        if threads <= 1:
-            for block in range(blocks):
-                fill(block)
-            return x, label
-        with ThreadPoolExecutor(threads) as pool:
-            for _ in pool.map(fill, range(blocks)):  # an error in a block is raised here
-                pass
         return x, label
 
     def check_samplable(self) -> None:
         """Draw from every component: a `ModelError` here rather than in a later `sample`."""
         for k in np.flatnonzero(self.weights > 0.0):
             self._draw(int(k), 4, np.random.default_rng(0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditional(Distribution):
+    """A distribution given intervals or values of some columns; its rows have all columns.
+
+    `weights` and `truncated` are those of the columns that are left to draw, `transform` maps these columns.
+
+    Attributes
+    ----------
+    lower, upper : (d,)
+        The box and the intervals' common part, in the data's units; equal in a column with a given value.
+    free : (d - fixed,) int
+        Columns that are left to draw.
+    log_mass : float
+        Logarithm of the condition's probability; where values are given, of its density at them.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    free: IntArray
+    log_mass: float
+
+    @property
+    def dimension(self) -> int:
+        """Number of columns d, those with given values included."""
+        return int(self.lower.size)
+
+    def inside(self, x: FloatArray) -> BoolArray:
+        """Which rows meet the conditions, (n,)."""
+        out: BoolArray = np.all((x >= self.lower) & (x <= self.upper), axis=1)
+        return out
+
+    def _columns(self, x: FloatArray) -> FloatArray:
+        return np.asarray(x[:, self.free])
+
+    def _own_columns(self, x: FloatArray) -> FloatArray:
+        out = np.empty((x.shape[0], self.dimension))
+        out[:] = self.lower
+        low, high = np.nextafter(self.lower, np.inf)[self.free], np.nextafter(self.upper, -np.inf)[self.free]
+        out[:, self.free] = np.clip(x, low, high)  # a map back to the data's units rounds
+        return out

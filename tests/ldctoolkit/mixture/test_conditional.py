@@ -25,7 +25,7 @@ def three_columns(transform=None):
     )
 
 
-def filtered(model, given, blocks=60):
+def filtered(model, given, blocks=30):
     """Rows of the whole mixture that meet intervals, and their components."""
     x, label = model.sample(blocks * SAMPLE_BLOCK, 11)
     keep = np.ones(x.shape[0], dtype=bool)
@@ -64,7 +64,7 @@ def test_conditional_samples_are_filtered_ones(given, transform):
     assert np.all(np.abs(counts - expected) < 4.5 * np.sqrt(expected * (1 - expected) / brute_label.size))
     assert np.all(np.abs(np.bincount(label, minlength=3) / n - expected) < 4.5 * np.sqrt(expected * (1 - expected) / n))
     P = np.exp(conditional.log_mass)
-    assert abs(share - P) < 4.5 * np.sqrt(P * (1.0 - P) / (60 * SAMPLE_BLOCK))
+    assert abs(share - P) < 4.5 * np.sqrt(P * (1.0 - P) / (30 * SAMPLE_BLOCK))
 
 
 def midpoints(low, high, n):

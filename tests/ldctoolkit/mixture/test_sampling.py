@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal, _distribution
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal
 
 INF = np.inf
 LOWER = np.array([0.0, 0.0, -1.0, -INF, 0.0, -INF, -INF, -2.0])
@@ -62,7 +62,7 @@ def test_nearly_all_tilted_proposals_are_kept_at_1e_208():
     assert abs(kept - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / 10_000) + 1e-4
 
 
-def test_events_do_not_depend_on_how_many_are_drawn_nor_on_the_threads(monkeypatch):
+def test_events_do_not_depend_on_how_many_are_drawn():
     model = ten_components()
     n = 3 * SAMPLE_BLOCK + 17
     x, label = model.sample(n, 5)
@@ -70,9 +70,6 @@ def test_events_do_not_depend_on_how_many_are_drawn_nor_on_the_threads(monkeypat
         fewer, few_labels = model.sample(m, 5)
         assert np.array_equal(fewer, x[:m])
         assert np.array_equal(few_labels, label[:m])
-    for threads in (1, 7):
-        monkeypatch.setattr(_distribution, "usable_cores", lambda threads=threads: threads)
-        assert np.array_equal(ten_components().sample(n, 5)[0], x)
     assert not np.array_equal(model.sample(10, 6)[0], x[:10])
 
 
@@ -87,7 +84,7 @@ def test_a_block_is_the_stream_of_its_key():
 
 
 def test_an_unreachable_component_is_an_error_that_names_it():
-    """Also from a thread; and one without weight is never drawn."""
+    """And one without weight is never drawn."""
     mu, Sigma = np.array([[0.5], [-1e8]]), np.ones((2, 1, 1))
     model = BoundedGaussianMixture.from_parameters([0.5, 0.5], mu, Sigma, lower=0.0)
     for n in (10, 2 * SAMPLE_BLOCK):
