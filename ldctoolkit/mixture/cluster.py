@@ -49,7 +49,18 @@ class Cluster:
 
     def threads(self) -> int:
         """Tasks that the cluster's workers can do at a time."""
-        return sum(self.client.nthreads().values())
+        with self._told_if_gone():
+            return sum(self.client.nthreads().values())
+
+    @contextlib.contextmanager
+    def _told_if_gone(self) -> Iterator[None]:
+        """A client without its scheduler may raise anything; this tells of it as such."""
+        try:
+            yield
+        except (Exception, asyncio.CancelledError):
+            if self.client.status == "running":
+                raise
+            raise ClusterError("the scheduler has gone, or has dropped the work") from None
 
     def check_workers(self, paths: tuple[Path, ...]) -> None:
         """Refuse workers of another version of the toolkit, and workers that do not see the files."""
@@ -78,7 +89,8 @@ class Cluster:
         waiting: deque[Future[Result]] = deque()
         try:
             for item in items:
-                waiting.append(self.client.submit(work, item, *more, pure=False))
+                with self._told_if_gone():
+                    waiting.append(self.client.submit(work, item, *more, pure=False))
                 if len(waiting) > ahead:
                     yield self.result(waiting.popleft())
             while waiting:

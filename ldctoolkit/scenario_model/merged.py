@@ -22,6 +22,10 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
     RecordingError
         As `read_departures`; for tables of different criteria, or of the same recordings.
     """
+    given = [Path(path).absolute() for path in paths]
+    for path in given:
+        if given.count(path) > 1:
+            raise RecordingError(f"{path.name}: given more than once; allowed: every table once")
     tables = [read_departures(path) for path in paths]
     names = [Path(path).name for path in paths]
     provenance = merged_provenance(names, [found for _, found in tables])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -172,9 +173,19 @@ def _opened(chosen: argparse.Namespace) -> DepartureSources:
     from ldctoolkit.scenario_model import open_departures
 
     if chosen.dask is not None:
-        # what the user needs to know of a cluster is in our own errors
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        _silence_dask()
     return open_departures(chosen.departures, cluster=chosen.dask, threads=chosen.workers)
+
+
+def _silence_dask() -> None:
+    """What a user needs to know of a cluster is in the toolkit's own errors."""
+    try:
+        importlib.import_module("distributed")  # it sets its loggers up
+    except ImportError:
+        return  # told when it is needed
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _fitted(
