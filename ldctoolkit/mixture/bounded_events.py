@@ -105,8 +105,9 @@ def inside_bounds(
     ends = _Ends.zero(lower.size)
     for part in source.map_blocks(_EndsOf(lower, upper)):
         ends = ends + part
-    to_lower = np.maximum(lower + np.minimum(0.5 * ends.near_lower, _STEP * scale), np.nextafter(lower, np.inf))
-    to_upper = np.minimum(upper - np.minimum(0.5 * ends.near_upper, _STEP * scale), np.nextafter(upper, -np.inf))
+    with np.errstate(invalid="ignore"):  # nothing lies on an open end
+        to_lower = np.maximum(lower + np.minimum(0.5 * ends.near_lower, _STEP * scale), np.nextafter(lower, np.inf))
+        to_upper = np.minimum(upper - np.minimum(0.5 * ends.near_upper, _STEP * scale), np.nextafter(upper, -np.inf))
     moved = np.where(varies, ends.on_lower + ends.on_upper, none)
     return InsideBounds(mapped(source, _Moved(varies, lower, upper, to_lower, to_upper)), profile, varies, moved)
 

@@ -209,8 +209,10 @@ class Profile:
         """Of some rows, at least one."""
         w = np.ones(x.shape[0]) if weight is None else weight
         events = float(w.sum())
-        mean = _weighted(w, x) / events if events > 0 else np.zeros(x.shape[1])
-        return cls(x.shape[0], events, mean, _weighted(w, (x - mean) ** 2), x.min(axis=0), x.max(axis=0))
+        # here, since a caller's settings do not reach other threads: what overflows is refused by its size
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean = _weighted(w, x) / events if events > 0 else np.zeros(x.shape[1])
+            return cls(x.shape[0], events, mean, _weighted(w, (x - mean) ** 2), x.min(axis=0), x.max(axis=0))
 
     def __add__(self, other: Profile) -> Profile:
         events = self.events + other.events

@@ -17,7 +17,7 @@ from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.bounds import Bounds, wanted_bounds
 from ldctoolkit.scenario_model.card import ModelProvenance, software_versions
 from ldctoolkit.scenario_model.departure_sources import DepartureSources
-from ldctoolkit.scenario_model.fit_side import Progress, fit_side
+from ldctoolkit.scenario_model.fit_side import Progress, carried_components, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import whole_number
 from ldctoolkit.scenario_model.settings import (
@@ -146,7 +146,8 @@ def fit_scenario_model(
         verbose=verbose,
     )
     events = _events(departures, weights, settings)
-    fits = {label: fit_side(side, settings, progress) for label, side in events.items()}
+    carried = {label: carried_components(settings.components, side) for label, side in events.items()}
+    fits = {label: fit_side(side, carried[label], settings, progress) for label, side in events.items()}
     source: dict[str, Any] = (
         {"description": source_provenance} if isinstance(source_provenance, str) else dict(source_provenance)
     )

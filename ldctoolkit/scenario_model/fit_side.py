@@ -35,8 +35,13 @@ class SideFit:
     warnings: tuple[str, ...]
 
 
-def fit_side(events: SideEvents, settings: SideSettings, progress: Progress | None) -> SideFit:
-    """Fit the departures of one side."""
+def fit_side(
+    events: SideEvents,
+    carried: tuple[tuple[int, ...], tuple[str, ...]],
+    settings: SideSettings,
+    progress: Progress | None,
+) -> SideFit:
+    """Fit the departures of one side, with the K that they carry."""
     label, n = events.label, events.rows
     notes = [
         f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
@@ -44,7 +49,7 @@ def fit_side(events: SideEvents, settings: SideSettings, progress: Progress | No
     notes += [
         f"{label}: {count} events had {name} exactly on a bound, moved just inside" for name, count in events.moved
     ]
-    tried, cut = _carried(settings.components, n, len(events.names), label)
+    tried, cut = carried
     notes += cut
     selection, failed = _select(events, tried, settings, progress)
     best = selection.best
@@ -80,8 +85,17 @@ def _curve(values: FloatArray) -> tuple[float, ...]:
     return tuple(values.tolist()) if np.isfinite(values).all() else ()
 
 
-def _carried(components: int | tuple[int, ...], n: int, d: int, label: str) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """The K that n events of d parameters carry, and what to say if these are not all."""
+def carried_components(
+    components: int | tuple[int, ...], events: SideEvents
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """The K that the events of a side carry, and what to say if these are not all.
+
+    Raises
+    ------
+    InputError
+        If they carry none of a range.
+    """
+    n, d, label = events.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
     most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
