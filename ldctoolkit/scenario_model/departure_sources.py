@@ -168,6 +168,7 @@ def open_departures(
                 raise _other_side(files)
             sources: list[EventSource] = [*local]
         else:
+            files = tuple(path.absolute() for path in files)  # a worker has a working folder of its own
             workers = Cluster(cluster)
             stack.callback(workers.close)
             workers.check_workers(files)

@@ -51,7 +51,7 @@ def fit_scenario_model(
     slack: float | None = None,
     indifference: float = 0.0,
     prior_strength: float = 10.0,
-    tol: float = 1e-6,
+    tol: float = 1e-7,
     n_init: int = 8,
     max_iter: int = 500,
     workers: int | None = None,
