@@ -15,11 +15,11 @@ from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_ga
 from ldctoolkit.mixture._split_merge import best_moves
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
 from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of
-from ldctoolkit.mixture.truncated_normal import MOMENT_POINTS, TruncatedNormal
+from ldctoolkit.mixture.truncated_normal import TruncatedNormal, moment_points
 
 _SHORT_POINTS: Final = 1021
-_SMALL_DIMENSION: Final = 6
-"""Up to so many bounded dimensions 1,021 points are enough for a whole fit (ln P to 1e-5)."""
+_FEW_DIMENSIONS: Final = 3
+"""Up to so many bounded dimensions 1,021 points are enough for a whole fit (ln P to 1e-8)."""
 
 _WINDOW: Final = 5
 _LEAST_WEIGHT: Final = 1e-12
@@ -71,7 +71,7 @@ class EMSettings:
 
 @dataclasses.dataclass(frozen=True)
 class EMResult:
-    """Components at the end of a run, the penalised log-likelihood per event after each pass, and why it ended.
+    """Components at the end of a run, the penalised log-likelihood per event after each pass, why it ended, passes.
 
     "stuck": no step raised the objective, though it is not at a maximum. "collapsed": the objective fell, because a
     component had become too thin for the arithmetic; the components before that pass are kept.
@@ -80,6 +80,7 @@ class EMResult:
     components: Components
     history: FloatArray
     stop_reason: StopReason
+    passes: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,11 +141,14 @@ def fit_components(
 def _fit(data: _Standardised, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
     c = _best_start(data, s, tell) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    if bounded > _SMALL_DIMENSION:
-        # most of the way on few points: many would take longer than the pass over the events
-        c = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, tell, "nearing").components
-    points = _SHORT_POINTS if bounded <= _SMALL_DIMENSION else MOMENT_POINTS
-    return _run(data, c, _local_prior(data, c, s), s, s.max_iter, points, tell, "pass")
+    passes = 0
+    if bounded > _FEW_DIMENSIONS:
+        # most of the way on few points: many take longer than the pass over the events
+        near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, tell, "nearing")
+        c, passes = near.components, near.passes
+    points = moment_points(bounded) if bounded > _FEW_DIMENSIONS else _SHORT_POINTS
+    last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, tell)
+    return dataclasses.replace(last, passes=passes + last.passes)
 
 
 def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
@@ -171,7 +175,7 @@ def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Component
     best: EMResult | None = None
     for run in range(s.n_init if s.K > 1 else 1):
         first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
-        result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS)
+        result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS, leaps=False)
         tell(f"start {run + 1} of {s.n_init}: {result.history[-1]:.6f} nats an event")
         if best is None or result.history[-1] > best.history[-1]:
             best = result
@@ -191,11 +195,13 @@ def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -
     z, weight = data.source.take(np.arange(data.rows))
     weight = np.ones(data.rows) if weight is None else weight
     rng = np.random.default_rng([s.seed, 2])
-    now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS)
+    now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
 
     def split_run(x: FloatArray, w: FloatArray, two: Components) -> tuple[Components, float]:
         own = _Standardised(ArrayEvents(x, w), data.location, data.scale, w.size, float(w.sum()))
-        end = _run(own, two, Prior(s.prior_strength, two.Sigma), loose, _SPLIT_PASSES, _SHORT_POINTS).components
+        end = _run(
+            own, two, Prior(s.prior_strength, two.Sigma), loose, _SPLIT_PASSES, _SHORT_POINTS, leaps=False
+        ).components
         return end, own.look(end).log_likelihood
 
     for _ in range(_ESCAPES * s.K):
@@ -213,7 +219,9 @@ def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -
             rng=rng,
         )
         for move in [m for m in candidates if m.gain > -_HOPELESS * data.events][:_ESCAPE_TRIALS]:
-            trial = _run(data, move.start, _local_prior(data, move.start, s), loose, _ESCAPE_PASSES, _SHORT_POINTS)
+            trial = _run(
+                data, move.start, _local_prior(data, move.start, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False
+            )
             gain = trial.history[-1] - now.history[-1]
             if gain > _WINDOW * _ESCAPE_TOL:
                 i, j = move.merged
@@ -234,6 +242,8 @@ def _run(
     points: int,
     tell: Progress | None = None,
     word: str = "pass",
+    *,
+    leaps: bool = True,
 ) -> EMResult:
     n = data.events
     t = TruncatedNormal(start.mu, start.Sigma, s.lower, s.upper, points=points)
@@ -256,7 +266,8 @@ def _run(
         beyond = None
         if len(trail) == 3:
             # the first passes turn too sharply to be continued straight on
-            beyond = leap(*trail, longest=longest, points=points) if len(history) >= _WINDOW else None
+            go = leaps and len(history) >= _WINDOW
+            beyond = leap(*trail, longest=longest, points=points) if go else None
             trail = []
         if beyond is not None:
             stats, value = look(beyond.point)
@@ -278,7 +289,7 @@ def _run(
         if len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW:
             reason = "stuck" if stuck else "converged"
             break
-    return EMResult(_components(now), np.array(history), reason)
+    return EMResult(_components(now), np.array(history), reason, len(history) - 1)
 
 
 def _components(at: Point) -> Components:

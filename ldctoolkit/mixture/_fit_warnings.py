@@ -117,7 +117,7 @@ def _of_components(distribution: Distribution, profile: Profile) -> list[str]:
     d = distribution.dimension
     out: list[str] = []
     if t.box is not None:
-        lost = ~np.isfinite(t.box.log_peak) & (t.log_probability < np.log(0.1))
+        lost = ~np.isfinite(t.box.log_peak) & (t.log_probability < np.log(0.25))
         if lost.any():
             out.append(f"{_which(lost)} cannot be sampled: the box is too far off.")
     parameters = d + d * (d + 1) // 2

@@ -96,11 +96,11 @@ class BoundedGaussianMixture(FittedMixture):
         "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became
         too thin for the arithmetic; the pass before is kept).
     n_iter_ : int
-        Passes of the final run.
+        Passes over all events, those on few lattice points included.
     lower_bound_ : float
         Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates.
-    lower_bounds_ : (n_iter_ + 1,)
-        Its history; it never falls.
+    lower_bounds_ : (m,)
+        Its history over the final run, on all lattice points; it never falls.
     lower_, upper_ : (d,)
         The box.
     warnings_ : tuple of str
@@ -160,7 +160,7 @@ class BoundedGaussianMixture(FittedMixture):
         short_iter: int = 15,
         subsample: int = 25_000,
         split_merge: bool = True,
-        tol: float = 1e-6,
+        tol: float = 1e-7,
         max_iter: int = 500,
         prior_strength: float = 10.0,
         step: Step = "newton",
@@ -319,7 +319,7 @@ class BoundedGaussianMixture(FittedMixture):
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
-        self.n_iter_ = result.history.size - 1
+        self.n_iter_ = result.passes
         self.lower_bounds_, self.lower_bound_ = result.history, float(result.history[-1])
         self.warnings_ = fit_warnings(
             self._distribution,

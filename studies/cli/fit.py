@@ -74,7 +74,7 @@ def add_parser(commands: Subparsers) -> None:
         "(default: none)",
     )  # fmt: skip
     add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
-    add("--tol", type=number, default=1e-6, metavar="X", help="nats an event and pass (default: %(default)s)")
+    add("--tol", type=number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
     add("--n-init", type=positive_number, default=8, metavar="N", help="starts (default: %(default)s)")
     add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
