@@ -177,8 +177,8 @@ def test_a_warm_start_goes_on():
     assert second.lower_bound_ > first
     assert second.n_iter_ <= cold.n_iter_
     assert second.score(X) > cold.score(X) - 1e-4  # another target of the prior, hardly another maximum
-    again = model.fit(X).n_iter_
-    assert again <= 6  # five passes tell that nothing is gained
+    again = model.set_params(tol=1e-5).fit(X).n_iter_
+    assert again <= 6  # five passes tell that nothing is gained but by the prior's target, which follows
 
 
 def test_a_warm_start_from_another_shape_is_refused():
