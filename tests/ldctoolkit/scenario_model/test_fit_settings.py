@@ -182,7 +182,7 @@ def test_the_card_tells_how_the_model_was_made(departures, tmp_path):
     card, left = model.provenance, model.provenance.left
     assert list(card.versions) == ["ldctoolkit", "python", "numpy", "scipy", "numba"]
     assert card.versions["scipy"] == importlib.metadata.version("scipy")
-    assert dataclasses.astuple(card.settings) == ("held_out", None, 0.0, 20, 1e-6, 3, 500)
+    assert dataclasses.astuple(card.settings) == ("held_out", None, 0.0, 20, 1e-7, 3, 500)
     assert left.criterion == "held_out"
     assert left.reason.startswith(f"K = {model.left.weights_.size}, ")
     assert (left.stop_reason, left.passes, left.failed) == ("converged", model.left.n_iter_, ())
