@@ -62,7 +62,7 @@ def _misfit(found: SideDiagnostics) -> Iterator[str]:
 def _components(found: SideDiagnostics) -> Iterator[str]:
     d = len(found.names)
     free = 1 + d + d * (d + 1) // 2
-    for k, one in enumerate(found.components, start=1):
+    for k, one in enumerate(found.components):
         if one.events < free:
             yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
         rare = one.log_probability < math.log(LEAST_PROBABILITY)

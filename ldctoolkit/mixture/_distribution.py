@@ -67,12 +67,17 @@ class Distribution:
         """The columns that `truncated` and `transform` speak of."""
         return x
 
+    def has_density(self, x: FloatArray) -> BoolArray:
+        """Which rows lie in the box and not on a bound that is mapped to infinity, (n,)."""
+        out: BoolArray = self.inside(x) & np.isfinite(self.transform.forward(self._columns(x))).all(axis=1)
+        return out
+
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log-density of each row, (n,); -inf outside the box, and on a bound that is mapped to infinity."""
         scaled, location, scale = self._own_units()
         own = self._columns(x)
         y = self.transform.forward(own)
-        inside = self.inside(x) & np.isfinite(y).all(axis=1)
+        inside = self.has_density(x)
         if not inside.all():
             out = np.full(x.shape[0], -np.inf)
             if inside.any():

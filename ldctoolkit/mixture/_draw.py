@@ -18,7 +18,7 @@ _PLAIN_REJECTION: Final = 0.25
 """Above this probability of the box plain rejection is the cheaper exact sampler."""
 
 _MAX_PROPOSALS: Final = 2000
-"""Proposals per wanted event before sampling is given up (acceptance is 0.1 or more in either route)."""
+"""Proposals per wanted event before sampling is given up (far more than either route takes where it works)."""
 
 _DEEPEST: Final = -1e13
 """Below this ln P the logarithms that decide on acceptance are rounded by more than a thousandth."""

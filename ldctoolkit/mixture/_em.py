@@ -53,7 +53,7 @@ Progress = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class EMSettings:
-    """What `fit_components` needs; bounds in the data's standardised units."""
+    """What `fit_components` needs; bounds in the data's standardised units, threads of the short runs."""
 
     K: int
     lower: FloatArray
@@ -67,6 +67,7 @@ class EMSettings:
     max_iter: int
     prior_strength: float
     step: Step
+    threads: int | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,66 +172,74 @@ def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Component
     z = (x - data.location) / data.scale
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
-    short = _Standardised(ArrayEvents(z, weight), np.zeros(d), np.ones(d), z.shape[0], events)
+    short = _Standardised(ArrayEvents(z, weight, s.threads), np.zeros(d), np.ones(d), z.shape[0], events)
+    if not events > 0.0:
+        raise InputError(f"sample_weight: none of {z.shape[0]} rows drawn for the starts has any; raise subsample")
     best: EMResult | None = None
-    for run in range(s.n_init if s.K > 1 else 1):
+    starts = s.n_init if s.K > 1 else 1
+    for run in range(starts):
         first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
         result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS, leaps=False)
-        tell(f"start {run + 1} of {s.n_init}: {result.history[-1]:.6f} nats an event")
+        tell(f"start {run + 1} of {starts}: {result.history[-1]:.6f} nats an event")
         if best is None or result.history[-1] > best.history[-1]:
             best = result
     if best is None:
         raise RuntimeError("no start was run")
     if s.K < 3 or not s.split_merge:
         return best.components
-    try:
-        return _escape(short, best.components, s, tell).components
-    except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move: the best start stands
-        return best.components
+    return _escape(short, best.components, s, tell)
 
 
-def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -> EMResult:
+def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -> Components:
     """Split one component and merge two others, as long as that leads higher."""
     loose = dataclasses.replace(s, tol=_ESCAPE_TOL)
-    z, weight = data.source.take(np.arange(data.rows))
-    weight = np.ones(data.rows) if weight is None else weight
     rng = np.random.default_rng([s.seed, 2])
     now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
+    for _ in range(_ESCAPES * s.K):
+        try:
+            higher = _one_escape(data, now, loose, rng, tell)
+        except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move
+            break
+        if higher is None:
+            break
+        now = higher
+    return now.components
+
+
+def _one_escape(
+    data: _Standardised, now: EMResult, s: EMSettings, rng: np.random.Generator, tell: Progress
+) -> EMResult | None:
+    """The first of the most promising moves that leads higher."""
+    z, weight = data.source.take(np.arange(data.rows))
+    c = now.components
+    t = TruncatedNormal(c.mu, c.Sigma, s.lower, s.upper, points=_SHORT_POINTS)
 
     def split_run(x: FloatArray, w: FloatArray, two: Components) -> tuple[Components, float]:
-        own = _Standardised(ArrayEvents(x, w), data.location, data.scale, w.size, float(w.sum()))
-        end = _run(
-            own, two, Prior(s.prior_strength, two.Sigma), loose, _SPLIT_PASSES, _SHORT_POINTS, leaps=False
-        ).components
+        own = _Standardised(ArrayEvents(x, w, s.threads), data.location, data.scale, w.size, float(w.sum()))
+        prior = Prior(s.prior_strength, two.Sigma)
+        end = _run(own, two, prior, s, _SPLIT_PASSES, _SHORT_POINTS, leaps=False).components
         return end, own.look(end).log_likelihood
 
-    for _ in range(_ESCAPES * s.K):
-        c = now.components
-        t = TruncatedNormal(c.mu, c.Sigma, s.lower, s.upper, points=_SHORT_POINTS)
-        candidates = best_moves(
-            z,
-            weight,
-            data.look(c),
-            t,
-            shares(log_terms(z, c)),
-            strength=s.prior_strength,
-            points=_SHORT_POINTS,
-            run=split_run,
-            rng=rng,
-        )
-        for move in [m for m in candidates if m.gain > -_HOPELESS * data.events][:_ESCAPE_TRIALS]:
-            trial = _run(
-                data, move.start, _local_prior(data, move.start, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False
-            )
-            gain = trial.history[-1] - now.history[-1]
-            if gain > _WINDOW * _ESCAPE_TOL:
-                i, j = move.merged
-                tell(f"component {move.split} split, {i} and {j} merged: {gain:.6f} nats an event more")
-                now = trial
-                break
-        else:
-            break
-    return now
+    candidates = best_moves(
+        z,
+        np.ones(data.rows) if weight is None else weight,
+        data.look(c),
+        t,
+        shares(log_terms(z, c)),
+        strength=s.prior_strength,
+        points=_SHORT_POINTS,
+        run=split_run,
+        rng=rng,
+    )
+    for move in [m for m in candidates if m.gain > -_HOPELESS * data.events][:_ESCAPE_TRIALS]:
+        prior = _local_prior(data, move.start, s)
+        trial = _run(data, move.start, prior, s, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
+        gain = trial.history[-1] - now.history[-1]
+        if gain > _WINDOW * _ESCAPE_TOL:
+            i, j = move.merged
+            tell(f"component {move.split} split, {i} and {j} merged: {gain:.6f} nats an event more")
+            return trial
+    return None
 
 
 def _run(

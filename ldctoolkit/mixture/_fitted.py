@@ -33,8 +33,8 @@ class FittedMixture(Parameters):
     def score(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> float:
         """Mean log-likelihood per event [nats]."""
         del y
-        values = self.score_samples(X)
-        return float(np.average(values, weights=check_sample_weight(sample_weight, values.size)))
+        likelihood, n = self._likelihood(X, sample_weight)
+        return likelihood / n
 
     def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
         """Share of each component in each row, (n, K).
@@ -42,10 +42,10 @@ class FittedMixture(Parameters):
         Raises
         ------
         InputError
-            If a row is outside the box.
+            If a row is outside the box, or on a bound that a transform maps to infinity.
         """
         x = check_matrix(X, self.distribution.dimension, self.names)
-        inside = self.distribution.inside(x)
+        inside = self.distribution.has_density(x)
         if not inside.all():
             row = int(np.argmin(inside))
             raise InputError(f"X: row {row} is outside the box ({int((~inside).sum())} of {inside.size} rows)")
@@ -111,6 +111,8 @@ class FittedMixture(Parameters):
         x = check_matrix(X, self.distribution.dimension, self.names)
         weight = check_sample_weight(sample_weight, x.shape[0])
         bic = self.bic(x, weight)
+        if weight is not None:
+            x, weight = x[weight > 0.0], weight[weight > 0.0]
         entropy = 0.0
         for first in range(0, x.shape[0], _BLOCK):
             rows = slice(first, first + _BLOCK)

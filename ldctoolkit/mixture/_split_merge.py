@@ -2,8 +2,9 @@
 
 EM from k-means often ends with two components on one group and one component across two. Such faults are found by
 bounds that need no run: with the shares r_k of the events held, Jensen's inequality gives for any change of some
-components the least that the log-likelihood gains. For a merger of i and j it needs their added statistics only, for a
-split of k a small EM on the events weighted by r_k.
+components the least that the log-likelihood gains, up to events of which a component that is split has next to no
+share. For a merger of i and j it needs their added statistics only, for a split of k a small EM on the events weighted
+by r_k.
 
 References
 ----------
@@ -97,7 +98,7 @@ def best_moves(
     rng : Generator
         For the splits' starts.
     """
-    pairs, mu_m, Sigma_m, merger = _mergers(weight, stats, now, shares_now, strength, points)
+    pairs, mu_m, Sigma_m, log_p_m, merger = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
     largest = np.argsort(-stats.counts, kind="stable")[:_SPLITS]
     for k in np.sort(largest).tolist():
@@ -113,7 +114,9 @@ def best_moves(
             mu[[k, j]], Sigma[[k, j]] = two.mu, two.Sigma
             weights[i] += weights[j]
             weights[[k, j]] = weights[k] * two.weights
-            start = Components(weights, mu, Sigma, np.zeros(weights.size))
+            log_p = now.log_probability.copy()
+            log_p[i], log_p[[k, j]] = log_p_m[m], two.log_p
+            start = Components(weights, mu, Sigma, log_p)
             out.append(Move(k, (i, j), split + float(merger[m]), start))
     return _varied(sorted(out, key=lambda move: -move.gain))
 
@@ -156,8 +159,8 @@ def _mergers(
     shares_now: FloatArray,
     strength: float,
     points: int,
-) -> tuple[list[tuple[int, int]], FloatArray, FloatArray, FloatArray]:
-    """Pairs, the components in their place, and what the mergers gain at least (a loss, as a rule)."""
+) -> tuple[list[tuple[int, int]], FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Pairs, the components in their place with ln P, and what the mergers gain at least (a loss, as a rule)."""
     K = now.mu.shape[0]
     overlap = (shares_now * weight[:, None]).T @ shares_now
     size = np.sqrt(np.diagonal(overlap))
@@ -184,7 +187,7 @@ def _mergers(
     own = weight @ _x_log_x(shares_now)
     both = np.array([weight @ _x_log_x(shares_now[:, p] + shares_now[:, q]) for p, q in zip(i, j, strict=True)])
     gain = together - alone[i] - alone[j] + own[i] + own[j] - both
-    return [(int(p), int(q)) for p, q in zip(i, j, strict=True)], t.mu, t.Sigma, gain
+    return [(int(p), int(q)) for p, q in zip(i, j, strict=True)], t.mu, t.Sigma, t.log_probability, gain
 
 
 def _x_log_x(x: FloatArray) -> FloatArray:

@@ -60,7 +60,7 @@ class BoundedGaussianMixture(FittedMixture):
     tol : float
         Stop when the penalised log-likelihood per event gained less than this per pass, on average over five passes.
     max_iter : int
-        Most passes of the final run.
+        Most passes over all events; the run on all lattice points makes one more where the one before used them up.
     prior_strength : float
         Pseudo-events per component, pulling its covariance towards the covariance of the events around it. Without
         them the likelihood of data that pile up at a bound may have no maximum: a component runs away and its box
@@ -96,11 +96,11 @@ class BoundedGaussianMixture(FittedMixture):
         "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became
         too thin for the arithmetic; the pass before is kept).
     n_iter_ : int
-        Passes over all events, those on few lattice points included.
+        Passes, those on few lattice points included; leaps that were refused are not counted.
     lower_bound_ : float
         Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates.
     lower_bounds_ : (m,)
-        Its history over the final run, on all lattice points; it never falls.
+        Its history over the final run, on all lattice points; it falls by no more than rounding, 1e-8.
     lower_, upper_ : (d,)
         The box.
     warnings_ : tuple of str
@@ -268,7 +268,7 @@ class BoundedGaussianMixture(FittedMixture):
         y : ignored
             For scikit-learn's conventions.
         sample_weight : (n,), optional
-            Events that each row stands for, not negative; a row of weight 2 counts as two.
+            Events that each row stands for, not negative; a row of weight 2 counts as two, one of weight 0 not at all.
 
         Returns
         -------
@@ -291,7 +291,10 @@ class BoundedGaussianMixture(FittedMixture):
             x = as_matrix(X)
             if x.shape[0] == 0:
                 raise InputError("X: no rows")
-            source = ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs)
+            weight = check_sample_weight(sample_weight, x.shape[0])
+            if weight is not None and not weight.all():
+                x, weight = x[weight > 0.0], weight[weight > 0.0]
+            source = ArrayEvents(x, weight, self.n_jobs)
         if source.dimension == 0:
             raise InputError("X: no columns")
         transform = self._transform(source)
@@ -314,6 +317,7 @@ class BoundedGaussianMixture(FittedMixture):
             max_iter=int(self.max_iter),
             prior_strength=float(self.prior_strength),
             step=self.step,
+            threads=self.n_jobs,
         )
         result = fit_components(source, profile, settings, self._start(location, scale), self._tell)
         c = result.components

@@ -42,7 +42,7 @@ class SideSummary:
     failed : tuple of (int, str)
         The K that could not be fitted, and why.
     passes : int, optional
-        Of the chosen fit's final run.
+        Of the chosen fit.
     stop_reason : str
         Of the chosen fit, as in `BoundedGaussianMixture`.
     weight : float, optional

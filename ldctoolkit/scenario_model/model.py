@@ -29,7 +29,7 @@ _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
-_REPORT_EVENTS: Final = 10_240
+_REPORT_EVENTS: Final = 16_384
 
 
 class _Drawn(Protocol):
@@ -189,7 +189,7 @@ class ScenarioModel:
         return {name: np.concatenate([block[name] for block in blocks])[:n] for name in PARAMETER_NAMES}
 
     def redrawn_share(self, side: int, seed: int = 0) -> float:
-        """Share of events of a side (LEFT or RIGHT) below the speed floor, from about 10,000 draws."""
+        """Share of events of a side (LEFT or RIGHT) below the speed floor, from about 16,000 draws."""
         source = self._source(side)
         blocks = -(-_REPORT_EVENTS // SAMPLE_BLOCK)
         kept = sum(source.block(block, seed)["T"].size for block in range(blocks))

@@ -92,6 +92,7 @@ def add_parser(commands: Subparsers) -> None:
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
     )  # fmt: skip
+    add("--png", action="store_true", help="write MODEL.png too, the summary of the page as a picture")
     add("--verbose", action="store_true", help="tell of every start and pass on stderr")
     parser.set_defaults(run=run)
 
@@ -125,13 +126,15 @@ def run(chosen: argparse.Namespace) -> None:
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
+    if chosen.png and not chosen.page:
+        raise InputError("--png: given beside --no-page; allowed: one of them, the picture is of the page")
     bounds, transforms = _bounds(chosen), _transforms(chosen)
     if not _streams(chosen):
         departures, provenance = read_all_departures(chosen.departures)
         model = _fitted(chosen, departures, provenance, bounds, transforms)
         _tell(target, model)
         if chosen.page:
-            _write_page(page, model, departures, chosen.seed)
+            _write_page(page, model, departures, chosen)
         return
     _check_streamable(chosen, bounds)
     with _opened(chosen) as sources:
@@ -139,7 +142,7 @@ def run(chosen: argparse.Namespace) -> None:
         _tell(target, model)
         if chosen.page:
             drawn, _ = sources.draw(_SHOWN, chosen.seed)
-            _write_page(page, model, drawn, chosen.seed, drawn=True)
+            _write_page(page, model, drawn, chosen, drawn=True)
 
 
 def _streams(chosen: argparse.Namespace) -> bool:
@@ -258,7 +261,9 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: int, *, drawn: bool = False) -> None:
+def _write_page(
+    page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace, *, drawn: bool = False
+) -> None:
     """Write the page, of all departures or of those drawn; the model is kept also where there can be none."""
     from studies.fit_page import write_fit_page
 
@@ -268,14 +273,15 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: 
                 page,
                 model,
                 departures,
-                seed=seed,
+                seed=chosen.seed,
+                png=page.with_suffix(".png") if chosen.png else None,
                 drawn=drawn,
                 progress=None if advance is None else lambda _, done, total: advance(done, total),
             )
     except LdcError as error:
         warn(f"no page about the fit: {error}")
     else:
-        print(f"page about the fit written to {page}")
+        print(f"page about the fit written to {page}{' and its picture beside it' if chosen.png else ''}")
 
 
 _COLUMNS = (

@@ -47,7 +47,7 @@ class Side:
     @property
     def ordered(self) -> list[tuple[int, Component]]:
         """Number and values of each component, the heaviest first."""
-        return sorted(enumerate(self.found.components, start=1), key=lambda pair: -pair[1].weight)
+        return sorted(enumerate(self.found.components), key=lambda pair: -pair[1].weight)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,9 +86,9 @@ def all_warnings(model: ScenarioModel, sides: tuple[Side, Side], *, drawn: bool 
                 f"{side.found.events:,} {others}"
             )
         lines += side.found.warnings
-    stopped = {side.key for side in sides if any(w.startswith(f"{side.key}: the fit stopped") for w in origin.warnings)}
-    lines = [one for one in lines if one not in {f"{key}: the fit stopped before it had converged" for key in stopped}]
-    return list(dict.fromkeys((*lines, *origin.warnings)))
+    # of components and of the fit's end the diagnosis has spoken
+    told = tuple(f"{side.key}: {word}" for side in sides for word in ("Component", "Not converged"))
+    return list(dict.fromkeys((*lines, *(one for one in origin.warnings if not one.startswith(told)))))
 
 
 def _left_out(found: SideDiagnostics) -> int:

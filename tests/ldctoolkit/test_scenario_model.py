@@ -241,9 +241,7 @@ def test_few_or_wrong_departures_are_refused():
         fit_scenario_model(d.take(d.side == LEFT))
     with pytest.raises(InputError, match=r"departures \(left\): T = 20\.0 in event 0; allowed: 0\.5 to 10 \(40 of 40"):
         fit_scenario_model(departures(40, T=np.r_[np.full(40, 20.0), np.full(40, 2.0)]), components=1)
-    with pytest.raises(
-        InputError, match=r"departures \(left\): c_0 = nan in event 0; allowed: finite numbers \(40 "
-    ):
+    with pytest.raises(InputError, match=r"departures \(left\): c_0 = nan in event 0; allowed: finite numbers \(40 "):
         fit_scenario_model(departures(40, c_0=np.nan))
     with pytest.raises(InputError, match=r"bounds: no parameter 'd_yy'; did you mean 'd_y'"):
         fit_scenario_model(d, bounds={"d_yy": (0.0, 1.0)})

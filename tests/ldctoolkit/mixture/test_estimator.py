@@ -224,3 +224,29 @@ def test_both_steps_reach_the_same_optimum(K):
     np.testing.assert_allclose(
         ends[0].distribution.truncated.covariance, ends[1].distribution.truncated.covariance, atol=1e-3
     )
+
+
+def test_few_rows_with_weight_are_drawn_for_the_starts():
+    X = events()
+    weight = np.zeros(X.shape[0])
+    weight[::90] = 1.0
+    model = BoundedGaussianMixture(1, lower=[0.0, -INF], subsample=9, n_init=1, random_state=3)
+    np.testing.assert_array_equal(model.fit(X, sample_weight=weight).means_, model.fit(X[::90]).means_)
+    with pytest.raises(InputError, match=r"rows; allowed: at least K \(d \+ 1\)"):
+        BoundedGaussianMixture(2, random_state=0).fit(X, sample_weight=np.arange(X.shape[0]) < 5)
+
+
+def test_rows_of_no_weight_may_lie_outside():
+    model = BoundedGaussianMixture.from_parameters([0.5, 0.5], [[0.0], [3.0]], np.ones((2, 1, 1)), lower=0.0)
+    X, weight = [[-1.0], [1.0], [2.5]], [0.0, 2.0, 1.0]
+    repeated = [[1.0], [1.0], [2.5]]
+    for question in (model.score, model.bic, model.aic, model.icl):
+        answer = question(X, sample_weight=weight)
+        assert answer == pytest.approx(question(repeated), rel=1e-12)
+
+
+def test_a_bound_that_is_mapped_away_has_no_shares():
+    model = BoundedGaussianMixture.from_parameters([1.0], [[0.0]], [[[1.0]]], lower=0.0, transform="log")
+    assert model.score_samples([[0.0]])[0] == -INF
+    with pytest.raises(InputError, match="row 0 is outside the box"):
+        model.predict_proba([[0.0]])
