@@ -91,8 +91,8 @@ def check_events(
     if not (np.isfinite(ends).all() and np.abs(ends).max() <= LARGEST):
         _complain(source.blocks(), lambda x: ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
     d = source.dimension
-    if profile.rows < K * (d + 1):
-        raise InputError(f"X: {profile.rows} rows; allowed: at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}")
+    if profile.used < K * (d + 1):
+        raise InputError(f"X: {profile.used} rows; allowed: at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}")
     for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))):
         only = np.arange(d) == j
         low, high = lower[j], upper[j]

@@ -14,7 +14,7 @@ from ldctoolkit.mixture._extrapolation import Point, leap
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._split_merge import best_moves
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
-from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of
+from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of, used_rows
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, moment_points
 
 _SHORT_POINTS: Final = 1021
@@ -131,7 +131,7 @@ def fit_components(
     """
     data = _Standardised(source, profile.mean, profile.scale, profile.rows, profile.events)
     try:
-        return _fit(data, s, start, tell)
+        return _fit(data, profile, s, start, tell)
     except np.linalg.LinAlgError:
         raise InputError(
             f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
@@ -139,8 +139,8 @@ def fit_components(
         ) from None
 
 
-def _fit(data: _Standardised, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
-    c = _best_start(data, s, tell) if start is None else start
+def _fit(data: _Standardised, profile: Profile, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
+    c = _best_start(data, profile, s, tell) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     passes = 0
     if bounded > _FEW_DIMENSIONS:
@@ -162,19 +162,16 @@ def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
     return Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
 
 
-def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Components:
+def _best_start(data: _Standardised, profile: Profile, s: EMSettings, tell: Progress) -> Components:
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
-    chosen = (
-        np.arange(data.rows) if data.rows <= s.subsample else np.sort(rng.choice(data.rows, s.subsample, replace=False))
-    )
+    rows = used_rows(data.source, profile)
+    chosen = rows if rows.size <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False))
     x, weight = data.source.take(chosen)
     z = (x - data.location) / data.scale
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
     short = _Standardised(ArrayEvents(z, weight, s.threads), np.zeros(d), np.ones(d), z.shape[0], events)
-    if not events > 0.0:
-        raise InputError(f"sample_weight: none of {z.shape[0]} rows drawn for the starts has any; raise subsample")
     best: EMResult | None = None
     starts = s.n_init if s.K > 1 else 1
     for run in range(starts):

@@ -95,12 +95,10 @@ def in_processes(
             ) from None
         finally:
             # after an error or an interrupt nothing waits for fits that nobody will read
-            running = set(multiprocessing.active_children()) - children
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in running:
+            for process in set(multiprocessing.active_children()) - children:
                 process.terminate()
-            for process in running:
-                process.join()
+            # the pool's own thread waits for them: two that wait for one process can both miss its end
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def may_start_processes() -> bool:

@@ -291,10 +291,7 @@ class BoundedGaussianMixture(FittedMixture):
             x = as_matrix(X)
             if x.shape[0] == 0:
                 raise InputError("X: no rows")
-            weight = check_sample_weight(sample_weight, x.shape[0])
-            if weight is not None and not weight.all():
-                x, weight = x[weight > 0.0], weight[weight > 0.0]
-            source = ArrayEvents(x, weight, self.n_jobs)
+            source = ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs)
         if source.dimension == 0:
             raise InputError("X: no columns")
         transform = self._transform(source)

@@ -187,8 +187,8 @@ class Profile:
 
     Attributes
     ----------
-    rows : int
-        Rows.
+    rows, used : int
+        Rows, and those with a weight above zero.
     events : float
         Sum of the weights; the number of rows without any.
     mean, square : (d,)
@@ -198,6 +198,7 @@ class Profile:
     """
 
     rows: int
+    used: int
     events: float
     mean: FloatArray
     square: FloatArray
@@ -208,11 +209,12 @@ class Profile:
     def of_block(cls, x: FloatArray, weight: FloatArray | None) -> Profile:
         """Of some rows, at least one."""
         w = np.ones(x.shape[0]) if weight is None else weight
-        events = float(w.sum())
+        events, used = float(w.sum()), int(np.count_nonzero(w))
         # here, since a caller's settings do not reach other threads: what overflows is refused by its size
         with np.errstate(over="ignore", invalid="ignore"):
             mean = _weighted(w, x) / events if events > 0 else np.zeros(x.shape[1])
-            return cls(x.shape[0], events, mean, _weighted(w, (x - mean) ** 2), x.min(axis=0), x.max(axis=0))
+            square = _weighted(w, (x - mean) ** 2)
+        return cls(x.shape[0], used, events, mean, square, x.min(axis=0), x.max(axis=0))
 
     def __add__(self, other: Profile) -> Profile:
         events = self.events + other.events
@@ -220,6 +222,7 @@ class Profile:
         gap = other.mean - self.mean
         return Profile(
             self.rows + other.rows,
+            self.used + other.used,
             events,
             self.mean + share * gap,
             self.square + other.square + self.events * share * gap**2,
@@ -238,6 +241,17 @@ def _weighted(w: FloatArray, x: FloatArray) -> FloatArray:
     """Sums (d,) of the rows times their weights; not by BLAS, whose last digits depend on its threads."""
     out: FloatArray = np.einsum("i,ij->j", w, x)
     return out
+
+
+def used_rows(source: EventSource, profile: Profile) -> IntArray:
+    """Numbers of the rows with a weight above zero, ascending."""
+    if profile.used == profile.rows:
+        return np.arange(profile.rows)
+    return np.flatnonzero(np.concatenate(list(source.map_blocks(_is_used))))
+
+
+def _is_used(x: FloatArray, weight: FloatArray | None) -> npt.NDArray[np.bool_]:
+    return np.ones(x.shape[0], dtype=bool) if weight is None else weight > 0.0
 
 
 def profile_of(source: EventSource) -> Profile:

@@ -295,10 +295,11 @@ def test_an_interrupt_ends_the_workers():
         if done:
             raise KeyboardInterrupt
 
+    before = set(multiprocessing.active_children())  # of other tests, if any is still ending
     with pytest.raises(KeyboardInterrupt) as caught:
         select_components(two_groups(), range(1, 5), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
     # at once, not when the traceback and what it holds are dropped
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= before
     assert caught.traceback
 
 
