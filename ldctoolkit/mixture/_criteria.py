@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ldctoolkit.mixture._distribution import Distribution
-from ldctoolkit.mixture._expectation import Components, FloatArray, natural
+from ldctoolkit.mixture._expectation import FloatArray, natural
 from ldctoolkit.mixture._transform import Transform
 from ldctoolkit.mixture.sources import EventSource
 
@@ -88,13 +88,8 @@ def criteria_of(source: EventSource, distribution: Distribution) -> Criteria:
     Criteria
         A pass over the blocks gives it; nothing is kept per event.
     """
-    t, eta = distribution.truncated, distribution.weights
-    # units of the mixture's own spread: the features x_i x_j would otherwise cancel
-    location = eta @ t.mu
-    scale = np.sqrt(eta @ np.diagonal(t.Sigma, axis1=1, axis2=2))
-    scaled = Components(eta, (t.mu - location) / scale, t.Sigma / (scale[:, None] * scale), t.log_probability)
+    scaled, location, scale = distribution.own_units()
     events, total, entropy = 0.0, 0.0, 0.0
     for part in source.map_blocks(_Look(distribution.transform, location, scale, natural(scaled))):
         events, total, entropy = events + part[0], total + part[1], entropy + part[2]
-    K, d = t.mu.shape
-    return Criteria(events, total, max(entropy, 0.0), K * (d + d * (d + 1) // 2) + K - 1)
+    return Criteria(events, total, max(entropy, 0.0), distribution.n_parameters)

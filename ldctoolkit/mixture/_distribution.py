@@ -48,8 +48,14 @@ class Distribution:
         """Number of columns d."""
         return int(self.truncated.mu.shape[1])
 
-    def _own_units(self) -> tuple[Components, FloatArray, FloatArray]:
-        """Components in units of the mixture's own spread: the features x_i x_j would otherwise cancel."""
+    @property
+    def n_parameters(self) -> int:
+        """Free parameters: K means, K covariances, K - 1 weights."""
+        K, d = self.truncated.mu.shape
+        return int(K * (d + d * (d + 1) // 2) + K - 1)
+
+    def own_units(self) -> tuple[Components, FloatArray, FloatArray]:
+        """Components, location and scale in units of their own spread: the features x_i x_j would otherwise cancel."""
         t = self.truncated
         location = self.weights @ t.mu
         scale = np.sqrt(self.weights @ np.diagonal(t.Sigma, axis1=1, axis2=2))
@@ -74,21 +80,20 @@ class Distribution:
 
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log-density of each row, (n,); -inf outside the box, and on a bound that is mapped to infinity."""
-        scaled, location, scale = self._own_units()
-        own = self._columns(x)
-        y = self.transform.forward(own)
         inside = self.has_density(x)
         if not inside.all():
             out = np.full(x.shape[0], -np.inf)
             if inside.any():
                 out[inside] = self.log_density(x[inside])
             return out
-        values = log_density(y, scaled, location, scale) - float(np.log(scale).sum())
+        scaled, location, scale = self.own_units()
+        own = self._columns(x)
+        values = log_density(self.transform.forward(own), scaled, location, scale) - float(np.log(scale).sum())
         return values if self.transform.identity else values + self.transform.log_slope(own)
 
     def shares(self, x: FloatArray) -> FloatArray:
         """Share of each component in each row, (n, K); rows inside the box."""
-        scaled, location, scale = self._own_units()
+        scaled, location, scale = self.own_units()
         return shares(log_terms((self.transform.forward(self._columns(x)) - location) / scale, scaled))
 
     def condition(self, given: Given, names: Sequence[str] | None = None) -> Conditional:

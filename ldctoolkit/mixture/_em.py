@@ -27,9 +27,8 @@ _LEAST_WEIGHT: Final = 1e-12
 _ESCAPE_TOL: Final = 1e-5
 _ESCAPE_PASSES: Final = 40
 _ESCAPE_TRIALS: Final = 5
-_ESCAPES: Final = 1
 _SPLIT_PASSES: Final = 8
-"""Escapes from a local optimum: tolerance and passes of a run, candidates tried, escapes for each component at most."""
+"""Escapes from a local optimum: tolerance and passes of a run, candidates tried; K escapes at most."""
 
 _HOPELESS: Final = 0.1
 """Candidates whose bound on the gain is a greater loss than this [nats an event] are not tried. Measured: where groups
@@ -192,7 +191,7 @@ def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -
     loose = dataclasses.replace(s, tol=_ESCAPE_TOL)
     rng = np.random.default_rng([s.seed, 2])
     now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
-    for _ in range(_ESCAPES * s.K):
+    for _ in range(s.K):
         try:
             higher = _one_escape(data, now, loose, rng, tell)
         except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move

@@ -57,8 +57,7 @@ class FittedMixture(Parameters):
 
     def n_parameters(self) -> int:
         """Free parameters: K means, K covariances, K - 1 weights."""
-        d, K = self.distribution.dimension, self.distribution.weights.size
-        return int(K * (d + d * (d + 1) // 2) + K - 1)
+        return self.distribution.n_parameters
 
     def log_prob(self, X: npt.ArrayLike, given: Given | None = None) -> FloatArray:
         """Exact log-density of each row, for reweighting, (n,).

@@ -69,7 +69,7 @@ class Cluster:
             looks: dict[str, tuple[str, str | None]] = self.client.run(_look, paths)
         except LdcError:
             raise
-        except Exception as error:
+        except Exception as error:  # a worker may run anything: whatever it raises must be told in one line
             raise ClusterError(
                 f"a worker cannot run the toolkit ({type(error).__name__}: {error}); allowed: workers that have "
                 f"ldctoolkit {__version__}"
