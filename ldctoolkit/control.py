@@ -24,6 +24,7 @@ from ldctoolkit.gains import Gain, check_declarations, declared_gains
 from ldctoolkit.vehicle import Plant
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 StatusArray = npt.NDArray[np.int8]
 
 
@@ -40,6 +41,8 @@ class EventStatus(enum.IntEnum):
     """|e_y| left the bound of the simulation; from there on the bound counts."""
     TIMED_OUT = 4
     """A time limit ended the scenario; no law sets one at present."""
+    INVALID = 5
+    """The scenario cannot be driven: a parameter is not finite, the speed is below 1 m/s, or T is not > 0. S is NaN."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +126,23 @@ class SteeringLaw(abc.ABC):
         status : (n,) int8
             `EventStatus.OK` or `EventStatus.SOLVER_FAILED`.
         """
+
+    def take(self, rows: IntArray, state: Any) -> tuple[SteeringLaw, Any] | None:  # noqa: ARG002
+        """The law and its state for some of its scenarios, so that those that have ended cost nothing.
+
+        Parameters
+        ----------
+        rows : (k,) int
+            Scenarios that go on, ascending, by their place in the present batch.
+        state : object
+            What `step` returned last.
+
+        Returns
+        -------
+        (law, state) or None
+            None, as here, where the law cannot be cut down: ended scenarios are then passed as zeros.
+        """
+        return None
 
 
 @final

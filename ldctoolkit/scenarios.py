@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
+from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters, IntArray
 from ldctoolkit.errors import InputError
 
 SPEED_FLOOR = 1.0
@@ -19,7 +19,15 @@ class Scenarios(DepartureParameters):
     """n departures to be replayed: side and the eight parameters, arrays of n, outward frame.
 
     Built with `from_arrays`, which checks them, or by ``ScenarioModel.sample``.
+
+    Attributes
+    ----------
+    index : (n,) int
+        Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario follows from
+        the seed and this number.
     """
+
+    index: IntArray
 
     @classmethod
     def from_arrays(
@@ -70,7 +78,8 @@ class Scenarios(DepartureParameters):
             raise InputError(f"scenarios: columns must be one-dimensional, got {columns[0].ndim} dimensions")
         named = dict(zip(given, (np.array(column) for column in columns), strict=True))
         _check(named)
-        return cls(side=named.pop("side").astype(np.int64), **named)
+        count = columns[0].size
+        return cls(side=named.pop("side").astype(np.int64), index=np.arange(count, dtype=np.int64), **named)
 
 
 def _check(column: dict[str, npt.NDArray[np.float64]]) -> None:

@@ -54,10 +54,13 @@ class Outcome:
         `EventStatus`.
     t_s : (n,) [s]
         Trigger time, infinite where never triggered.
-    deepest : (n,) [m]
-        Deepest position of the edge beyond the line, at the controller's samples.
+    companions : Companions
+        Depth, overshoot, acceleration, jerk and steering, arrays of n.
     failed_solves : (n,) int
         Commands that came from the fallback law.
+    law_seconds : float [s]
+        Wall time that the law's own steps took, all scenarios together; 0 for a linear law, which has none. The one
+        number here that is not reproducible.
     trajectories : Trajectories or None
         On request; None where nobody intervened, since there is no path but the recorded one.
     """
@@ -68,9 +71,15 @@ class Outcome:
     triggered: npt.NDArray[np.bool_]
     status: npt.NDArray[np.int8]
     t_s: FloatArray
-    deepest: FloatArray
+    companions: metrics.Companions
     failed_solves: IntArray
+    law_seconds: float
     trajectories: Trajectories | None
+
+    @property
+    def deepest(self) -> FloatArray:
+        """Deepest position of the edge beyond the line, (n,) [m]."""
+        return self.companions.deepest
 
     @property
     def reduction(self) -> FloatArray:

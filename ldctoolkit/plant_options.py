@@ -1,0 +1,378 @@
+"""What makes a plant more than the ideal linear one: frozen values, all off by default, all combinable.
+
+The ideal plant is a linear bicycle at the speed of the trigger, whose steering angle is the command at once and whose
+state the law sees as it is. Every option here takes one of these idealisations away.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final, Literal, get_args
+
+from ldctoolkit.errors import InputError, nearest
+
+Speed = Literal["frozen", "profile"]
+TyreModel = Literal["linear", "magic_formula"]
+
+_SHORTEST_LAG: Final = 1e-4
+"""Shortest lag [s] that is a lag and not a slip of the pen."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Actuator:
+    """Steering actuator: pure delay, then the angle limit, then a first-order lag whose rate is limited.
+
+    With the delayed, limited command u, the steering angle follows d delta/dt = (u - delta)/lag, cut off at
+    +-rate_max; without a lag it moves towards u at rate_max, or is u at once.
+
+    Attributes
+    ----------
+    delta_max : float [rad] or None
+        Limit of the angle; None for no limit.
+    rate_max : float [rad/s] or None
+        Limit of the rate; None for no limit.
+    lag : float [s]
+        Time constant; 0 for none, otherwise at least 1e-4.
+    delay : float [s]
+        Pure delay, any part of a sample included.
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed.
+
+    Examples
+    --------
+    >>> Actuator(rate_max=0.5, lag=0.1, delay=0.03).ideal
+    False
+    """
+
+    delta_max: float | None = None
+    rate_max: float | None = None
+    lag: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("delta_max", "rate_max"):
+            if getattr(self, name) is not None:
+                _number(self, "actuator", name, above=0.0)
+        _number(self, "actuator", "lag", least=0.0, most=10.0)
+        if 0.0 < self.lag < _SHORTEST_LAG:
+            raise InputError(f"actuator.lag: {self.lag!r}; allowed: 0, or at least {_SHORTEST_LAG:g} s")
+        _number(self, "actuator", "delay", least=0.0, most=10.0)
+
+    @property
+    def ideal(self) -> bool:
+        """The steering angle is the command, at once."""
+        return self == Actuator()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Mismatch:
+    """Ranges of factors on the true vehicle, one uniform draw per scenario; the law is designed on the nominal one.
+
+    Attributes
+    ----------
+    m, I_z, C_af, C_ar : (float, float)
+        Lowest and highest factor on mass, yaw inertia, and the stiffnesses.
+    mu : (float, float)
+        On the friction coefficient; only saturating tyres have one.
+
+    Raises
+    ------
+    InputError
+        For a range that is not 0 < low <= high.
+
+    Examples
+    --------
+    >>> Mismatch(m=(0.9, 1.3)).ideal
+    False
+    """
+
+    m: tuple[float, float] = (1.0, 1.0)
+    I_z: tuple[float, float] = (1.0, 1.0)
+    C_af: tuple[float, float] = (1.0, 1.0)
+    C_ar: tuple[float, float] = (1.0, 1.0)
+    mu: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            pair = isinstance(value, tuple | list) and len(value) == 2
+            if not (pair and all(_is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
+                raise InputError(f"mismatch.{field.name}: {value!r}; allowed: (low, high), 0 < low <= high")
+            object.__setattr__(self, field.name, (float(value[0]), float(value[1])))
+
+    @property
+    def ideal(self) -> bool:
+        """The true vehicle is the nominal one."""
+        return self == Mismatch()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tyres:
+    """Lateral tyre force.
+
+    Attributes
+    ----------
+    model : {"linear", "magic_formula"}
+        Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
+        with static wheel loads.
+    mu : float
+        Friction coefficient.
+    shape : float
+        Shape factor C, 1 to 2.
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed.
+
+    Examples
+    --------
+    >>> Tyres(model="magic_formula", mu=0.3).ideal
+    False
+    """
+
+    model: TyreModel = "linear"
+    mu: float = 0.9
+    shape: float = 1.3
+
+    def __post_init__(self) -> None:
+        if self.model not in get_args(TyreModel):
+            raise InputError(f"tyres.model: {self.model!r}; {nearest(str(self.model), get_args(TyreModel))}")
+        _number(self, "tyres", "mu", above=0.0, most=2.0)
+        _number(self, "tyres", "shape", least=1.0, most=2.0)
+
+    @property
+    def ideal(self) -> bool:
+        """The force is linear in the slip angle."""
+        return self.model == "linear"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KalmanFilter:
+    """Stationary Kalman filter on the nominal vehicle; it gives the law all four states from the camera's two.
+
+    Attributes
+    ----------
+    q_y : float [m/s^2/sqrt(Hz)]
+        Density of the lateral acceleration that the model does not know.
+    q_psi : float [rad/s^2/sqrt(Hz)]
+        Density of the yaw acceleration that the model does not know.
+    r_y : float [m]
+        Standard deviation of the measured e_y that the filter is designed for.
+    r_psi : float [rad]
+        Standard deviation of the measured e_psi that the filter is designed for.
+
+    Raises
+    ------
+    InputError
+        For a value that is not > 0.
+
+    Examples
+    --------
+    >>> KalmanFilter(r_y=0.05).q_y
+    0.5
+    """
+
+    q_y: float = 0.5
+    q_psi: float = 0.2
+    r_y: float = 0.03
+    r_psi: float = 0.003
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            _number(self, "sensors.kalman", field.name, above=0.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Lane camera: frames of e_y and e_psi, and the curvature ahead. Biases are in the road's frame, positive left.
+
+    A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, the first at the
+    trigger, and reaches the law `delay` later; the law goes on with the latest one. Without a Kalman filter the law
+    sees the true rates.
+
+    Attributes
+    ----------
+    e_y_noise, e_psi_noise : float [m], [rad]
+        Standard deviation, independent from frame to frame.
+    e_y_bias, e_psi_bias : float [m], [rad]
+    e_y_step, e_psi_step : float [m], [rad]
+        Step of quantisation; 0 for none.
+    period : float [s]
+        Time between frames, a multiple of the controller's dt; 0 for every sample.
+    delay : float [s]
+        Age of a frame when it arrives, a multiple of dt.
+    curvature_gain : float
+        Relative error of the curvature that the law previews.
+    curvature_bias : float [1/m]
+        Its constant error.
+    curvature_noise : float [1/m]
+        Standard deviation of a further constant error, one draw per scenario.
+    kalman : KalmanFilter or None
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed.
+
+    Examples
+    --------
+    >>> Sensors(e_y_noise=0.05, period=0.1, kalman=KalmanFilter()).ideal
+    False
+    """
+
+    e_y_noise: float = 0.0
+    e_psi_noise: float = 0.0
+    e_y_bias: float = 0.0
+    e_psi_bias: float = 0.0
+    e_y_step: float = 0.0
+    e_psi_step: float = 0.0
+    period: float = 0.0
+    delay: float = 0.0
+    curvature_gain: float = 0.0
+    curvature_bias: float = 0.0
+    curvature_noise: float = 0.0
+    kalman: KalmanFilter | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("e_y_noise", "e_psi_noise", "e_y_step", "e_psi_step", "curvature_noise"):
+            _number(self, "sensors", name, least=0.0)
+        for name in ("e_y_bias", "e_psi_bias", "curvature_gain", "curvature_bias"):
+            _number(self, "sensors", name)
+        for name in ("period", "delay"):
+            _number(self, "sensors", name, least=0.0, most=10.0)
+        if self.kalman is not None and not isinstance(self.kalman, KalmanFilter):
+            raise InputError(f"sensors.kalman: {self.kalman!r}; allowed: a KalmanFilter, or None")
+
+    @property
+    def ideal(self) -> bool:
+        """The law sees the state and the lane as they are."""
+        return self == Sensors()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """What the eight parameters leave out of the recorded path, drawn anew from sigma_y and sigma_v.
+
+    Attributes
+    ----------
+    y, v : bool
+        Add eps_y to the lateral path, eps_v to the speed.
+    bandwidth : float [Hz]
+        Highest frequency.
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed.
+
+    Examples
+    --------
+    >>> Residuals(y=True).ideal
+    False
+    """
+
+    y: bool = False
+    v: bool = False
+    bandwidth: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("y", "v"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"residuals.{name}: {getattr(self, name)!r}; allowed: true or false")
+        _number(self, "residuals", "bandwidth", above=0.0, most=5.0)
+
+    @property
+    def ideal(self) -> bool:
+        """The recorded path is the fitted parabola, its speed the fitted line."""
+        return not (self.y or self.v)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlantOptions:
+    """Everything that may differ from the ideal plant.
+
+    Attributes
+    ----------
+    speed : {"frozen", "profile"}
+        The speed of the trigger, or v(t) of the scenario.
+    actuator : Actuator
+    mismatch : Mismatch
+    tyres : Tyres
+    sensors : Sensors
+    residuals : Residuals
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed.
+
+    Examples
+    --------
+    >>> PlantOptions().ideal
+    True
+    >>> PlantOptions(speed="profile", actuator=Actuator(lag=0.1)).ideal
+    False
+    """
+
+    speed: Speed = "frozen"
+    actuator: Actuator = dataclasses.field(default_factory=Actuator)
+    mismatch: Mismatch = dataclasses.field(default_factory=Mismatch)
+    tyres: Tyres = dataclasses.field(default_factory=Tyres)
+    sensors: Sensors = dataclasses.field(default_factory=Sensors)
+    residuals: Residuals = dataclasses.field(default_factory=Residuals)
+
+    def __post_init__(self) -> None:
+        if self.speed not in get_args(Speed):
+            raise InputError(f"speed: {self.speed!r}; {nearest(str(self.speed), get_args(Speed))}")
+        for field in dataclasses.fields(self)[1:]:
+            kind = type(field.default_factory())  # type: ignore[misc]
+            if not isinstance(getattr(self, field.name), kind):
+                raise InputError(
+                    f"{field.name}: {getattr(self, field.name)!r}; allowed: an instance of {kind.__name__}"
+                )
+        if self.tyres.ideal and self.mismatch.mu != (1.0, 1.0):
+            raise InputError(
+                f"mismatch.mu: {self.mismatch.mu!r}; linear tyres have no friction coefficient; "
+                "allowed with tyres.model = 'magic_formula'"
+            )
+
+    @property
+    def ideal(self) -> bool:
+        """Nothing differs from the ideal plant."""
+        return self == PlantOptions()
+
+    @property
+    def drives_exactly(self) -> bool:
+        """Between samples the plant is linear with constant coefficients, and its steering angle constant."""
+        return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal
+
+
+def _is_number(value: object) -> bool:
+    return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
+
+
+def _number(
+    owner: object,
+    table: str,
+    name: str,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+) -> None:
+    """Check a number of a frozen value and make it a float."""
+    value = getattr(owner, name)
+    bounds = [f"{sign} {bound:g}" for sign, bound in ((">", above), (">=", least), ("<=", most)) if bound is not None]
+    allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
+    inside = _is_number(value)
+    inside = inside and (above is None or value > above)
+    inside = inside and (least is None or value >= least)
+    inside = inside and (most is None or value <= most)
+    if not inside:
+        raise InputError(f"{table}.{name}: {value!r}; allowed: {allowed}")
+    object.__setattr__(owner, name, float(value))
