@@ -1,0 +1,100 @@
+"""Gain of the stationary Kalman filter that rebuilds the whole state from the camera's e_y and e_psi.
+
+The model is the nominal vehicle, dx/dt = A x + B delta + E psi_l' + w, where w is white noise on the lateral and the
+yaw acceleration. A frame comes every p samples, so the filter is stationary in steps of p (B. D. O. Anderson and
+J. B. Moore, *Optimal Filtering*, 1979, sections 4.1 and 4.4).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import LdcError
+from ldctoolkit.plant_options import KalmanFilter
+from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle.speed_schedule import scheduled
+
+FloatArray = npt.NDArray[np.float64]
+
+_MEASURED = (0, 2)  # e_y and e_psi
+
+
+def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
+    """Gain of the correction z <- z + M (frame - z[[0, 2]]) at every scenario's speed.
+
+    Parameters
+    ----------
+    plant : Plant
+        Nominal model, speeds (n,) and sample time dt.
+    kalman : KalmanFilter
+        Densities of the process noise and standard deviations of a frame.
+    frame_samples : int
+        Samples from one frame to the next, >= 1.
+
+    Returns
+    -------
+    (n, 4, 2)
+        M = P C' (C P C' + R)^-1, with P the covariance of the prediction over one frame.
+
+    Raises
+    ------
+    InputError
+        For a speed outside `ldctoolkit.vehicle.speed_schedule.SPEED_RANGE`.
+    LdcError
+        If the Riccati equation has no stabilising solution somewhere in that range.
+
+    Notes
+    -----
+    Over one frame the prediction has the transition A^p and the noise sum of A^j Q A^j' for j < p, where A is one
+    sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). `control.dlqe` gives P.
+
+    Examples
+    --------
+    >>> plant = Plant.build(BicycleModel(), [20.0, 30.0], 0.05)
+    >>> M = filter_gain(plant, KalmanFilter(), frame_samples=2)
+    >>> M.shape
+    (2, 4, 2)
+    >>> bool(0 < M[0, 0, 0] < 1)
+    True
+    """
+    what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
+    return scheduled(_FilterGain(plant.model, plant.dt, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class _FilterGain:
+    """The gain at given speeds, (m, 8)."""
+
+    model: BicycleModel
+    dt: float
+    kalman: KalmanFilter
+    frame_samples: int
+
+    def __call__(self, v: FloatArray) -> FloatArray:
+        import control
+
+        C = np.eye(4)[list(_MEASURED)]
+        R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
+        rows: list[FloatArray] = []
+        for A in self.model.discretize(v, self.dt).A:
+            A_p, Q_p = self._over_one_frame(A)
+            try:
+                _, P, _ = control.dlqe(A_p, np.eye(4), C, Q_p, R)
+            except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+                speed = v[len(rows)]
+                raise LdcError(f"no Kalman filter at {speed:.3g} m/s, {self.kalman}: {error}") from error
+            rows.append(
+                np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel()
+            )  # P and the innovation's covariance: symmetric
+        return np.array(rows)
+
+    def _over_one_frame(self, A: FloatArray) -> tuple[FloatArray, FloatArray]:
+        Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
+        A_p, Q_p = np.eye(4), np.zeros((4, 4))
+        for _ in range(self.frame_samples):
+            Q_p = A @ Q_p @ A.T + Q
+            A_p = A @ A_p
+        return A_p, 0.5 * (Q_p + Q_p.T)
