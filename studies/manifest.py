@@ -20,7 +20,7 @@ from ldctoolkit.errors import StoreError, StudyError
 from studies.files import write_text
 from studies.spec import Study
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 
 _PACKAGES: Final = ("ldctoolkit", "numpy", "scipy", "polars", "pydantic", "casadi", "control", "osqp", "qpsolvers")
 
@@ -194,7 +194,8 @@ def _differences(found: dict[str, Any], wanted: dict[str, Any], prefix: str = ""
         elif key == "designs" and isinstance(a, list) and isinstance(b, list):
             yield f"designs: {len(a)} there, {len(b)} now, {len(set(a) & set(b))} of them the same"
         else:
-            yield f"{prefix}{key}: {a!r} there, {b!r} now"
+            was, now = ("not set" if value is None else repr(value) for value in (a, b))
+            yield f"{prefix}{key}: {was} there, {now} now"
 
 
 def read_manifest(folder: str | Path) -> Manifest:

@@ -25,17 +25,22 @@ from pydantic import (
 from ldctoolkit import LdcError, VehicleParameters, controller_class
 from ldctoolkit.errors import InputError, StudyError, nearest
 from ldctoolkit.gains import Gain, find_gain
+from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import InitialYawRate, Window
 from ldctoolkit.vehicle import Convention
 from studies._messages import study_error
 from studies._part import Part, fail
 from studies.design import CONVENTION_GAIN, Design
 from studies.grid import EntryError, expand
+from studies.plant_table import read_plant
 from studies.results import Case
 from studies.scenario_settings import ScenarioSettings
 
 MOST_DESIGNS = 100_000
 """Largest grid of one study; more is a slip of the pen."""
+
+_WHOLE = 1e-9
+"""A ratio of two times that is nearer than this to a whole number is one: 0.3/0.05 is not 6 in binary."""
 
 
 def _one_or_many(entry: Any) -> Any:
@@ -67,12 +72,15 @@ class SimulationSettings(Part):
         Readings of the paper; the first is the primary one.
     initial_yaw_rate : {"path", "zero"}
         de_psi/dt at the trigger.
+    settle : float [s]
+        How long the loop goes on after the departure's end; S does not count it, overshoot and comfort do.
     """
 
     dt: float = Field(default=0.05, ge=1e-3, le=1.0)
     window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
     convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
     initial_yaw_rate: InitialYawRate = "path"
+    settle: float = Field(default=3.0, ge=0.0, le=60.0)
 
 
 class ReportSettings(Part):
@@ -201,6 +209,8 @@ class Study(Part):
     scenarios : ScenarioSettings
     simulation : SimulationSettings
     vehicle : VehicleParameters
+    plant : PlantOptions
+        What differs from the ideal plant; nothing by default.
     report : ReportSettings
     ranking : RankingSettings
     design : tuple of DesignBlock
@@ -224,6 +234,7 @@ class Study(Part):
     scenarios: ScenarioSettings = Field(default_factory=ScenarioSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     vehicle: Annotated[VehicleParameters, BeforeValidator(_vehicle)] = Field(default_factory=VehicleParameters)
+    plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
     ranking: RankingSettings = Field(default_factory=RankingSettings)
     design: tuple[DesignBlock, ...]
@@ -237,6 +248,15 @@ class Study(Part):
         size = sum(len(b.y_s) * math.prod(len(values) for values in b.gains.values()) for b in self.design)
         if size > MOST_DESIGNS:
             raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
+        return self
+
+    @model_validator(mode="after")
+    def _camera_clock(self) -> Self:
+        dt = self.simulation.dt
+        for name in ("period", "delay"):
+            value = getattr(self.plant.sensors, name)
+            if abs(value / dt - round(value / dt)) > _WHOLE * max(1.0, value / dt):
+                raise fail(f"plant.sensors.{name}", f"{value:g}; allowed: a multiple of simulation.dt = {dt:g} s")
         return self
 
     @classmethod
@@ -318,7 +338,7 @@ class Study(Part):
     def identity(self) -> dict[str, Any]:
         """What decides the stored numbers: not the title, the report or the ranking."""
         content = self.content()
-        same = {key: content[key] for key in ("seed", "simulation", "vehicle")}
+        same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
         same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
         if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
             same["scenarios"]["given"] = content["scenarios"]["given"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,10 @@ from hypothesis import strategies as st
 
 from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import StudyError, UnknownNameError
+from ldctoolkit.plant_options import PlantOptions
 from studies import Case, Design, Study
 from studies.grid import EntryError, expand
+from studies.plant_table import UNITS, differences, plant_settings
 from studies.ready import catalog_names, load_study
 
 pytestmark = pytest.mark.usefixtures("laws")
@@ -53,6 +57,31 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"simulation": {"window": []}}, "simulation.window: (); allowed: a name"),
     ({"simulation": {"convention": "printed"}}, "simulation.convention: 'printed'; did you mean 'as_printed'?"),
     ({"simulation": {"initial_yaw_rate": 0}}, "simulation.initial_yaw_rate: 0; allowed: path, zero"),
+    ({"simulation": {"settle": -1}}, "simulation.settle: -1; allowed: greater than or equal to 0"),
+    ({"simulation": {"settle": 61.0}}, "simulation.settle: 61.0; allowed: less than or equal to 60"),
+    ({"plant": 3}, "plant: 3; allowed: a table of keys"),
+    ({"plant": {"sped": "frozen"}}, "plant.sped: no such key; did you mean 'speed'?"),
+    ({"plant": {"speed": "profil"}}, "plant.speed: 'profil'; did you mean 'profile'?"),
+    ({"plant": {"actuator": 3}}, "plant.actuator: 3; allowed: a table of keys"),
+    (
+        {"plant": {"actuator": {"rate": 1}}},
+        "plant.actuator.rate: no such key; did you mean 'rate_max'? (allowed: delay, delta_max, lag, rate_max)",
+    ),
+    ({"plant": {"actuator": {"rate_max": -1}}}, "plant.actuator.rate_max: -1; allowed: a finite number > 0"),
+    ({"plant": {"actuator": {"lag": "x"}}}, "plant.actuator.lag: 'x'; allowed: a finite number >= 0 and <= 10"),
+    ({"plant": {"mismatch": {"m": [1.2, 0.9]}}}, "plant.mismatch.m: (1.2, 0.9); allowed: (low, high), 0 < low"),
+    ({"plant": {"mismatch": {"mu": [0.5, 1.0]}}}, "plant.mismatch.mu: (0.5, 1.0); linear tyres have no friction"),
+    ({"plant": {"tyres": {"model": "magic"}}}, "plant.tyres.model: 'magic'; did you mean 'magic_formula'?"),
+    ({"plant": {"sensors": {"e_y_nois": 1}}}, "plant.sensors.e_y_nois: no such key; did you mean 'e_y_noise'?"),
+    ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
+    ({"plant": {"sensors": {"kalman": {"q": 1}}}}, "plant.sensors.kalman.q: no such key; did you mean 'q_y'?"),
+    ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
+    ({"plant": {"sensors": {"period": 0.07}}}, "plant.sensors.period: 0.07; allowed: a multiple of simulation.dt"),
+    (
+        {"plant": {"sensors": {"delay": 0.1}}, "simulation": {"dt": 0.04}},
+        "plant.sensors.delay: 0.1; allowed: a multiple of simulation.dt = 0.04 s",
+    ),
+    ({"plant": {"residuals": {"y": 1}}}, "plant.residuals.y: 1; allowed: true or false"),
     ({"vehicle": {"C_a": 3}}, "vehicle.C_a: no such key; did you mean 'C_ar'?"),
     ({"vehicle": {"m": -3}}, "vehicle.m: -3; allowed: a finite number > 0"),
     ({"vehicle": {"w_v": 5.0}}, "vehicle.w_v: 5.0 m; allowed: less than the lane's width w_l = 3.6 m"),
@@ -206,6 +235,124 @@ def test_conditions_on_scenarios_are_read_and_decide_the_numbers(
     other = make_study(scenarios=scenarios | {"given": {"v_mean": [25, 31]}})
     assert len({plain.hash, some.hash, other.hash}) == 3
     assert make_study(scenarios=scenarios | {"given": {}}).hash == plain.hash
+
+
+EVERY_OPTION = """
+name = "real"
+[simulation]
+dt = 0.05
+settle = 2
+[plant]
+speed = "profile"
+[plant.actuator]
+delta_max = 0.5
+rate_max = 1
+lag = 0.1
+delay = 0.03
+[plant.mismatch]
+m = [0.9, 1.2]
+I_z = [0.9, 1.1]
+C_af = [0.8, 1.2]
+C_ar = [0.8, 1.2]
+mu = [0.5, 1]
+[plant.tyres]
+model = "magic_formula"
+mu = 0.8
+shape = 1.4
+[plant.sensors]
+e_y_noise = 0.02
+e_psi_noise = 0.002
+e_y_bias = 0.05
+e_psi_bias = -0.001
+e_y_step = 0.01
+e_psi_step = 0.001
+period = 0.15
+delay = 0.3
+curvature_gain = 0.1
+curvature_bias = 1e-4
+curvature_noise = 2e-4
+[plant.sensors.kalman]
+q_y = 1
+q_psi = 0.3
+r_y = 0.02
+r_psi = 0.002
+[plant.residuals]
+y = true
+v = true
+bandwidth = 0.5
+[[design]]
+law = "toy"
+"""
+
+
+def leaves(value: Any, path: str = "") -> dict[str, Any]:
+    """Key path -> value of everything below a value of tables."""
+    if not isinstance(value, dict):
+        return {path: value}
+    return {k: v for key, inner in value.items() for k, v in leaves(inner, f"{path}.{key}" if path else key).items()}
+
+
+def test_every_key_of_the_plant_is_read_and_told(tmp_path: Path) -> None:
+    """Every option of the dataclasses is in the file above, differs from its default, and is told to a reader."""
+    (tmp_path / "s.toml").write_text(EVERY_OPTION)
+    study = Study.from_toml(tmp_path / "s.toml")
+    assert study.simulation.settle == 2.0
+    written = leaves(tomllib.loads(EVERY_OPTION)["plant"])
+    read = leaves(json.loads(json.dumps(dataclasses.asdict(study.plant))))
+    assert read == written
+    ideal = leaves(json.loads(json.dumps(dataclasses.asdict(PlantOptions()))))
+    assert not [key for key, value in read.items() if value == ideal.get(key)]
+    told = dict(plant_settings(study.plant))
+    assert set(told) == set(read)
+    assert told["actuator.rate_max"] == "1 rad/s"
+    assert told["mismatch.m"] == "0.9 to 1.2"
+    assert len(differences(study.plant)) == 6
+    assert set(UNITS) <= set(read)
+
+
+def test_the_plant_is_ideal_unless_the_study_says_otherwise(make_study: Callable[..., Study]) -> None:
+    study = make_study()
+    assert study.plant.ideal
+    assert study.simulation.settle == 3.0
+    assert list(plant_settings(study.plant)) == []
+    assert differences(study.plant) == ()
+    empty = make_study(plant={"actuator": {}, "mismatch": {}, "tyres": {}, "sensors": {}, "residuals": {}})
+    assert empty.hash == study.hash
+    assert not make_study(plant={"sensors": {"kalman": {}}}).plant.ideal  # a filter with its defaults is a filter
+
+
+def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
+    make_study: Callable[..., Study], tmp_path: Path
+) -> None:
+    (tmp_path / "s.toml").write_text(EVERY_OPTION)
+    study = Study.from_toml(tmp_path / "s.toml")
+    again = Study.from_dict(json.loads(json.dumps(study.content())))
+    assert again.content() == study.content()
+    assert again.plant == study.plant
+    assert again.hash == study.hash
+    hashes = {make_study().hash}
+    for key, value in leaves(tomllib.loads(EVERY_OPTION)["plant"]).items():
+        table: Any = value
+        for part in reversed(key.split(".")):
+            table = {part: table}
+        if key == "mismatch.mu":
+            table["tyres"] = {"model": "magic_formula"}
+        hashes.add(make_study(plant=table).hash)
+    hashes.add(make_study(simulation={"window": ["departure", "control"], "settle": 2}).hash)
+    # every key gives a study of its own; tyres.model alone is the one that mismatch.mu was compared with
+    assert len(hashes) == 2 + len(leaves(tomllib.loads(EVERY_OPTION)["plant"]))
+
+
+@given(st.integers(1, 40), st.integers(0, 100))
+def test_a_camera_keeps_the_clock_of_the_controller(steps: int, off: int) -> None:
+    """Multiples of dt are read although 3*0.05 is not 0.15 in binary; a hundredth of dt beside one is refused."""
+    dt = 0.05
+    content = {"name": "a", "design": [{"law": "none"}]}
+    assert Study.from_dict(content | {"plant": {"sensors": {"period": round(steps * dt, 10)}}})
+    value = steps * dt + off * dt / 100
+    if off % 100:
+        with pytest.raises(StudyError, match=r"plant\.sensors\.delay: .*allowed: a multiple of simulation\.dt"):
+            Study.from_dict(content | {"plant": {"sensors": {"delay": value}}})
 
 
 def test_a_design_runs_once_however_often_it_is_written() -> None:
