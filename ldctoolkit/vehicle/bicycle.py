@@ -7,7 +7,7 @@ lane seen by the vehicle, v times curvature): dx/dt = A(v) x + B delta + E(v) ps
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,34 @@ from ldctoolkit.vehicle.parameters import VehicleParameters
 
 Convention = Literal["consistent", "as_printed"]
 FloatArray = npt.NDArray[np.float64]
+
+
+class SingleTrack(Protocol):
+    """What the error dynamics take from a vehicle: numbers, or arrays of n where vehicles differ."""
+
+    @property
+    def C_af(self) -> float | FloatArray:
+        """Cornering stiffness of one front tyre [N/rad]."""
+
+    @property
+    def C_ar(self) -> float | FloatArray:
+        """Cornering stiffness of one rear tyre [N/rad]."""
+
+    @property
+    def l_f(self) -> float | FloatArray:
+        """Distance from the centre of gravity to the front axle [m]."""
+
+    @property
+    def l_r(self) -> float | FloatArray:
+        """Distance from the centre of gravity to the rear axle [m]."""
+
+    @property
+    def m(self) -> float | FloatArray:
+        """Mass [kg]."""
+
+    @property
+    def I_z(self) -> float | FloatArray:
+        """Yaw inertia [kg m^2]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,33 +113,7 @@ class BicycleModel:
         InputError
             For a speed that is not a finite number > 0.
         """
-        speed = np.atleast_1d(np.asarray(v, dtype=float))
-        bad = ~(np.isfinite(speed) & (speed > 0))
-        if bad.any():
-            i = int(np.argmax(bad))
-            raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
-        p = self.parameters
-        stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
-        moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r
-        damping = 2.0 * p.C_af * p.l_f**2 + 2.0 * p.C_ar * p.l_r**2
-        # the printed matrix adds the rear moment here, and only here (paper, eq. of A; see the consistent reading)
-        coupling = moment if self.convention == "consistent" else 2.0 * p.C_af * p.l_f + 2.0 * p.C_ar * p.l_r
-
-        A = np.zeros((speed.size, 4, 4))
-        A[:, 0, 1] = A[:, 2, 3] = 1.0
-        A[:, 1, 1] = -stiffness / (p.m * speed)
-        A[:, 1, 2] = stiffness / p.m
-        A[:, 1, 3] = -coupling / (p.m * speed)
-        A[:, 3, 1] = -moment / (p.I_z * speed)
-        A[:, 3, 2] = moment / p.I_z
-        A[:, 3, 3] = -damping / (p.I_z * speed)
-        B = np.zeros((speed.size, 4))
-        B[:, 1] = 2.0 * p.C_af / p.m
-        B[:, 3] = 2.0 * p.C_af * p.l_f / p.I_z
-        E = np.zeros((speed.size, 4))
-        E[:, 1] = -moment / (p.m * speed) - speed
-        E[:, 3] = -damping / (p.I_z * speed)
-        return A, B, E
+        return error_dynamics_matrices(self.parameters, checked_speeds(v), self.convention)
 
     def discretize(self, v: npt.ArrayLike, dt: npt.ArrayLike) -> Discretization:
         """Exact discretisation at n speeds: zero-order hold on delta, first-order hold on psi_l'.
@@ -143,8 +145,71 @@ class BicycleModel:
         SteadyState
             Per unit of lane yaw rate.
         """
-        A, B, E = self.matrices(v)
-        # 0 = A[:, 2] e_psi + B delta + E on the two force balances; e_y and both rates are zero
-        system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
-        solution: FloatArray = np.asarray(np.linalg.solve(system, -E[:, (1, 3), None])[..., 0], dtype=np.float64)
-        return SteadyState(delta=solution[:, 1], e_psi=solution[:, 0])
+        return steady_cornering(*self.matrices(v))
+
+
+def error_dynamics_matrices(
+    vehicle: SingleTrack, v: FloatArray, convention: Convention
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Continuous-time A, B, E of Rajamani's eq. 2.45, for one vehicle or n of them.
+
+    Parameters
+    ----------
+    vehicle : SingleTrack
+        `VehicleParameters`, or arrays of n in their place.
+    v : (n,) [m/s]
+        Longitudinal speeds, > 0.
+    convention : {"consistent", "as_printed"}
+
+    Returns
+    -------
+    A : (n, 4, 4)
+    B : (n, 4)
+    E : (n, 4)
+    """
+    p = vehicle
+    stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
+    moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r
+    damping = 2.0 * p.C_af * p.l_f**2 + 2.0 * p.C_ar * p.l_r**2
+    # the printed matrix adds the rear moment here, and only here (paper, eq. of A; see the consistent reading)
+    coupling = moment if convention == "consistent" else 2.0 * p.C_af * p.l_f + 2.0 * p.C_ar * p.l_r
+
+    A = np.zeros((v.size, 4, 4))
+    A[:, 0, 1] = A[:, 2, 3] = 1.0
+    A[:, 1, 1] = -stiffness / (p.m * v)
+    A[:, 1, 2] = stiffness / p.m
+    A[:, 1, 3] = -coupling / (p.m * v)
+    A[:, 3, 1] = -moment / (p.I_z * v)
+    A[:, 3, 2] = moment / p.I_z
+    A[:, 3, 3] = -damping / (p.I_z * v)
+    B = np.zeros((v.size, 4))
+    B[:, 1] = 2.0 * p.C_af / p.m
+    B[:, 3] = 2.0 * p.C_af * p.l_f / p.I_z
+    E = np.zeros((v.size, 4))
+    E[:, 1] = -moment / (p.m * v) - v
+    E[:, 3] = -damping / (p.I_z * v)
+    return A, B, E
+
+
+def steady_cornering(A: FloatArray, B: FloatArray, E: FloatArray) -> SteadyState:
+    """Steady cornering that belongs to continuous-time matrices A (n, 4, 4), B (n, 4), E (n, 4)."""
+    # 0 = A[:, 2] e_psi + B delta + E on the two force balances; e_y and both rates are zero
+    system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
+    solution: FloatArray = np.asarray(np.linalg.solve(system, -E[:, (1, 3), None])[..., 0], dtype=np.float64)
+    return SteadyState(delta=solution[:, 1], e_psi=solution[:, 0])
+
+
+def checked_speeds(v: npt.ArrayLike) -> FloatArray:
+    """Speeds (n,) [m/s] as an array.
+
+    Raises
+    ------
+    InputError
+        For a speed that is not a finite number > 0.
+    """
+    speed = np.atleast_1d(np.asarray(v, dtype=float))
+    bad = ~(np.isfinite(speed) & (speed > 0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
+    return speed
