@@ -104,7 +104,7 @@ def _arguments(function: Any) -> list[list[str]]:
     ):
         for i, each in enumerate(names):
             if not sparsity(i).is_dense() or sparsity(i).nnz() == 0:
-                raise InputError(f"{kind} {each!r}: {sparsity(i).dim()}; allowed: dense, at least one entry")
+                raise InputError(f"{kind} {each!r}: {sparsity(i).dim(True)}; allowed: dense, at least one entry")
     sizes = [function.nnz_in(i) for i in range(function.n_in())]
     return [
         [each] if size == 1 else [f"{each}_{j}" for j in range(size)]
