@@ -1,0 +1,313 @@
+"""Recorded paths with residuals, compiled: values at given times, integrals, extremes and crossings, row by row.
+
+The residuals are sums over modes j = 1, 2, ..., with theta = pi t/T: eps_y = sum a_j sin(j theta) and
+eps_v = sum b_j cos(j theta). The compiler takes a while to import: callers import this module where they call it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# strict IEEE: a row's numbers are the same bits whichever rows stand beside it
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "error_model": "numpy"}
+
+POSITION, SPEED, SPEED_RATE, LATERAL, LATERAL_RATE, LATERAL_ACCELERATION = range(6)
+EDGE, FRONT_EDGE, SLOWNESS = range(3)
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_CELLS_PER_HALF_WAVE: Final = 16
+_MOST_CELLS: Final = 100_000
+_PASSES: Final = 200
+
+
+class Path(NamedTuple):
+    """Columns of n paths; modes_y (n, J_y) and modes_v (n, J_v), of which the first count_y, count_v are in use."""
+
+    T: FloatArray
+    d_y: FloatArray
+    v_mean: FloatArray
+    a_mean: FloatArray
+    modes_y: FloatArray
+    modes_v: FloatArray
+    count_y: IntArray
+    count_v: IntArray
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def along(path: Any, i: int, t: float) -> Any:
+    """Distance x, speed v and its rate."""
+    T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
+    omega = math.pi / T
+    cos_1, sin_1 = math.cos(omega * t), math.sin(omega * t)
+    c, s = 1.0, 0.0
+    way, eps, rate = 0.0, 0.0, 0.0
+    for j in range(1, path.count_v[i] + 1):
+        c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
+        b = path.modes_v[i, j - 1]
+        way += b / (j * omega) * s
+        eps += b * c
+        rate -= b * (j * omega) * s
+    return v_mean * t + 0.5 * a_mean * (t - T) * t + way, v_mean + a_mean * (t - 0.5 * T) + eps, a_mean + rate
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def across(path: Any, i: int, t: float, x: float, v: float, dv: float) -> Any:
+    """Lateral distance y and its first two derivatives, from the motion along the lane."""
+    omega = math.pi / path.T[i]
+    cos_1, sin_1 = math.cos(omega * t), math.sin(omega * t)
+    c, s = 1.0, 0.0
+    eps, rate, bend = 0.0, 0.0, 0.0
+    for j in range(1, path.count_y[i] + 1):
+        c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
+        a = path.modes_y[i, j - 1]
+        eps += a * s
+        rate += a * (j * omega) * c
+        bend -= a * (j * omega) ** 2 * s
+    d_x = path.v_mean[i] * path.T[i]
+    share = x / d_x
+    slope = 4.0 * path.d_y[i] / d_x * (1.0 - 2.0 * share)
+    y = 4.0 * path.d_y[i] * share * (1.0 - share) + eps
+    return y, slope * v + rate, -8.0 * path.d_y[i] / d_x**2 * v**2 + slope * dv + bend
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
+    """One quantity at times t (n, k) into `out`."""
+    for i in range(t.shape[0]):
+        for k in range(t.shape[1]):
+            x, v, dv = along(path, i, t[i, k])
+            if what <= SPEED_RATE:
+                out[i, k] = x if what == POSITION else (v if what == SPEED else dv)
+            else:
+                y, dy, ddy = across(path, i, t[i, k], x, v, dv)
+                out[i, k] = y if what == LATERAL else (dy if what == LATERAL_RATE else ddy)
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def turned_by_residual(path: Any, c_0: FloatArray, dc: FloatArray, t: FloatArray, out: FloatArray) -> None:
+    """Integral of eps_v(s) (c_0 + dc s/T) from 0 to t (n, k), into `out`: by parts, mode by mode."""
+    for i in range(t.shape[0]):
+        omega = math.pi / path.T[i]
+        growth = dc[i] / path.T[i]
+        for k in range(t.shape[1]):
+            cos_1, sin_1 = math.cos(omega * t[i, k]), math.sin(omega * t[i, k])
+            c, s = 1.0, 0.0
+            once, twice = 0.0, 0.0
+            for j in range(1, path.count_v[i] + 1):
+                c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
+                b = path.modes_v[i, j - 1]
+                once += b / (j * omega) * s
+                twice += b / (j * omega) ** 2 * (c - 1.0)
+            out[i, k] = (c_0[i] + growth * t[i, k]) * once + growth * twice
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
+    """Integral of y from 0 to t (n, k) into `out`: Gauss and Legendre's rule for the parabola, eps_y in closed form.
+
+    Twelve nodes for each half wave of the highest mode of eps_v integrate its square to rounding.
+    """
+    for i in range(t.shape[0]):
+        omega = math.pi / path.T[i]
+        d_x = path.v_mean[i] * path.T[i]
+        for k in range(t.shape[1]):
+            end = t[i, k]
+            half_waves = abs(end) / path.T[i] * max(path.count_v[i], 1)
+            if not half_waves < _MOST_CELLS:
+                out[i, k] = np.nan
+                continue
+            cells = int(half_waves) + 1
+            h = end / cells
+            total = 0.0
+            for cell in range(cells):
+                part = 0.0
+                for q in range(_NODES.size):
+                    x, _, _ = along(path, i, (cell + 0.5 + 0.5 * _NODES[q]) * h)
+                    share = x / d_x
+                    part += _WEIGHTS[q] * share * (1.0 - share)
+                total += part
+            area = 4.0 * path.d_y[i] * total * 0.5 * h
+            cos_1, sin_1 = math.cos(omega * end), math.sin(omega * end)
+            c, s = 1.0, 0.0
+            for j in range(1, path.count_y[i] + 1):
+                c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
+                area += path.modes_y[i, j - 1] / (j * omega) * (1.0 - c)
+            out[i, k] = area
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
+    """A curve whose extremes are wanted, and its slope."""
+    x, v, dv = along(path, i, t)
+    if which == SLOWNESS:
+        return -v, -dv
+    y, dy, ddy = across(path, i, t, x, v, dv)
+    if which == EDGE:
+        return y, dy
+    return y + l_f * dy / v, dy + l_f * (ddy * v - dy * dv) / v**2
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def _zero(path: Any, i: int, which: int, l_f: float, level: float, of_slope: bool, low: float, high: float) -> Any:
+    """Zero of curve - level (or of -slope) between low, where it is <= 0, and high, where it is > 0.
+
+    False position after Illinois (Dowell and Jarratt, BIT 11, 1971), halved where that is slow.
+    """
+    value, slope = _curve(path, i, which, l_f, low)
+    f_low = -slope if of_slope else value - level
+    value, slope = _curve(path, i, which, l_f, high)
+    f_high = -slope if of_slope else value - level
+    last, length = 0, high - low
+    for step in range(_PASSES):
+        t = high - f_high * (high - low) / (f_high - f_low)
+        if step % 4 == 3:
+            if high - low > 0.25 * length:
+                t, last = 0.5 * (low + high), 0
+            length = high - low
+        if not low < t < high:
+            t = 0.5 * (low + high)
+            if not low < t < high:
+                break
+        value, slope = _curve(path, i, which, l_f, t)
+        f = -slope if of_slope else value - level
+        if f == 0.0:
+            return t
+        if f > 0.0:
+            high, f_high = t, f
+            f_low = 0.5 * f_low if last == 1 else f_low
+            last = 1
+        else:
+            low, f_low = t, f
+            f_high = 0.5 * f_high if last == -1 else f_high
+            last = -1
+        if high - low < 1e-14 * path.T[i]:
+            break
+    return 0.5 * (low + high)
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def _cells(path: Any, i: int, span: float) -> int:
+    """Cells for a search over `span` seconds: 16 for each half wave of the highest mode, 0 for no search at all."""
+    waves = span / path.T[i] * max(path.count_y[i], path.count_v[i], 2)
+    if not (waves >= 0.0 and waves * _CELLS_PER_HALF_WAVE < _MOST_CELLS):
+        return 0
+    return int(waves * _CELLS_PER_HALF_WAVE) + 1
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def highest(path: Any, which: int, l_f: float, t_0: FloatArray, t_1: FloatArray, out: FloatArray) -> None:
+    """Largest value of a curve over [t_0, t_1] (n,) into `out`; a peak inside a cell is found where its slope is 0."""
+    for i in range(t_0.size):
+        cells = _cells(path, i, t_1[i] - t_0[i])
+        if cells == 0:
+            out[i] = np.nan
+            continue
+        h = (t_1[i] - t_0[i]) / cells
+        before, rising = _curve(path, i, which, l_f, t_0[i])
+        best = before
+        for cell in range(cells):
+            left = t_0[i] + cell * h
+            right = t_1[i] if cell == cells - 1 else t_0[i] + (cell + 1) * h
+            value, slope = _curve(path, i, which, l_f, right)
+            if rising > 0.0 and slope < 0.0:
+                top, _ = _curve(path, i, which, l_f, _zero(path, i, which, l_f, 0.0, True, left, right))
+                best = max(best, top)
+            # also lets a NaN through
+            best = best if best >= value else value
+            rising = slope
+        out[i] = best
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def crossings(path: Any, y_s: float, out: FloatArray) -> None:
+    """First time in [0, T] at which y exceeds y_s, into `out` (n,); infinite where it never does."""
+    for i in range(out.size):
+        out[i] = np.inf
+        T = path.T[i]
+        cells = _cells(path, i, T)
+        if cells == 0:
+            continue
+        h = T / cells
+        before, rising = _curve(path, i, EDGE, 0.0, 0.0)
+        if before > y_s or (before == y_s and rising > 0.0):
+            out[i] = 0.0
+            continue
+        for cell in range(cells):
+            left = cell * h
+            right = T if cell == cells - 1 else (cell + 1) * h
+            value, slope = _curve(path, i, EDGE, 0.0, right)
+            if value > y_s:
+                out[i] = _zero(path, i, EDGE, 0.0, y_s, False, left, right)
+                break
+            if rising > 0.0 and slope < 0.0:
+                peak = _zero(path, i, EDGE, 0.0, 0.0, True, left, right)
+                top, _ = _curve(path, i, EDGE, 0.0, peak)
+                if top > y_s:
+                    out[i] = _zero(path, i, EDGE, 0.0, y_s, False, left, peak)
+                    break
+            rising = slope
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def shape_speed_modes(sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
+    """Standard normal numbers (n, J) to modes b_j in place: orthogonal to a straight line, deviation sigma.
+
+    Over [0, T], cos(j theta) times t - T/2 has the integral -2 T^2/(j pi)^2 for odd j, and 0 for even.
+    """
+    for i in range(modes.shape[0]):
+        product, norm = 0.0, 0.0
+        for j in range(1, count[i] + 1, 2):
+            product += modes[i, j - 1] / j**2
+            norm += 1.0 / j**4
+        for j in range(1, count[i] + 1, 2):
+            modes[i, j - 1] -= product / norm / j**2
+        power = 0.0
+        for j in range(count[i]):
+            power += 0.5 * modes[i, j] ** 2
+        for j in range(modes.shape[1]):
+            modes[i, j] = modes[i, j] * (sigma[i] / math.sqrt(power)) if j < count[i] else 0.0
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def shape_lateral_modes(path: Any, sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
+    """Standard normal numbers (n, J) to modes a_j in place: orthogonal to the path's parabola, deviation sigma.
+
+    The parabola is 4 s (1 - s) in time, s = x(t)/d_x with eps_v in it. The deviation is about the residual's own mean,
+    which is 2 a_j/(j pi) summed over odd j.
+    """
+    weight = np.empty(modes.shape[1])
+    for i in range(modes.shape[0]):
+        J, T = count[i], path.T[i]
+        weight[:] = 0.0
+        cells = max(J, path.count_v[i])
+        for cell in range(cells):
+            for q in range(_NODES.size):
+                t = (cell + 0.5 + 0.5 * _NODES[q]) * (T / cells)
+                x, _, _ = along(path, i, t)
+                share = x / (path.v_mean[i] * T)
+                height = _WEIGHTS[q] * share * (1.0 - share)
+                cos_1, sin_1 = math.cos(math.pi * t / T), math.sin(math.pi * t / T)
+                c, s = 1.0, 0.0
+                for j in range(J):
+                    c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
+                    weight[j] += height * s
+        product, norm = 0.0, 0.0
+        for j in range(J):
+            product += modes[i, j] * weight[j]
+            norm += weight[j] ** 2
+        power, mean = 0.0, 0.0
+        for j in range(J):
+            modes[i, j] -= product / norm * weight[j]
+            power += 0.5 * modes[i, j] ** 2
+            if j % 2 == 0:
+                mean += 2.0 * modes[i, j] / ((j + 1) * math.pi)
+        for j in range(modes.shape[1]):
+            modes[i, j] = modes[i, j] * (sigma[i] / math.sqrt(power - mean**2)) if j < J else 0.0
