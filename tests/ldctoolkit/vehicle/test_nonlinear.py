@@ -131,6 +131,32 @@ def test_slip_angles_are_those_of_the_axles_velocities() -> None:
     assert alpha_r == pytest.approx(-np.angle(complex(*rear)), rel=1e-13)
 
 
+@settings(deadline=None)
+@given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
+def test_large_angles_equal_forces_and_velocities_as_vectors(
+    motion: tuple[float, ...], v: float, dv: float, p: VehicleParameters, mu: float, shape: float
+) -> None:
+    """Forces along the wheels' axes, moments as cross products, de_y/dt differentiated by a complex step."""
+    e_y_rate, e_psi, e_psi_rate, delta, r = motion
+    omega = e_psi_rate + r
+    v_y = (e_y_rate - v * math.sin(e_psi)) / math.cos(e_psi)
+    total, moment = 0j, 0.0
+    for x, C_alpha, angle, most in zip((p.l_f, -p.l_r), (p.C_af, p.C_ar), (delta, 0.0), grip(p, mu), strict=True):
+        velocity = v + 1j * (v_y + omega * x)
+        D, B = most, 2 * C_alpha / (shape * most)
+        force = D * math.sin(shape * math.atan(B * (angle - np.angle(velocity)))) * 1j * np.exp(1j * angle)
+        total += force
+        moment += (x * force).imag
+    v_y_rate, h = total.imag / p.m - v * omega, 1e-30j
+    moved = (v + dv * h) * np.sin(e_psi + e_psi_rate * h) + (v_y + v_y_rate * h) * np.cos(e_psi + e_psi_rate * h)
+    expected = np.array([moved.imag / h.imag, moment / p.I_z, total.imag / p.m])
+    size = np.abs([v * omega, 0.0, 0.0]) + np.array([1 / p.m, 3.0 / p.I_z, 1 / p.m]) * sum(grip(p, mu))
+    ours = np.array(nonlinear_rhs(*motion, v, dv, *numbers(p, mu, shape)))
+    # the force's argument carries the rounding of the slip angles, times the slope of the force
+    slope = 2 * (p.C_af + p.C_ar) * np.array([1 / p.m, 3.0 / p.I_z, 1 / p.m])
+    assert np.all(np.abs(ours - expected) <= 1e-14 * (size + slope + abs(v) + abs(v_y)))
+
+
 @pytest.mark.parametrize("p", [VehicleParameters(), OTHER])
 @pytest.mark.parametrize("shape", [1.0, 1.3, 2.0])
 def test_the_curve_of_the_force(p: VehicleParameters, shape: float) -> None:
