@@ -1,70 +1,11 @@
-"""The score S and its parts: pure functions of trajectories."""
+"""The score S: the integral of |e_y|, and how much of it a design takes away."""
 
 from __future__ import annotations
-
-import dataclasses
-from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-
-
-def _per_scenario(unit: str) -> Any:
-    return dataclasses.field(metadata={"unit": unit})
-
-
-@dataclasses.dataclass(frozen=True)
-class Companions:
-    """What is reported beside S, one number a scenario: arrays of n, or of (d, n) for d designs.
-
-    The first two are about the departure, [0, T]; the others about everything that was driven, [t_s, T + settle].
-
-    Attributes
-    ----------
-    deepest : [m]
-        Deepest position of the edge beyond the line.
-    dtle : [m]
-        Smallest distance of the front axle's edge to the line, negative beyond it.
-    t_back : [s]
-        Time since the departure's start at which the edge is first back inside after the trigger; infinite where it is
-        not back by the end.
-    overshoot : [m]
-        How far the opposite edge gets beyond the opposite line; 0 where it does not.
-    a_y_peak : [m/s^2]
-        Largest lateral acceleration.
-    jerk_peak : [m/s^3]
-        Largest lateral jerk, as a moving average over 0.5 s.
-    delta_peak : [rad]
-        Largest steering angle of the wheel.
-    delta_rate_peak : [rad/s]
-        Largest change of that angle from one sample to the next, over dt.
-    effort : [rad^2 s]
-        Integral of the squared steering angle.
-    travel : [rad]
-        Sum of the changes of the steering angle, without their signs.
-    """
-
-    deepest: FloatArray = _per_scenario("m")
-    dtle: FloatArray = _per_scenario("m")
-    t_back: FloatArray = _per_scenario("s")
-    overshoot: FloatArray = _per_scenario("m")
-    a_y_peak: FloatArray = _per_scenario("m/s^2")
-    jerk_peak: FloatArray = _per_scenario("m/s^3")
-    delta_peak: FloatArray = _per_scenario("rad")
-    delta_rate_peak: FloatArray = _per_scenario("rad/s")
-    effort: FloatArray = _per_scenario("rad^2 s")
-    travel: FloatArray = _per_scenario("rad")
-
-
-COMPANION_UNITS: Final = {field.name: str(field.metadata["unit"]) for field in dataclasses.fields(Companions)}
-"""Companion -> its unit."""
-
-COMPANION_COLUMNS: Final = {
-    name: f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}" for name, unit in COMPANION_UNITS.items()
-}
-"""Companion -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
 
 
 def crossing_of_step(
@@ -142,16 +83,3 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
     """
     ratio = np.divide(S, S_uncorrected, out=np.ones_like(S), where=S_uncorrected > 0)
     return 1.0 - ratio
-
-
-def share_deeper(deepest: FloatArray, D_y: float) -> float:
-    """Share of departures whose edge goes deeper than D_y beyond the line (0 for no departures).
-
-    Parameters
-    ----------
-    deepest : (n,) [m]
-        Deepest position of the edge beyond the line.
-    D_y : float [m]
-        Depth, Table I: 0.5 m.
-    """
-    return float(np.mean(deepest > D_y)) if deepest.size else 0.0
