@@ -1,32 +1,62 @@
-"""The closed loop over all scenarios at once: linear laws in one tight loop, other laws through `SteeringLaw.step`.
+"""The closed loop over all scenarios at once: linear laws in compiled loops, other laws through `SteeringLaw.step`.
 
-State is kept as four arrays of n and every product is an elementwise operation, so that a scenario's numbers cannot
-depend on which others run beside it.
+A scenario is driven by itself, whichever loop drives it, so that its numbers cannot depend on which others run beside
+it, on their order or on the number of threads.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, SteeringLaw
+from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import check_controller, check_law, check_step
-from ldctoolkit.simulation.crossings import absolute_area
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.mixture.sources import usable_cores
+from ldctoolkit.simulation.kernel.data import (
+    A_Y,
+    AREA,
+    BACK,
+    DEEP,
+    DELTA,
+    EFFORT,
+    FRONT,
+    JERK,
+    OVER,
+    RATE,
+    SCORES,
+    TRAVEL,
+    Paths,
+    State,
+)
 from ldctoolkit.simulation.outcome import Run, Trajectories
+from ldctoolkit.simulation.tables import BOUND, Tables, designs_table, law_table
 from ldctoolkit.simulation.takeover import Takeover
-from ldctoolkit.vehicle import Discretization
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Chosen = bool | npt.ArrayLike
 
-BOUND = 20.0
-"""|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
+_TOGETHER = 2**21
+"""Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""
+
+_DROP_BELOW = 0.9
+"""Share of a batch still running below which the others are dropped from it."""
+
+_SCENARIOS_A_TASK = 512
+"""Scenarios that a thread takes at a time."""
 
 
-def drive(controller: Controller, takeover: Takeover, *, trajectories: bool = False) -> Run:
-    """Drive one design from the trigger to the end of every departure.
+def drive(
+    controller: Controller, takeover: Takeover, *, trajectories: Chosen = False, threads: int | None = None
+) -> Run:
+    """Drive one design from the trigger to the end of every departure and of the settling horizon.
 
     Parameters
     ----------
@@ -34,8 +64,10 @@ def drive(controller: Controller, takeover: Takeover, *, trajectories: bool = Fa
         The design.
     takeover : Takeover
         Scenarios at their triggers.
-    trajectories : bool
-        Keep the paths.
+    trajectories : bool or (c,) int
+        Keep the paths: of all scenarios, or of those with these row numbers.
+    threads : int, optional
+        Of the compiled loops; all cores this process may use by default. It changes no number.
 
     Returns
     -------
@@ -46,214 +78,266 @@ def drive(controller: Controller, takeover: Takeover, *, trajectories: bool = Fa
     InputError
         If the design, its law or the result of a step is not what the interface promises.
     """
-    check_controller(controller)
-    law = check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+    rows = _chosen_rows(trajectories, takeover.scenarios.n)
+    law = _prepared(controller, takeover)
+    if isinstance(law, SteeringLaw):
+        return _drive_general(law, takeover, controller.name, rows, threads)
     if isinstance(law, RecordedPath):
-        zeros = np.zeros(takeover.m, dtype=np.int64)
-        return Run(takeover, None, zeros.astype(np.int8), zeros, takeover.triggered.d_y.copy(), None)
-    loop = _Loop.start(takeover, trajectories)
-    if isinstance(law, LinearLaw):
-        _drive_linear(law, takeover, loop)
-    else:
-        _drive_general(law, takeover, loop, controller.name)
-    return loop.finish()
+        return _recorded(takeover)
+    return _drive_linear([law], takeover, rows, threads)[0]
 
 
-@dataclasses.dataclass
-class _Loop:
-    """Working arrays of one run; local to it."""
+def drive_many(
+    controllers: Iterable[Controller], takeover: Takeover, *, threads: int | None = None
+) -> Iterator[Run]:
+    """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
-    takeover: Takeover
-    x: list[FloatArray]
-    delta_prev: FloatArray
-    area: FloatArray
-    deepest: FloatArray
-    alive: npt.NDArray[np.bool_]
-    all_alive: bool
-    failed: IntArray
-    log: _Log | None
+    Parameters
+    ----------
+    controllers : iterable of Controller
+        The designs.
+    takeover : Takeover
+        Scenarios at their triggers.
+    threads : int, optional
+        As in `drive`.
 
-    @classmethod
-    def start(cls, takeover: Takeover, trajectories: bool) -> _Loop:
-        m = takeover.m
-        x = [np.array(column) for column in takeover.x_0.T]
-        return cls(
-            takeover=takeover,
-            x=x,
-            delta_prev=takeover.delta_0.copy(),
-            area=np.zeros(m),
-            deepest=x[0].copy(),
-            alive=np.ones(m, dtype=bool),
-            all_alive=True,
-            failed=np.zeros(m, dtype=np.int64),
-            log=_Log.start(takeover) if trajectories else None,
-        )
+    Yields
+    ------
+    Run
+        In the order of the designs; the same bits as from `drive`.
 
-    def advance(self, step: Discretization, delta: FloatArray, t: FloatArray, h: FloatArray) -> None:
-        """One step of the first ``delta.size`` scenarios."""
-        k = delta.size
-        x0, x1, x2, x3 = (column[:k] for column in self.x)
-        r_0 = self.takeover.yaw_rate(t, k)
-        r_1 = self.takeover.yaw_rate(t + h, k)
-        A, B, E_0, E_1, area_x = step.A[:k], step.B[:k], step.E_0[:k], step.E_1[:k], step.area_x[:k]
-        # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
-        new = [
-            A[:, i, 1] * x1 + A[:, i, 2] * x2 + A[:, i, 3] * x3 + B[:, i] * delta + E_0[:, i] * r_0 + E_1[:, i] * r_1
-            for i in range(4)
-        ]
-        new[0] += x0
-        signed = area_x[:, 0] * x0 + area_x[:, 1] * x1 + area_x[:, 2] * x2 + area_x[:, 3] * x3
-        signed += step.area_delta[:k] * delta + step.area_r_0[:k] * r_0 + step.area_r_1[:k] * r_1
-        if not np.max(np.abs(new[0]), initial=0.0) <= BOUND:  # also true for NaN
-            self._end_diverged(new, t)
-        if not self.all_alive:
-            for column in (*new, signed):
-                column[~self.alive[:k]] = 0.0
-        part = np.abs(signed)
-        rows = np.flatnonzero(x0 * new[0] < 0)
-        if rows.size:
-            start, end = (np.column_stack([column[rows] for column in state]) for state in ((x0, x1, x2, x3), new))
-            v, model = self.takeover.plant.v[rows], self.takeover.plant.model
-            part[rows] = absolute_area(model, v, start, end, signed[rows], delta[rows], r_0[rows], r_1[rows], h[rows])
-        self.area[:k] += part
-        for column, value in zip(self.x, new, strict=True):
-            column[:k] = value
-        self.deepest[:k] = np.maximum(self.deepest[:k], new[0])
-        self.delta_prev[:k] = delta
-
-    def _end_diverged(self, new: list[FloatArray], t: FloatArray) -> None:
-        """Score the bound from the start of the step that leaves it."""
-        k = new[0].size
-        rows = np.flatnonzero(self.alive[:k] & ~(np.abs(new[0]) <= BOUND))
-        self.area[rows] += BOUND * (self.takeover.triggered.T[rows] - t[rows])
-        inwards = new[0][rows] < 0
-        self.deepest[rows] = np.where(inwards, self.deepest[rows], BOUND)
-        self.alive[rows] = False
-        self.all_alive = False
-
-    def record(self, sample: IntArray | int, rows: IntArray, t: FloatArray, delta: FloatArray) -> None:
-        """Command from `sample` on, and the state it led to at time t, for those that have not diverged."""
-        if self.log is not None:
-            alive = self.alive[rows]
-            at = sample if isinstance(sample, int) else sample[alive]
-            self.log.put(at, rows[alive], t[alive], self.x, delta[alive])
-
-    def finish(self) -> Run:
-        status = np.where(self.failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
-        status = np.where(self.alive, status, EventStatus.DIVERGED).astype(np.int8)
-        edge = self.takeover.plant.model.parameters.edge_offset
-        paths = None if self.log is None else Trajectories(self.log.t, self.log.x, self.log.delta)
-        return Run(self.takeover, self.area, status, self.failed, self.deepest - edge, paths)
+    Raises
+    ------
+    InputError
+        As in `drive`.
+    """
+    most = max(1, _TOGETHER // max(1, takeover.m * SCORES))
+    waiting: list[LinearLaw] = []
+    for controller in controllers:
+        law = _prepared(controller, takeover)
+        if waiting and not (
+            isinstance(law, LinearLaw)
+            and len(waiting) < most
+            and law.preview_times.size == waiting[0].preview_times.size
+        ):
+            yield from _drive_linear(waiting, takeover, None, threads)
+            waiting = []
+        if isinstance(law, LinearLaw):
+            waiting.append(law)
+        elif isinstance(law, SteeringLaw):
+            yield _drive_general(law, takeover, controller.name, None, threads)
+        else:
+            yield _recorded(takeover)
+    if waiting:
+        yield from _drive_linear(waiting, takeover, None, threads)
 
 
-@dataclasses.dataclass
-class _Log:
-    """Paths of a run, filled step by step."""
-
-    t: FloatArray
-    x: FloatArray
-    delta: FloatArray
-
-    @classmethod
-    def start(cls, takeover: Takeover) -> _Log:
-        longest = int(takeover.full_steps[0]) + 2 if takeover.m else 1
-        shape = (takeover.m, longest)
-        log = cls(np.full(shape, np.nan), np.full((*shape, 4), np.nan), np.full(shape, np.nan))
-        log.t[:, 0] = takeover.start
-        log.x[:, 0] = takeover.x_0
-        return log
-
-    def put(self, k: IntArray | int, rows: IntArray, t: FloatArray, x: list[FloatArray], delta: FloatArray) -> None:
-        """Command `delta` from sample k on, which leads to state x at time t of sample k + 1."""
-        self.delta[rows, k] = delta
-        self.t[rows, k + 1] = t
-        for i, column in enumerate(x):
-            self.x[rows, k + 1, i] = column[rows]
+def _prepared(controller: Controller, takeover: Takeover) -> Law:
+    check_controller(controller)
+    return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
 
-def _counts(takeover: Takeover) -> IntArray:
-    """How many scenarios still have a whole step at each sample; they are the first ones, the order is descending."""
-    longest = int(takeover.full_steps[0]) if takeover.m else 0
-    return np.searchsorted(-takeover.full_steps, -np.arange(longest), side="left")
+def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
+    """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
+    if isinstance(trajectories, bool | np.bool_):
+        return np.arange(n) if trajectories else None
+    rows = np.atleast_1d(np.asarray(trajectories))
+    if rows.size == 0:
+        rows = rows.astype(np.int64)
+    if rows.ndim != 1 or rows.dtype.kind not in "iu":
+        raise InputError("trajectories: allowed: true, false, or a list of row numbers of scenarios")
+    outside = (rows < 0) | (rows >= n)
+    if outside.any():
+        raise InputError(f"trajectories: no scenario {rows[outside][0]}; allowed: 0 to {n - 1}")
+    if np.unique(rows).size != rows.size:
+        raise InputError("trajectories: a row number is given twice; allowed: each once")
+    return rows.astype(np.int64)
 
 
-def _drive_linear(law: LinearLaw, takeover: Takeover, loop: _Loop) -> None:
-    dt, step = takeover.plant.dt, _contiguous(takeover.plant.step)
-    F = np.ascontiguousarray(law.F.T)
-    G_rate, G_heading = np.ascontiguousarray(law.G_yaw_rate.T), np.ascontiguousarray(law.G_heading.T)
-    uses_rate, uses_heading = bool(np.any(G_rate)), bool(np.any(G_heading))
-    uses_previous = bool(np.any(law.f_u))
-
-    def command(k: int, t: FloatArray, driven: npt.NDArray[np.bool_]) -> FloatArray:
-        x0, x1, x2, x3 = (column[:k] for column in loop.x)
-        delta = F[0, :k] * x0 + F[1, :k] * x1 + F[2, :k] * x2 + F[3, :k] * x3
-        if uses_rate or uses_heading:
-            preview = takeover.preview(t, law.preview_times, k)
-            for j in range(law.preview_times.size):
-                if uses_rate:
-                    delta += G_rate[j, :k] * preview.yaw_rate[:, j]
-                if uses_heading:
-                    delta += G_heading[j, :k] * preview.heading[:, j]
-        if uses_previous:
-            delta += law.f_u[:k] * loop.delta_prev[:k]
-        if not np.isfinite(delta).all():
-            bad = ~np.isfinite(delta)
-            delta[bad] = loop.delta_prev[:k][bad]
-            loop.failed[:k][bad & loop.alive[:k] & driven[:k]] += 1
-        return delta
-
-    everyone = np.ones(takeover.m, dtype=bool)
-    for sample, k in enumerate(_counts(takeover)):
-        t = takeover.start[:k] + sample * dt
-        delta = command(int(k), t, everyone)
-        h = np.full(int(k), dt)
-        loop.advance(step, delta, t, h)
-        loop.record(sample, np.arange(int(k)), t + dt, delta)
-    end = takeover.start + takeover.full_steps * dt
-    _last_step(takeover, loop, command(takeover.m, end, takeover.rest > 0))
+def _places(takeover: Takeover, rows: IntArray | None) -> tuple[IntArray, IntArray]:
+    """Places among the m triggered of the chosen rows that triggered, and which of the rows these are."""
+    if rows is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    place = np.full(takeover.scenarios.n, -1, dtype=np.int64)
+    place[takeover.rows] = np.arange(takeover.m)
+    found = np.flatnonzero(place[rows] >= 0)
+    return place[rows[found]], found
 
 
-def _last_step(takeover: Takeover, loop: _Loop, delta: FloatArray) -> None:
-    """The step of length `rest` that brings every scenario to its own T."""
-    t = takeover.start + takeover.full_steps * takeover.plant.dt
-    loop.advance(_contiguous(takeover.last), delta, t, takeover.rest)
-    rows = np.flatnonzero(takeover.rest > 0)
-    loop.record(takeover.full_steps[rows], rows, takeover.triggered.T[rows], delta[rows])
+def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
+    """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
+    firsts = range(0, count, least)
+    number = min(usable_cores() if threads is None else threads, len(firsts))
+    if number <= 1:
+        work(0, count)
+        return
+    with ThreadPoolExecutor(number) as pool:
+        list(pool.map(lambda first: work(first, min(first + least, count)), firsts))
 
 
-def _contiguous(step: Discretization) -> Discretization:
-    """The same step with the scenario axis last in memory: columns of n are read in one go."""
+def _recorded(takeover: Takeover) -> Run:
+    """Nobody intervenes."""
+    rows, recorded = takeover.rows, takeover.recorded
+    companions = Companions(**{name: getattr(recorded, name)[rows] for name in COMPANION_UNITS})
+    zeros = np.zeros(takeover.m, dtype=np.int64)
+    return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
 
-    def turn(values: FloatArray) -> FloatArray:
-        return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, 0, -1)), -1, 0)
 
-    return Discretization(**{f.name: turn(getattr(step, f.name)) for f in dataclasses.fields(step)})
+def _run(
+    takeover: Takeover,
+    score: FloatArray,
+    diverged: npt.NDArray[np.bool_],
+    failed: IntArray,
+    law_seconds: float,
+    trajectories: Trajectories | None,
+) -> Run:
+    edge = takeover.model.parameters.edge_offset
+    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
+    status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+    # before the trigger the vehicle was on the recorded path
+    front = np.maximum(score[:, FRONT] - edge, takeover.front_before)
+    companions = Companions(
+        deepest=np.maximum(score[:, DEEP] - edge, takeover.deepest_before),
+        dtle=-front,
+        t_back=score[:, BACK].copy(),
+        overshoot=np.maximum(score[:, OVER] - edge, 0.0),
+        a_y_peak=score[:, A_Y].copy(),
+        jerk_peak=score[:, JERK].copy(),
+        delta_peak=score[:, DELTA].copy(),
+        delta_rate_peak=score[:, RATE].copy(),
+        effort=score[:, EFFORT].copy(),
+        travel=score[:, TRAVEL].copy(),
+    )
+    return Run(takeover, score[:, AREA].copy(), status, failed, companions, law_seconds, trajectories)
 
 
-def _drive_general(law: SteeringLaw, takeover: Takeover, loop: _Loop, name: str) -> None:
-    m, dt, step = takeover.m, takeover.plant.dt, _contiguous(takeover.plant.step)
-    times = law.preview_times
-    state = law.init(m)
-    last = takeover.delta_0.copy()
-    counts = _counts(takeover)
-    for sample in range(counts.size + 1):
-        k = int(counts[sample]) if sample < counts.size else 0
-        # a scenario takes part while it has a whole step or its last one left
-        part = (takeover.full_steps > sample) | ((takeover.full_steps == sample) & (takeover.rest > 0))
-        t = takeover.start + np.minimum(sample, takeover.full_steps) * dt
-        preview = takeover.preview(t, times)
-        x = np.column_stack(loop.x)
-        idle = ~(part & loop.alive)
-        x[idle] = 0.0
-        preview.yaw_rate[idle] = 0.0
-        preview.heading[idle] = 0.0
-        result = law.step(t, x, preview, np.where(idle, 0.0, loop.delta_prev), state)
-        delta, state, status = check_step(result, m, name)
-        bad = ~np.isfinite(delta)
-        delta[bad] = loop.delta_prev[bad]
-        loop.failed[(bad | (status == EventStatus.SOLVER_FAILED)) & ~idle] += 1
-        last = np.where(takeover.full_steps == sample, delta, last)
-        if k:
-            loop.advance(step, delta[:k], t[:k], np.full(k, dt))
-            loop.record(sample, np.arange(k), t[:k] + dt, delta[:k])
-    _last_step(takeover, loop, last)
+def _drive_linear(
+    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None
+) -> list[Run]:
+    from ldctoolkit.simulation.kernel import entry
+    from ldctoolkit.simulation.kernel.lanes import LANES
+
+    tables = takeover.tables
+    options = takeover.options
+    if not (options.drives_exactly and options.sensors.ideal):
+        return [_drive_each(law, tables, rows, threads) for law in laws]
+    d, m = len(laws), takeover.m
+    score = np.zeros((d, m, SCORES))
+    diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
+    if m:
+        designs, state, none = designs_table(laws), tables.state(), tables.paths(np.zeros(0, dtype=np.int64))
+
+        def work(first: int, last: int) -> None:
+            entry.drive_lanes(
+                tables.scene, tables.exact, tables.setting, designs, state, none, first, last, score, diverged, failed
+            )
+
+        _in_threads(work, -(-m // LANES), threads, _SCENARIOS_A_TASK // LANES)
+    paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
+    return [_run(takeover, score[i], diverged[i], failed[i], 0.0, paths[i]) for i in range(d)]
+
+
+def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: int | None) -> Run:
+    """A linear law on any plant, scenario by scenario; on the ideal plant only those whose paths are wanted."""
+    from ldctoolkit.simulation.kernel import entry
+
+    over, state, table = tables.over, tables.state(), law_table(law)
+    places, found = _places(over, rows)
+    paths = tables.paths(places)
+    ideal = over.options.drives_exactly and over.options.sensors.ideal
+    driven = np.sort(places) if ideal else np.arange(over.m)
+
+    def work(first: int, last: int) -> None:
+        entry.begin(tables.scene, tables.setting, state, paths, driven[first:last])
+        entry.drive_each(tables.scene, tables.setting, tables.camera, table, state, paths, driven[first:last])
+
+    _in_threads(work, driven.size, threads, _SCENARIOS_A_TASK // 8)
+    return _run(over, state.score, state.diverged, state.failed, 0.0, _trajectories(paths, rows, found))
+
+
+def _drive_general(
+    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None
+) -> Run:
+    """Any law, all scenarios of a sample at once."""
+    from ldctoolkit.simulation.kernel import entry
+
+    tables = takeover.tables
+    scene, setting, camera, state = tables.scene, tables.setting, tables.camera, tables.state()
+    places, found = _places(takeover, rows)
+    paths = tables.paths(places)
+    batch = np.arange(takeover.m)
+    entry.begin(scene, setting, state, paths, batch)
+    times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
+    own = law.init(takeover.m)
+    law_seconds, sample = 0.0, 0
+    while True:
+        going = np.flatnonzero(state.alive[batch])
+        if not going.size:
+            break
+        if going.size < _DROP_BELOW * batch.size:
+            taken = law.take(going, own)
+            if taken is not None:
+                law, own = taken
+                batch, going = batch[going], np.arange(going.size)
+        running = batch[going]
+        seen = np.zeros((running.size, 4))
+        ahead = np.zeros((2, running.size, times.size))
+
+        def look(first: int, last: int) -> None:
+            part = slice(first, last)
+            entry.look(
+                scene, setting, camera, state, sample, running[part], times,
+                seen[part], ahead[0, part], ahead[1, part],
+            )  # fmt: skip
+
+        _in_threads(look, running.size, threads, _SCENARIOS_A_TASK)
+        t, x, preview, previous = _shown(takeover, state, batch, going, sample, seen, ahead)
+        started = time.perf_counter()
+        result = law.step(t, x, preview, previous.copy(), own)
+        law_seconds += time.perf_counter() - started
+        delta, own, status = check_step(result, batch.size, name)
+        wrong = ~np.isfinite(delta)
+        delta[wrong] = previous[wrong]
+        state.failed[running] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
+        command = np.ascontiguousarray(delta[going])
+
+        def go_on(first: int, last: int) -> None:
+            entry.go_on(scene, setting, state, paths, sample, running[first:last], command[first:last])
+
+        _in_threads(go_on, running.size, threads, _SCENARIOS_A_TASK)
+        sample += 1
+    trajectories = _trajectories(paths, rows, found)
+    return _run(takeover, state.score, state.diverged, state.failed, law_seconds, trajectories)
+
+
+def _shown(
+    takeover: Takeover, state: State, batch: IntArray, going: IntArray, sample: int, seen: FloatArray, ahead: FloatArray
+) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
+    """What `SteeringLaw.step` is given: scenarios of the batch that have ended are zeros."""
+    if going.size == batch.size:
+        t = takeover.start[batch] + sample * takeover.dt
+        return t, seen, Preview(ahead[0], ahead[1]), state.command[batch]
+    x = np.zeros((batch.size, 4))
+    lane = np.zeros((2, batch.size, ahead.shape[2]))
+    t, previous = np.zeros(batch.size), np.zeros(batch.size)
+    x[going], lane[:, going] = seen, ahead
+    t[:] = takeover.start[batch] + sample * takeover.dt
+    previous[going] = state.command[batch[going]]
+    return t, x, Preview(lane[0], lane[1]), previous
+
+
+def _trajectories(paths: Paths, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+    """Paths of the chosen rows; NaN where a scenario never triggered."""
+    if rows is None:
+        return None
+    longest = int(paths.count.max(initial=1))
+
+    def spread(values: FloatArray) -> FloatArray:
+        out = np.full((rows.size, longest, *values.shape[2:]), np.nan)
+        out[found] = values[:, :longest]
+        return out
+
+    return Trajectories(rows, spread(paths.t), spread(paths.x), spread(paths.delta))
+
+
+__all__ = ["BOUND", "drive", "drive_many"]

@@ -20,18 +20,24 @@ Window = Literal["departure", "control"]
 
 @dataclasses.dataclass(frozen=True)
 class Trajectories:
-    """Paths under control at the controller's samples, NaN after each departure's end, or once it has diverged.
+    """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
+
+    NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and
+    everywhere where it never triggered.
 
     Attributes
     ----------
-    t : (n, k) [s]
-        Time since the departure's start; the first column is the trigger, the last used one the end T.
-    x : (n, k, 4)
+    rows : (c,) int
+        Row numbers of the scenarios.
+    t : (c, k) [s]
+        Time since the departure's start; the first column is the trigger.
+    x : (c, k, 4)
         State (e_y, de_y/dt, e_psi, de_psi/dt).
-    delta : (n, k) [rad]
-        Command from that time on; NaN at the end.
+    delta : (c, k) [rad]
+        Steering angle of the wheel just after that time; in the last entry, at it.
     """
 
+    rows: IntArray
     t: FloatArray
     x: FloatArray
     delta: FloatArray
@@ -108,17 +114,20 @@ class Run:
         Integral of |e_y| from the trigger to T; None where nobody intervened.
     status : (m,) int8
     failed_solves : (m,) int
-    deepest : (m,) [m]
-        Deepest position of the edge beyond the line under control.
+    companions : Companions
+        Arrays of m.
+    law_seconds : float [s]
+        Wall time of the law's own steps.
     trajectories : Trajectories or None
-        Of the m scenarios.
+        Of chosen ones of all n scenarios.
     """
 
     takeover: Takeover
     area: FloatArray | None
     status: npt.NDArray[np.int8]
     failed_solves: IntArray
-    deepest: FloatArray
+    companions: metrics.Companions
+    law_seconds: float
     trajectories: Trajectories | None
 
     def outcome(self, window: Window) -> Outcome:
@@ -140,34 +149,28 @@ class Run:
         if window not in get_args(Window):
             raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
         over, rows = self.takeover, self.takeover.rows
-        triggered = np.isfinite(over.t_s)
         uncorrected = over.S_uncorrected if window == "departure" else over.S_uncorrected - over.S_before
         S = uncorrected.copy()
         if self.area is not None:
             S[rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
-        status = np.full(over.scenarios.n, EventStatus.NEVER_TRIGGERED, dtype=np.int8)
+        status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
         failed[rows] = self.failed_solves
-        deepest = over.scenarios.d_y.copy()
-        deepest[rows] = self.deepest
+        columns = {}
+        for field in dataclasses.fields(metrics.Companions):
+            column = getattr(over.recorded, field.name).copy()
+            column[rows] = getattr(self.companions, field.name)
+            columns[field.name] = column
         return Outcome(
             window=window,
             S=S,
             S_uncorrected=uncorrected,
-            triggered=triggered,
+            triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            deepest=deepest,
+            companions=metrics.Companions(**columns),
             failed_solves=failed,
-            trajectories=None if self.trajectories is None else _in_order(self.trajectories, rows, over.scenarios.n),
+            law_seconds=self.law_seconds,
+            trajectories=self.trajectories,
         )
-
-
-def _in_order(trajectories: Trajectories, rows: IntArray, n: int) -> Trajectories:
-    def spread(values: FloatArray) -> FloatArray:
-        out = np.full((n, *values.shape[1:]), np.nan)
-        out[rows] = values
-        return out
-
-    return Trajectories(spread(trajectories.t), spread(trajectories.x), spread(trajectories.delta))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy.typing as npt
+
 from ldctoolkit.control import Controller
+from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation.closed_loop import drive
 from ldctoolkit.simulation.outcome import Outcome, Window
-from ldctoolkit.simulation.takeover import InitialYawRate, Takeover
+from ldctoolkit.simulation.takeover import SETTLE, InitialYawRate, Takeover
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 
@@ -19,7 +22,11 @@ def simulate(
     dt: float = 0.05,
     window: Window = "departure",
     initial_yaw_rate: InitialYawRate = "path",
-    trajectories: bool = False,
+    options: PlantOptions | None = None,
+    seed: int = 0,
+    settle: float = SETTLE,
+    trajectories: bool | npt.ArrayLike = False,
+    threads: int | None = None,
 ) -> Outcome:
     """Run one controller design on all scenarios and score it.
 
@@ -39,8 +46,17 @@ def simulate(
         Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
     initial_yaw_rate : {"path", "zero"}
         de_psi/dt at the trigger.
-    trajectories : bool
-        Keep the paths.
+    options : PlantOptions, optional
+        In what the plant differs from the ideal linear one.
+    seed : int
+        Of what is drawn for each scenario; with the scenario's number (`Scenarios.index`) it decides every draw.
+    settle : float [s]
+        How long the loop goes on after the departure, rounded up to whole samples: overshoot, acceleration and
+        steering are watched until then. S always ends at T.
+    trajectories : bool or (c,) int
+        Keep the paths: of all scenarios, or of those with these row numbers.
+    threads : int, optional
+        All cores this process may use by default. It changes no number.
 
     Returns
     -------
@@ -67,5 +83,14 @@ def simulate(
     array([ True,  True])
     """
     model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())
-    takeover = Takeover.build(scenarios, model, y_s=y_s, dt=dt, initial_yaw_rate=initial_yaw_rate)
-    return drive(controller, takeover, trajectories=trajectories).outcome(window)
+    takeover = Takeover.build(
+        scenarios,
+        model,
+        y_s=y_s,
+        dt=dt,
+        initial_yaw_rate=initial_yaw_rate,
+        options=options,
+        seed=seed,
+        settle=settle,
+    )
+    return drive(controller, takeover, trajectories=trajectories, threads=threads).outcome(window)
