@@ -216,10 +216,11 @@ def moving_average_jerk(
 
     since, h = earlier - at(times, start), at(times, end) - at(times, start)
     share = np.divide(since, h, out=np.zeros_like(h), where=h > 0)
-    between = at(right, start) + share * (at(left, end) - at(right, start))
-    on_sample = since <= SAME_TIME
-    then_left = np.where(i < 0, constant, np.where(on_sample, at(left, start), between))
-    then_right = np.where(i < 0, constant, np.where(on_sample, at(right, start), between))
+    change = share * (at(left, end) - at(right, start))
+    # on a sample up to rounding: its own side of the jump there
+    from_left = np.where(since <= SAME_TIME, at(left, start), at(right, start))
+    then_left = np.where(i < 0, constant, from_left + change)
+    then_right = np.where(i < 0, constant, at(right, start) + change)
     return (
         np.where(used, (left - then_left) / length, np.nan),
         np.where(used, (right - then_right) / length, np.nan),
