@@ -597,18 +597,20 @@ def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, fl
     t, a_before, a_after, delta = (np.array(column) for column in zip(*loop.nodes, strict=True))
     change = np.abs(np.diff(delta, prepend=loop.delta_0))
     effort = sum(gauss(lambda t, p=piece: p.delta(t) ** 2, piece.start, piece.end) for piece in loop.pieces)
-    ends = [abs(piece.delta(s)) for piece in loop.pieces for s in (piece.start, piece.end)]  # monotone in between
+    # the wheel is monotone within a piece, and jumps between pieces at most
+    angles = np.array([piece.delta(s) for piece in loop.pieces for s in (piece.start, piece.end)])
     return {
         "deepest": largest(departure, _edge(path)),
         "dtle": -largest(departure, _front(path, loop.true)),
         "t_back": _first_inside(path, loop.pieces),
         "overshoot": max(0.0, largest(loop.pieces, lambda piece, t: -path.side * piece.e_y(t) - OFFSET)),
-        "a_y_peak": float(np.abs([a_before, a_after]).max()),
+        # the limit from before t_s is before the window
+        "a_y_peak": float(np.abs([*a_before[1:], *a_after]).max()),
         "jerk_peak": _jerk_peak(t, a_before, a_after),
-        "delta_peak": max(ends),
+        "delta_peak": float(np.abs(angles).max()),
         "delta_rate_peak": float(change.max()) / loop.dt,
         "effort": effort,
-        "travel": float(change.sum()),
+        "travel": float(np.abs(np.diff(angles, prepend=loop.delta_0)).sum()),
     }
 
 
