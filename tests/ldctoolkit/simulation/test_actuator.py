@@ -1,0 +1,162 @@
+"""The wheel's angle after a command that jumps once, against the analytic answer, in both loops."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, SteeringLaw, simulate
+from ldctoolkit.plant_options import Actuator, PlantOptions
+
+DT, SETTLE = 0.05, 0.4
+STEP = 0.02  # [rad], of the command
+
+# T is no whole number of samples, and the second departure is to the right
+SCENARIOS = Scenarios.from_arrays(side=[1, -1], T=[0.93, 0.777], d_y=0.4, v_mean=[25.0, 14.0], c_0=[1e-3, -2e-3])
+
+
+def delta_0(i: int) -> float:
+    """Steady steering of the recorded path, from the understeer gradient."""
+    v, T, d_y = SCENARIOS.v_mean[i], SCENARIOS.T[i], SCENARIOS.d_y[i]
+    gradient = (1.47 - 1.43) * 1000.0 / (2 * 80000.0 * 2.9)
+    return float((2.9 / v + gradient * v) * (v * SCENARIOS.c_0[i] - 8 * d_y / T**2 / v))
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant(Controller):
+    """Commands one angle for ever, in the loop for any law."""
+
+    name = "constant"
+    title = "Constant"
+    angle: float = STEP
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        return ConstantLaw(self.angle)
+
+
+@dataclasses.dataclass(frozen=True)
+class ConstantLaw(SteeringLaw):
+    angle: float
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        return np.full(x.shape[0], self.angle), state, np.zeros(x.shape[0], dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Remembered(Controller):
+    """Multiplies its last command, from delta_0 on, in the loop for linear laws."""
+
+    name = "remembered"
+    title = "Remembered"
+    factor: float = -1.0
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        none = np.zeros((plant.n, 0))
+        return LinearLaw(np.zeros((plant.n, 4)), np.zeros(0), none, none, np.full(plant.n, self.factor))
+
+
+def wheel(law: Controller, actuator: Actuator) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(t, delta) of each scenario, at samples, at T and at the end."""
+    options = PlantOptions(actuator=actuator)
+    out = simulate(law, SCENARIOS, y_s=0.0, dt=DT, options=options, settle=SETTLE, trajectories=True)
+    assert out.trajectories is not None
+    rows = []
+    for i in range(SCENARIOS.n):
+        driven = ~np.isnan(out.trajectories.t[i])
+        rows.append((out.trajectories.t[i, driven], out.trajectories.delta[i, driven]))
+        assert rows[-1][0][-1] == pytest.approx(SCENARIOS.T[i] + SETTLE, abs=1e-9)
+    return rows
+
+
+def moved(s: np.ndarray, start: float, target: float, lag: float, rate: float) -> np.ndarray:
+    """Angle s seconds after the target jumped, s < 0 before it: a ramp, then an exponential from where it ends."""
+    way = target - start
+    ramp = max(abs(way) / rate - lag, 0.0)
+    reached = start + np.copysign(min(rate * ramp, abs(way)), way) if np.isfinite(rate) else start
+    after = np.zeros_like(s) if lag == 0.0 else (reached - target) * np.exp(-np.maximum(s - ramp, 0.0) / max(lag, 1e-9))
+    on_the_way = start + np.sign(way) * (rate if np.isfinite(rate) else 0.0) * s
+    return np.where(s < 0.0, start, np.where(s < ramp, on_the_way, target + after))
+
+
+ACTUATORS: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "lag": {"lag": 0.13},
+    "short lag": {"lag": 1e-4},
+    "rate": {"rate_max": 0.11},
+    "lag and rate": {"lag": 0.04, "rate_max": 0.15},
+    "rate that does not bind": {"lag": 0.5, "rate_max": 1.0},
+}
+DELAYS = (0.0, 3 * DT, 0.013, 0.117, 5.0)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize("kind", ACTUATORS)
+@pytest.mark.parametrize("limit", [None, 0.007])
+def test_step_response_is_analytic(kind: str, delay: float, limit: float | None) -> None:
+    """From the angle at the trigger, which is not limited, to the command or its limit."""
+    given = ACTUATORS[kind]
+    actuator = Actuator(**given, delay=delay, delta_max=limit)
+    target = STEP if limit is None else limit
+    for i, (t, delta) in enumerate(wheel(Constant(), actuator)):
+        expected = moved(t - delay, delta_0(i), target, given.get("lag", 0.0), given.get("rate_max", np.inf))
+        # where a delay is a whole number of samples the wheel starts to turn at a sample, up to rounding
+        sure = np.abs(t - delay) > 1e-12 if not given else np.full(t.size, True)
+        np.testing.assert_allclose(delta[sure], expected[sure], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 2 * DT])
+def test_whole_delays_without_lag_are_exact_at_samples(delay: float) -> None:
+    """The command of sample k is at the wheel from sample k + delay/dt on, that sample included."""
+    for i, (t, delta) in enumerate(wheel(Constant(), Actuator(delay=delay))):
+        late = round(delay / DT)
+        assert (delta[:late] == pytest.approx(delta_0(i), rel=1e-12)) or late == 0
+        np.testing.assert_array_equal(delta[late:], STEP)
+        assert t[late] == pytest.approx(delay, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ACTUATORS)
+@pytest.mark.parametrize("delay", [0.0, DT, 0.02, 0.088])
+def test_a_linear_law_that_alternates_is_followed_step_by_step(kind: str, delay: float) -> None:
+    """Commands f, f^2, f^3, ... times delta_0, f < 0: each jump starts where the last one had got to."""
+    factor, given = -0.8, ACTUATORS[kind]
+    lag, rate = given.get("lag", 0.0), given.get("rate_max", np.inf)
+    for i, (t, delta) in enumerate(wheel(Remembered(factor), Actuator(**given, delay=delay))):
+        samples = np.abs(t / DT - np.round(t / DT)) < 1e-9
+        arrivals = [(round(k * DT + delay, 12), 1, delta_0(i) * factor ** (k + 1)) for k in range(samples.sum())]
+        reads = [(round(k * DT, 12), 2, 0.0) for k in range(samples.sum())]
+        now, angle, target, expected = 0.0, delta_0(i), delta_0(i), []
+        for s, what, new in sorted(arrivals + reads):
+            angle = float(moved(np.array(s - now), angle, target, lag, rate))
+            now = s
+            if what == 1:
+                target = new
+                angle = target if not given else angle
+            else:
+                expected.append(angle)
+        np.testing.assert_allclose(delta[samples], expected, rtol=0, atol=1e-12)
+
+
+def test_the_rate_is_kept_between_samples_too() -> None:
+    """A limit that no sample sees broken, with commands that arrive between samples and turn round at once."""
+    for _, delta in wheel(Remembered(-0.95), Actuator(rate_max=0.3, delay=0.021)):
+        # two directions within one step
+        assert (np.abs(np.diff(delta)) <= 0.3 * DT + 1e-12).all()
+        assert (np.abs(np.diff(delta)) < 0.2 * 0.3 * DT).any()
+
+
+def test_delta_prev_is_the_command_and_not_the_wheel() -> None:
+    """The law multiplies what it commanded, whatever the wheel did with it."""
+    limited = wheel(Remembered(-1.0), Actuator(delta_max=0.001))
+    for i, (_, delta) in enumerate(limited):
+        # with the wheel's angle as delta_prev the limit would never be left, nor the sign of delta_0 come back
+        np.testing.assert_allclose(delta[:4], -np.sign(delta_0(i)) * 0.001 * np.array([1, -1, 1, -1]), rtol=0, atol=0)
