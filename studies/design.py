@@ -14,6 +14,9 @@ from ldctoolkit.vehicle import Convention
 CONVENTION_GAIN: Final = "convention"
 """Name of the option through which a law declares that it knows the two readings of the paper."""
 
+NO_CONTROL: Final = "none"
+"""Registry name of the law that never intervenes."""
+
 FOLLOWS_CASE: Final = "case"
 """Value of that option in a design that leaves the reading to the study's case."""
 
@@ -91,6 +94,11 @@ class Design:
         """Twelve hexadecimal digits that depend on the content only."""
         content = json.dumps([self.law, self.y_s, self.gains], separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether the design never intervenes."""
+        return self.law == NO_CONTROL
 
     @property
     def changed(self) -> tuple[tuple[str, GainValue], ...]:

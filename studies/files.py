@@ -46,8 +46,8 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
         table.write_parquet(stream)
 
 
-def read_parquet(path: Path, schema: dict[str, Any]) -> pl.DataFrame:
-    """Read a Parquet file and check its columns, types and that nothing is missing or not finite.
+def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
+    """Read a Parquet file and check its columns, types and that nothing is missing, nor, with `finite`, not finite.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def read_parquet(path: Path, schema: dict[str, Any]) -> pl.DataFrame:
     if dict(table.schema) != schema:
         raise StoreError(f"{path}: broken: its columns are {', '.join(table.columns)}; needed: {', '.join(schema)}")
     for column in table.iter_columns():
-        if column.null_count() or (column.dtype.is_float() and not column.is_finite().all()):
+        if column.null_count() or (finite and column.dtype.is_float() and not column.is_finite().all()):
             raise StoreError(f"{path}: broken: column {column.name} holds a value that is missing or not finite")
     return table
 

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, controller_class
+from ldctoolkit import EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import GainValue
 from studies.bootstrap import bootstrap_means, percentile_interval
 from studies.design import Design
-from studies.files import write_text
+from studies.release import ReleaseFigures
 from studies.results import Case, CaseResults, StudyResults
 from studies.spec import Study
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -38,7 +30,8 @@ _SAME = 1e-6
 class Ranking:
     """Designs of one case, best first; every array has one entry a design in that order.
 
-    Failed and diverged scenarios count in every mean with the S that they got.
+    Failed and diverged scenarios count in every mean with the S that they got. Scenarios that cannot be driven under
+    some design have no S: they are left out for all designs, counted in `invalid`, and a warning says so.
 
     Attributes
     ----------
@@ -66,10 +59,12 @@ class Ranking:
         Share of scenarios in which the design took over.
     deeper : (d,)
         Share of scenarios deeper than D_y.
-    solver_failed, diverged, timed_out : (d,) int
+    solver_failed, diverged, timed_out, invalid : (d,) int
         Scenarios with that status.
     failed_solves : (d,) int
         Commands that came from a fallback.
+    release : ReleaseFigures
+        What is reported beside S.
     D_y : float [m]
     bootstrap : int
         Resamples.
@@ -101,7 +96,9 @@ class Ranking:
     solver_failed: IntArray
     diverged: IntArray
     timed_out: IntArray
+    invalid: IntArray
     failed_solves: IntArray
+    release: ReleaseFigures
     D_y: float
     bootstrap: int
     confidence: float
@@ -151,13 +148,18 @@ class Ranking:
         InputError
             For settings outside what is allowed, or scores that are not finite.
         """
+        every, drivable, scenarios = case.status, case.drivable, results.scenarios
+        if not drivable.any():
+            raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
+        if not drivable.all():
+            case, scenarios = case.take(drivable), scenarios.take(np.flatnonzero(drivable))
         if not np.isfinite(case.S).all():
             raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
-        left, right = (results.scenarios.side == side for side in (LEFT, RIGHT))
+        left, right = (scenarios.side == side for side in (LEFT, RIGHT))
         S = case.S.mean(axis=1)
         order = np.argsort(S, kind="stable")
         sorted_S = S[order]
-        means = bootstrap_means(case.S[order], results.scenarios.side, samples=bootstrap, seed=seed)
+        means = bootstrap_means(case.S[order], scenarios.side, samples=bootstrap, seed=seed)
         S_low, S_high = percentile_interval(means, confidence)
         difference = (case.S[order] - case.S[order[0]]).mean(axis=1)
         means -= means[:, :1].copy()
@@ -171,7 +173,7 @@ class Ranking:
             return result
 
         def count(status: EventStatus) -> IntArray:
-            result: IntArray = (case.status[order] == status).sum(axis=1).astype(np.int64)
+            result: IntArray = (every[order] == status).sum(axis=1).astype(np.int64)
             return result
 
         return cls(
@@ -193,15 +195,17 @@ class Ranking:
             difference_high=difference_high,
             tied_with_best=(difference_low <= _SAME) & (difference_high >= -_SAME),
             triggered=share(case.status != EventStatus.NEVER_TRIGGERED),
-            deeper=share(case.deepest > D_y),
+            deeper=share(case.companions.deepest > D_y),
             solver_failed=count(EventStatus.SOLVER_FAILED),
             diverged=count(EventStatus.DIVERGED),
             timed_out=count(EventStatus.TIMED_OUT),
+            invalid=count(EventStatus.INVALID),
             failed_solves=case.failed_solves[order].sum(axis=1).astype(np.int64),
+            release=ReleaseFigures.of(case, results.designs, scenarios.d_y, order=order.tolist(), D_y=D_y),
             D_y=D_y,
             bootstrap=bootstrap,
             confidence=confidence,
-            warnings=tuple(_warnings(case, results.designs)),
+            warnings=tuple(_warnings(case, results.designs, int((~drivable).sum()))),
         )
 
     def best_of_each_law(self) -> tuple[int, ...]:
@@ -210,46 +214,6 @@ class Ranking:
         for i, design in enumerate(self.designs):
             first.setdefault(design.law, i)
         return tuple(first.values())
-
-    def table(self, top: int = 10) -> Table:
-        """The first `top` designs and the best of each law, for a terminal."""
-        from rich.table import Table
-
-        shown = sorted({*range(min(top, len(self))), *self.best_of_each_law()})
-        percent = f"{100 * self.confidence:g}%"
-        table = Table(title=f"{len(self)} designs by mean S, {self.case.label}", title_justify="left")
-        for heading in ("#", "law", "y_s\n[m]", "gains that differ\nfrom defaults"):
-            table.add_column(heading, justify="right" if heading in ("#", "y_s\n[m]") else "left")
-        headings = ("mean S\n[m s]", f"{percent}\ninterval", "to the best\n[m s]", "reduction", "left", "right")
-        for heading in (*headings, f"deeper\n{self.D_y:g} m", "failed"):
-            table.add_column(heading, justify="right")
-        for previous, i in zip([-1, *shown], shown, strict=False):
-            if i > previous + 1:
-                table.add_section()
-            table.add_row(*self._cells(i), style="bold" if i == 0 else None)
-        return table
-
-    def _cells(self, i: int) -> list[str]:
-        design = self.designs[i]
-        gains = ", ".join(f"{name}={_text(value)}" for name, value in design.changed)
-        tie = " =" if i and self.tied_with_best[i] else ""
-        failed = int(self.solver_failed[i] + self.diverged[i] + self.timed_out[i])
-        return [
-            str(self.rank[i]),
-            controller_class(design.law).title,
-            f"{design.y_s:g}",
-            gains,
-            f"{self.S[i]:.4f}",
-            f"{self.S_low[i]:.3f} .. {self.S_high[i]:.3f}",
-            f"+{self.difference[i]:.4f}{tie}",
-            *(_percent(values[i]) for values in (self.reduction, self.reduction_left, self.reduction_right)),
-            _percent(self.deeper[i]),
-            str(failed) if failed else "-",
-        ]
-
-    def to_csv(self, path: str | Path) -> None:
-        """Write this ranking alone as CSV; see `write_csv`."""
-        write_csv([self], path)
 
 
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
@@ -292,98 +256,14 @@ def _reduction(case: CaseResults, order: IntArray, rows: BoolArray) -> FloatArra
     return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)
 
 
-def _warnings(case: CaseResults, designs: Sequence[Design]) -> Iterator[str]:
+def _warnings(case: CaseResults, designs: Sequence[Design], left_out: int) -> Iterator[str]:
+    if left_out:
+        yield (
+            f"{left_out} of {left_out + case.status.shape[1]} scenarios cannot be driven (a parameter is not finite, "
+            "the speed is below 1 m/s, or T is not > 0); no figure of any design counts them."
+        )
     if case.case.window == "control" and len({design.y_s for design in designs}) > 1:
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Designs with different y_s are not comparable here; use the departure window."
         )
-
-
-def _percent(value: float) -> str:
-    return "-" if np.isnan(value) else f"{100 * value:.1f} %"
-
-
-def _text(value: GainValue) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
-    """Write rankings as one CSV file, whole or not at all; window and convention name the case.
-
-    Parameters
-    ----------
-    rankings : sequence of Ranking
-    path : path
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
-    gains = _gain_columns(rankings)
-    text = io.StringIO()
-    rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(Path(path), text.getvalue())
-
-
-def _gain_columns(rankings: Iterable[Ranking]) -> list[str]:
-    laws = dict.fromkeys(design.law for ranking in rankings for design in ranking.designs)
-    return list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
-
-
-def _columns_of(law: str) -> list[str]:
-    """Column of every gain of a law; a gain of one name and unit shares its column between laws."""
-    units = {"1": "", "samples": ""}
-    return [
-        g.name + (f"_{unit}" if (unit := units.get(g.unit, g.unit.replace("/", "_per_").replace("^", ""))) else "")
-        for g in controller_class(law).gains()
-    ]
-
-
-def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    numbers = {
-        "S_m_s": ranking.S,
-        "S_low_m_s": ranking.S_low,
-        "S_high_m_s": ranking.S_high,
-        "S_left_m_s": ranking.S_left,
-        "S_right_m_s": ranking.S_right,
-        "S_uncorrected_m_s": ranking.S_uncorrected,
-        "reduction": ranking.reduction,
-        "reduction_left": ranking.reduction_left,
-        "reduction_right": ranking.reduction_right,
-        "difference_to_best_m_s": ranking.difference,
-        "difference_low_m_s": ranking.difference_low,
-        "difference_high_m_s": ranking.difference_high,
-        "tied_with_best": ranking.tied_with_best,
-        "triggered_share": ranking.triggered,
-        "deeper_than_D_y_share": ranking.deeper,
-        "solver_failed": ranking.solver_failed,
-        "diverged": ranking.diverged,
-        "timed_out": ranking.timed_out,
-        "failed_solves": ranking.failed_solves,
-    }
-    for i, design in enumerate(ranking.designs):
-        values = dict.fromkeys(gains, "") | dict(
-            zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
-        )
-        yield {
-            "window": ranking.case.window,
-            "convention": ranking.case.convention,
-            "rank": int(ranking.rank[i]),
-            "design": design.id,
-            "law": design.law,
-            "y_s_m": repr(design.y_s),
-            **{f"gain_{name}": value for name, value in values.items()},
-            **{name: _field(column[i].item()) for name, column in numbers.items()},
-        }
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for NaN."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

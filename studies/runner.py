@@ -22,14 +22,18 @@ from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.manifest import Manifest
 from studies.model_notes import model_notes
 from studies.results import StudyResults
+from studies.run_table import RunResult, RunTable
 from studies.simulate_designs import Block, Job, Simulator, start_worker, work
 from studies.spec import Study
-from studies.store import RunKey, RunResult, Store, assemble
+from studies.store import Store
 
 _log = logging.getLogger("studies")
 
 _STORE_EVERY = 5.0
 """Seconds between parts: what a kill can cost at most."""
+
+_ROWS_A_PART = 1_000_000
+"""Rows after which a part is stored before its time: results that wait are in memory twice."""
 
 _LISTEN_EVERY = 0.2
 """Seconds after which an interrupt is noticed at the latest."""
@@ -121,7 +125,7 @@ def run_study(
     finally:
         seconds = time.monotonic() - started
         store.write_manifest(store.manifest.ended(seconds=seconds, workers=count, complete=complete))
-    return assemble(study, scenarios, done, source=str(directory))
+    return done.results(scenarios, store.times, source=str(directory))
 
 
 def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -> ScenarioModel:
@@ -141,7 +145,7 @@ def _positive(name: str, value: int | None, default: int) -> int:
     return value
 
 
-def _blocks(study: Study, done: dict[RunKey, RunResult], size: int) -> list[Block]:
+def _blocks(study: Study, done: RunTable, size: int) -> list[Block]:
     """What is still to do, designs of one threshold together."""
     blocks = []
     for convention in study.simulation.convention:
@@ -161,6 +165,9 @@ def _run(
         dt=study.simulation.dt,
         windows=study.simulation.window,
         initial_yaw_rate=study.simulation.initial_yaw_rate,
+        options=study.plant,
+        settle=study.simulation.settle,
+        seed=study.seed,
     )
     if workers <= 1:
         simulator = Simulator(job)
@@ -231,9 +238,7 @@ def _single_threaded_blas() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _collect(
-    finished: Iterator[list[RunResult]], store: Store, done: dict[RunKey, RunResult], total: int, show: bool
-) -> None:
+def _collect(finished: Iterator[list[RunResult]], store: Store, done: RunTable, total: int, show: bool) -> None:
     """Store runs as they come, a part every few seconds; whatever happens, what is finished is stored."""
     waiting: list[RunResult] = []
     stored = time.monotonic()
@@ -241,9 +246,11 @@ def _collect(
         with _progress_bar(total, show) as advance:
             for runs in finished:
                 waiting += runs
-                done.update({run.key: run for run in runs})
+                for run in runs:
+                    done.put(run)
                 advance(len(runs))
-                if time.monotonic() - stored > _STORE_EVERY:
+                rows = sum(run.status.size for run in waiting)
+                if rows > _ROWS_A_PART or time.monotonic() - stored > _STORE_EVERY:
                     store.add(waiting)
                     waiting, stored = [], time.monotonic()
     finally:

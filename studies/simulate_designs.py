@@ -10,15 +10,23 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, Controller, LdcError, Scenarios, VehicleParameters, controller_names, register
-from ldctoolkit.simulation import InitialYawRate, Takeover, Window, drive
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LdcError,
+    Scenarios,
+    VehicleParameters,
+    controller_names,
+    register,
+)
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.simulation import InitialYawRate, Run, Takeover, Window, drive_many
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
-from studies.store import RunResult
-
-FloatArray = npt.NDArray[np.float64]
+from studies.results import per_scenario
+from studies.run_table import LawTime, RunResult
 
 _TAKEOVERS_KEPT = 4
 
@@ -35,6 +43,12 @@ class Job:
     dt : float [s]
     windows : tuple of {"departure", "control"}
     initial_yaw_rate : {"path", "zero"}
+    options : PlantOptions
+        What differs from the ideal plant.
+    settle : float [s]
+        How long the loop goes on after a departure's end.
+    seed : int
+        Of what is drawn for each scenario.
     """
 
     scenarios: Scenarios
@@ -42,6 +56,9 @@ class Job:
     dt: float
     windows: tuple[Window, ...]
     initial_yaw_rate: InitialYawRate
+    options: PlantOptions
+    settle: float
+    seed: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +88,9 @@ class Simulator:
                 y_s=y_s,
                 dt=self.job.dt,
                 initial_yaw_rate=self.job.initial_yaw_rate,
+                options=self.job.options,
+                seed=self.job.seed,
+                settle=self.job.settle,
             )
         return self._takeovers[key]
 
@@ -82,27 +102,48 @@ class Simulator:
         LdcError
             Naming the design whose controller raised or gave numbers that are not finite.
         """
-        return [self._one(design, block.convention) for design in block.designs]
-
-    def _one(self, design: Design, convention: Convention) -> RunResult:
         try:
-            run = drive(design.controller(convention), self.takeover(design.y_s, convention))
-        except Exception as error:  # a controller may be anybody's code: whatever it raises must name the design
+            return self._together(block)
+        except Exception:  # a controller may be anybody's code
+            # which design it was is not known: one after the other, the one that raises is named
+            return [self._named(design, block.convention) for design in block.designs]
+
+    def _together(self, block: Block) -> list[RunResult]:
+        """All designs in one go over the scenarios, as far as their laws allow."""
+        takeover = self.takeover(block.designs[0].y_s, block.convention)
+        controllers = [design.controller(block.convention) for design in block.designs]
+        runs = drive_many(controllers, takeover, threads=1)
+        return [self._result(design, block.convention, run) for design, run in zip(block.designs, runs, strict=True)]
+
+    def _named(self, design: Design, convention: Convention) -> RunResult:
+        try:
+            return self._together(Block(convention, (design,)))[0]
+        except Exception as error:
             kind = "" if isinstance(error, LdcError) else f"{type(error).__name__}: "
             raise LdcError(f"design {design.id} ({design.label}): {kind}{error}") from error
+
+    def _result(self, design: Design, convention: Convention, run: Run) -> RunResult:
         # two windows are two ways to score the same run
         outcomes = [run.outcome(window) for window in self.job.windows]
         first = outcomes[0]
-        if not all(np.isfinite(outcome.S).all() for outcome in outcomes):
-            raise LdcError(f"design {design.id} ({design.label}): S is not finite in some scenario")
+        driven = first.status != EventStatus.INVALID
+        if not all(np.isfinite(outcome.S[driven]).all() for outcome in outcomes):
+            raise LdcError("S is not finite in some scenario")
         return RunResult(
             key=(design.id, convention),
             S=np.stack([outcome.S for outcome in outcomes]),
             S_uncorrected=np.stack([outcome.S_uncorrected for outcome in outcomes]),
             status=first.status,
-            deepest=first.deepest,
-            failed_solves=first.failed_solves,
+            companions=per_scenario(first.companions, lambda values: values.astype(np.float32)),
+            failed_solves=first.failed_solves.astype(np.int32),
+            law_time=LawTime(first.law_seconds, _commands(run)),
         )
+
+
+def _commands(run: Run) -> int:
+    """Scenarios times samples that a run has a command for; one that diverges counts as if driven to the end."""
+    over = run.takeover
+    return int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
 
 
 _simulator: Simulator | None = None

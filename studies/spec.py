@@ -26,7 +26,8 @@ from ldctoolkit import LdcError, VehicleParameters, controller_class
 from ldctoolkit.errors import InputError, StudyError, nearest
 from ldctoolkit.gains import Gain, find_gain
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation import InitialYawRate, Window
+from ldctoolkit.simulation import SETTLE, InitialYawRate, Window
+from ldctoolkit.simulation.takeover import LONGEST_SETTLE
 from ldctoolkit.vehicle import Convention
 from studies._messages import study_error
 from studies._part import Part, fail
@@ -39,8 +40,8 @@ from studies.scenario_settings import ScenarioSettings
 MOST_DESIGNS = 100_000
 """Largest grid of one study; more is a slip of the pen."""
 
-_WHOLE = 1e-9
-"""A ratio of two times that is nearer than this to a whole number is one: 0.3/0.05 is not 6 in binary."""
+_WHOLE = 1e-6
+"""A ratio of two times that is nearer than this to a whole number is one: 0.15/0.05 is not 3 in binary."""
 
 
 def _one_or_many(entry: Any) -> Any:
@@ -80,7 +81,7 @@ class SimulationSettings(Part):
     window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
     convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
     initial_yaw_rate: InitialYawRate = "path"
-    settle: float = Field(default=3.0, ge=0.0, le=60.0)
+    settle: float = Field(default=SETTLE, ge=0.0, le=LONGEST_SETTLE)
 
 
 class ReportSettings(Part):
@@ -251,12 +252,22 @@ class Study(Part):
         return self
 
     @model_validator(mode="after")
-    def _camera_clock(self) -> Self:
+    def _whole_samples(self) -> Self:
         dt = self.simulation.dt
         for name in ("period", "delay"):
             value = getattr(self.plant.sensors, name)
-            if abs(value / dt - round(value / dt)) > _WHOLE * max(1.0, value / dt):
+            if abs(value / dt - round(value / dt)) > _WHOLE:
                 raise fail(f"plant.sensors.{name}", f"{value:g}; allowed: a multiple of simulation.dt = {dt:g} s")
+        return self
+
+    @model_validator(mode="after")
+    def _printed_tyres(self) -> Self:
+        model = self.plant.tyres.model
+        if model != "linear" and "as_printed" in self.simulation.convention:
+            message = (
+                f"{model!r} with simulation.convention 'as_printed'; the printed matrix is linear; allowed: 'linear'"
+            )
+            raise fail("plant.tyres.model", message)
         return self
 
     @classmethod

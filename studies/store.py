@@ -5,6 +5,7 @@
     DIR/manifest.json            what was asked for, with which versions, on which machine
     DIR/scenarios.parquet        the scenarios that every design was run on
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
+    DIR/timing.json              how long the laws took; the one file that a second run does not give again
 
 Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name follows from the runs it
 holds, so that writing the same runs again gives the same file. A run is a design under one convention, identified by
@@ -15,54 +16,29 @@ and the user are not recorded.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit import Scenarios
+from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import StoreError
+from ldctoolkit.metrics import COMPANION_COLUMNS, Companions
 from ldctoolkit.simulation import Window
 from studies.files import read_parquet, read_scenarios, scenario_table, write_parquet
 from studies.manifest import Manifest, read_manifest, refuse_other, write_manifest
-from studies.results import CaseResults, StudyResults
-from studies.spec import Study
+from studies.results import StudyResults
+from studies.run_table import LawTime, RunKey, RunResult, RunTable
+from studies.timing import FILE_NAME, read_times, write_times
 
 if TYPE_CHECKING:
     import polars as pl
 
-FloatArray = npt.NDArray[np.float64]
-
-RunKey = tuple[str, str]
-"""Identifier of a design and a convention: what one simulation is called."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RunResult:
-    """Per-scenario results of one design under one convention; w windows, n scenarios.
-
-    Attributes
-    ----------
-    key : (str, str)
-        Design id and convention.
-    S, S_uncorrected : (w, n) [m s]
-        In the order of the study's windows.
-    status : (n,) int8
-    deepest : (n,) [m]
-    failed_solves : (n,) int
-    """
-
-    key: RunKey
-    S: FloatArray
-    S_uncorrected: FloatArray
-    status: npt.NDArray[np.int8]
-    deepest: FloatArray
-    failed_solves: npt.NDArray[np.int64]
+_ENDLESS = "t_back"
+"""The companion that may be infinite: the edge is not back inside by the end."""
 
 
 class Store:
@@ -73,13 +49,16 @@ class Store:
     folder : Path
     manifest : Manifest
     broken : tuple of str
-        Messages about parts that could not be read when the folder was opened for writing; they were removed.
+        Messages about files that could not be read when the folder was opened for writing; they were removed.
+    times : dict of RunKey to LawTime
+        How long the laws of stored runs took, as far as it is known.
     """
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.folder = folder
         self.manifest = manifest
         self.broken: tuple[str, ...] = ()
+        self.times: dict[RunKey, LawTime] = {}
         self._study = manifest.read_study()
         self._windows: tuple[Window, ...] = self._study.simulation.window
 
@@ -126,39 +105,48 @@ class Store:
         self.manifest = manifest
 
     def add(self, runs: Sequence[RunResult]) -> None:
-        """Store finished runs as one part."""
+        """Store finished runs as one part, and the times of their laws."""
         if not runs:
             return
         keys = hashlib.sha256(json.dumps([run.key for run in runs]).encode()).hexdigest()[:16]
         write_parquet(self.folder / "results" / f"part-{keys}.parquet", self._table(runs))
+        self.times |= {run.key: run.law_time for run in runs if run.law_time is not None}
+        write_times(self.folder, self.times)
 
-    def load(self, *, repair: bool = False) -> dict[RunKey, RunResult]:
-        """All stored runs.
+    def load(self, *, repair: bool = False) -> RunTable:
+        """All stored runs; their times are in `times` afterwards.
 
         Parameters
         ----------
         repair : bool
-            Remove parts that are broken and remember them in `broken`, instead of raising.
+            Remove files that are broken and remember them in `broken`, instead of raising.
 
         Raises
         ------
         StoreError
-            Naming the first part that is broken.
+            Naming the first file that is broken.
         """
         n = self._study.scenarios.left + self._study.scenarios.right
-        runs: dict[RunKey, RunResult] = {}
+        table = RunTable(self._study, n)
         messages = []
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
             try:
                 for run in self._runs(path, n):
-                    runs[run.key] = run
+                    table.put(run)
             except StoreError as error:
                 if not repair:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
+        try:
+            self.times = read_times(self.folder)
+        except StoreError as error:
+            if not repair:
+                raise
+            messages.append(str(error))
+            (self.folder / FILE_NAME).unlink()
         self.broken = tuple(messages)
-        return runs
+        return table
 
     def results(self) -> StudyResults:
         """Everything in memory.
@@ -169,7 +157,7 @@ class Store:
             If something is missing or broken.
         """
         scenarios = read_scenarios(self.folder / "scenarios.parquet")
-        return assemble(self._study, scenarios, self.load(), source=str(self.folder))
+        return self.load().results(scenarios, self.times, source=str(self.folder))
 
     def _schema(self) -> dict[str, Any]:
         import polars as pl
@@ -181,32 +169,36 @@ class Store:
             "scenario": pl.UInt32(),
             **dict.fromkeys(scores, pl.Float64()),
             "status": pl.Int8(),
-            "deepest_m": pl.Float64(),
-            "failed_solves": pl.Int64(),
+            **dict.fromkeys(COMPANION_COLUMNS.values(), pl.Float32()),
+            "failed_solves": pl.Int32(),
         }
 
     def _table(self, runs: Sequence[RunResult]) -> pl.DataFrame:
         import polars as pl
 
         count = runs[0].status.size
-        columns: dict[str, Any] = {
-            "design": [run.key[0] for run in runs for _ in range(count)],
-            "convention": [run.key[1] for run in runs for _ in range(count)],
-            "scenario": np.tile(np.arange(count, dtype=np.uint32), len(runs)),
-        }
+        # names are repeated by the library: a million strings of Python would take longer than the simulation
+        names = pl.DataFrame([run.key for run in runs], schema=["design", "convention"], orient="row")
+        repeated = names.select(pl.all().repeat_by(count).list.explode())
+        columns: dict[str, Any] = {"scenario": np.tile(np.arange(count, dtype=np.uint32), len(runs))}
         for w, window in enumerate(self._windows):
             columns[f"S_{window}_m_s"] = np.concatenate([run.S[w] for run in runs])
             columns[f"S_uncorrected_{window}_m_s"] = np.concatenate([run.S_uncorrected[w] for run in runs])
         columns["status"] = np.concatenate([run.status for run in runs])
-        columns["deepest_m"] = np.concatenate([run.deepest for run in runs])
+        for name, column in COMPANION_COLUMNS.items():
+            columns[column] = np.concatenate([getattr(run.companions, name) for run in runs])
         columns["failed_solves"] = np.concatenate([run.failed_solves for run in runs])
-        return pl.DataFrame(columns, schema=self._schema())
+        schema = self._schema()
+        numbers = pl.DataFrame(columns, schema={name: schema[name] for name in columns})
+        return pl.concat([repeated, numbers], how="horizontal")
 
     def _runs(self, path: Path, n: int) -> Iterable[RunResult]:
-        table = read_parquet(path, self._schema())
+        table = read_parquet(path, self._schema(), finite=False)
         if table.height % n or not np.array_equal(table["scenario"].to_numpy() % n, np.arange(table.height) % n):
             raise StoreError(f"{path}: broken: {table.height} rows; needed: {n} a run, one a scenario")
         columns = {name: table[name].to_numpy().reshape(-1, n) for name in table.columns[2:]}
+        for name in self._not_numbers(columns):
+            raise StoreError(f"{path}: broken: column {name} holds a value that is not finite")
         keys = table.select("design", "convention")
         runs = []
         for i in range(table.height // n):
@@ -219,11 +211,20 @@ class Store:
                     S=np.stack([columns[f"S_{window}_m_s"][i] for window in self._windows]),
                     S_uncorrected=np.stack([columns[f"S_uncorrected_{window}_m_s"][i] for window in self._windows]),
                     status=columns["status"][i],
-                    deepest=columns["deepest_m"][i],
+                    companions=Companions(**{name: columns[column][i] for name, column in COMPANION_COLUMNS.items()}),
                     failed_solves=columns["failed_solves"][i],
                 )
             )
         return runs
+
+    def _not_numbers(self, columns: dict[str, Any]) -> Iterator[str]:
+        """Columns that hold what is no number in a scenario that was driven."""
+        driven = columns["status"] != EventStatus.INVALID
+        for name, values in columns.items():
+            if values.dtype.kind == "f":
+                bad = np.isnan(values) if name == COMPANION_COLUMNS[_ENDLESS] else ~np.isfinite(values)
+                if (bad & driven).any():
+                    yield name
 
 
 def read_results(folder: str | Path) -> StudyResults:
@@ -244,33 +245,3 @@ def read_results(folder: str | Path) -> StudyResults:
         If the folder holds no study, or something in it is missing or broken.
     """
     return Store.open(folder).results()
-
-
-def assemble(study: Study, scenarios: Scenarios, runs: dict[RunKey, RunResult], *, source: str) -> StudyResults:
-    """Put stored runs into the study's own order.
-
-    Raises
-    ------
-    StoreError
-        If runs are missing.
-    """
-    wanted = [(design.id, convention) for convention in study.simulation.convention for design in study.designs]
-    missing = [key for key in wanted if key not in runs]
-    if missing:
-        raise StoreError(f"{source}: {len(missing)} of {len(wanted)} runs are not there yet; run the study again")
-
-    cases = []
-    for each in study.cases:
-        w = study.simulation.window.index(each.window)
-        chosen = [runs[design.id, each.convention] for design in study.designs]
-        cases.append(
-            CaseResults(
-                case=each,
-                S=np.stack([run.S[w] for run in chosen]),
-                S_uncorrected=np.stack([run.S_uncorrected[w] for run in chosen]),
-                status=np.stack([run.status for run in chosen]),
-                deepest=np.stack([run.deepest for run in chosen]),
-                failed_solves=np.stack([run.failed_solves for run in chosen]),
-            )
-        )
-    return StudyResults(designs=study.designs, scenarios=scenarios, cases=tuple(cases))

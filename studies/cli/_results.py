@@ -8,9 +8,12 @@ from pathlib import Path
 
 from ldctoolkit.errors import StoreError
 from studies.cli._console import console
+from studies.cli._ranking_table import ranking_table
 from studies.manifest import Manifest
 from studies.model_notes import WARNING
-from studies.ranking import Ranking, write_csv
+from studies.plant_table import plant_settings
+from studies.ranking import Ranking
+from studies.ranking_csv import write_csv
 from studies.report import ReportInput, write_report
 from studies.results import StudyResults
 from studies.spec import Study
@@ -22,7 +25,7 @@ def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
     """The primary case in full, the others in short."""
     out = console()
     for i, ranking in enumerate(rankings):
-        out.print(ranking.table(top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+        out.print(ranking_table(ranking, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
         ties = int(ranking.tied_with_best.sum()) - 1
         if ties:
             out.print(f"=: not told apart from the best on these scenarios ({ties} design{'s' if ties > 1 else ''})")
@@ -50,6 +53,9 @@ def write_study_report(
         vehicle=study.vehicle,
         dt=study.simulation.dt,
         initial_yaw_rate=study.simulation.initial_yaw_rate,
+        options=study.plant,
+        settle=study.simulation.settle,
+        seed=study.seed,
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
@@ -81,6 +87,9 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "windows of S", ", ".join(study.simulation.window)
     yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
     yield "initial yaw rate", study.simulation.initial_yaw_rate
+    yield "settling after the end", f"{study.simulation.settle:g} s"
+    yield "plant", "ideal" if study.plant.ideal else "not ideal; what differs:"
+    yield from ((f"plant {key}", value) for key, value in plant_settings(study.plant))
     units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
     for field in dataclasses.fields(study.vehicle):
         yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"

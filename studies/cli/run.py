@@ -16,7 +16,9 @@ def add_parser(commands: Subparsers) -> None:
         description="Run every design of a study on the same scenarios. Writes DIR/report.html and DIR/ranking.csv; "
         "running again into the same DIR computes only what is missing.",
     )
-    parser.add_argument("study", metavar="STUDY", help="name in the catalog (paper, trigger-and-gains) or a TOML file")
+    parser.add_argument(
+        "study", metavar="STUDY", help="name in the catalog (paper, reality, trigger-and-gains) or a TOML file"
+    )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, Outcome, Scenarios, VehicleParameters
-from ldctoolkit.departures import LEFT, RIGHT, lateral
-from ldctoolkit.simulation import InitialYawRate, Takeover, drive
+from ldctoolkit import BicycleModel, EventStatus, Outcome
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.design import Design
 from studies.report.figures_paths import ControlledPath, Example
-from studies.report.style import NO_CONTROL, LineStyle
+from studies.report.inputs import ReportInput
+from studies.report.style import LineStyle
 from studies.report.text import number
 from studies.results import CaseResults
 
@@ -58,33 +60,24 @@ def choose(reduction: npt.NDArray[np.float64], candidates: IntArray) -> list[tup
     return [(row, first[row]) for row in dict.fromkeys(chosen)]
 
 
-def replay(
-    scenarios: Scenarios,
-    results: CaseResults,
-    shown: Sequence[tuple[int, Design, str, LineStyle]],
-    *,
-    vehicle: VehicleParameters,
-    dt: float,
-    initial_yaw_rate: InitialYawRate,
-) -> Replay:
+def replay(report: ReportInput, results: CaseResults, shown: Sequence[tuple[int, Design, str, LineStyle]]) -> Replay:
     """Choose departures by the first design's reduction on each side and drive all shown designs on them.
 
     Parameters
     ----------
-    scenarios : Scenarios
-        All n of the study.
+    report : ReportInput
+        Scenarios, vehicle, plant and clock of the study.
     results : CaseResults
         The primary case.
     shown : sequence of (index, Design, label, LineStyle)
         Designs to be drawn, the winner first; index is the row in `results`.
-    vehicle, dt, initial_yaw_rate
-        As in the study.
 
     Returns
     -------
     Replay
         Up to three examples a side, of departures in which the first design took over.
     """
+    scenarios, edge_offset = report.results.scenarios, report.vehicle.edge_offset
     S, S_0 = results.S[shown[0][0]], results.S_uncorrected[shown[0][0]]
     reduction = 1.0 - np.divide(S, S_0, out=np.ones_like(S), where=S_0 > 0)
     took_over = results.status[shown[0][0]] != EventStatus.NEVER_TRIGGERED
@@ -96,13 +89,23 @@ def replay(
     if not picks:
         return Replay((), 0.0)
     chosen = scenarios.take([row for row, _, _ in picks])
-    model = BicycleModel(vehicle, convention=results.case.convention)
+    model = BicycleModel(report.vehicle, convention=results.case.convention)
     paths: list[list[ControlledPath]] = [[] for _ in picks]
+    recorded = UncorrectedPath.of(chosen, report.options.residuals, report.seed)
     mismatch, peak = 0.0, None
     for index, design, label, style in shown:
-        if design.law == NO_CONTROL:
+        if design.is_baseline:
             continue
-        takeover = Takeover.build(chosen, model, y_s=design.y_s, dt=dt, initial_yaw_rate=initial_yaw_rate)
+        takeover = Takeover.build(
+            chosen,
+            model,
+            y_s=design.y_s,
+            dt=report.dt,
+            initial_yaw_rate=report.initial_yaw_rate,
+            options=report.options,
+            settle=report.settle,
+            seed=report.seed,
+        )
         run = drive(design.controller(results.case.convention), takeover, trajectories=True)
         outcome = run.outcome(results.case.window)
         stored = results.S[index][[row for row, _, _ in picks]]
@@ -110,14 +113,14 @@ def replay(
         if index == shown[0][0] and outcome.trajectories is not None:
             peak = float(np.nanmax(np.abs(outcome.trajectories.delta)))
         for k in range(len(picks)):
-            paths[k].append(_path(outcome, k, label, style, vehicle.edge_offset))
+            paths[k].append(_path(outcome, k, label, style, edge_offset))
     examples = []
     for k, (row, side, role) in enumerate(picks):
         one = chosen.take([k])
         t = np.linspace(0.0, float(one.T[0]), 121)
         facts = (
             f"T = {number(float(one.T[0]), 2)} s, v_mean = {number(float(one.v_mean[0]), 1)} m/s, "
-            f"d_y = {number(float(one.d_y[0]), 2)} m, scenario {row}"
+            f"d_y = {number(float(one.d_y[0]), 2)} m, scenario {one.index[0]}"
         )
         examples.append(
             Example(
@@ -127,8 +130,8 @@ def replay(
                 facts,
                 float(reduction[row]),
                 t,
-                lateral(one, t),
-                -2.0 * vehicle.edge_offset,
+                recorded.take([k]).lateral(t[None, :])[0],
+                -2.0 * edge_offset,
                 tuple(paths[k]),
             )
         )
@@ -139,9 +142,6 @@ def _path(outcome: Outcome, k: int, label: str, style: LineStyle, edge_offset: f
     if outcome.trajectories is None:  # the law never intervenes
         empty = np.empty(0)
         return ControlledPath(label, style, empty, empty, empty)
-    t, x, delta = (values[k] for values in dataclasses.astuple(outcome.trajectories))
-    driven = np.isfinite(t)
-    delta = delta[driven]
-    if delta.size > 1 and not np.isfinite(delta[-1]):
-        delta = np.concatenate([delta[:-1], delta[-2:-1]])  # held to the end
-    return ControlledPath(label, style, t[driven], x[driven, 0] - edge_offset, delta)
+    kept = outcome.trajectories
+    driven = np.isfinite(kept.t[k])
+    return ControlledPath(label, style, kept.t[k, driven], kept.x[k, driven, 0] - edge_offset, kept.delta[k, driven])

@@ -26,11 +26,11 @@ class ControlledPath:
     label : str
     style : LineStyle
     t : (k,) [s]
-        From the trigger to the departure's end; empty where the design never took over.
+        From the trigger to the end of the settling horizon; empty where the design never took over.
     y : (k,) [m]
         Edge beyond the line, outward.
     delta : (k,) [rad]
-        Steering angle held from that time on; the last one is repeated.
+        Steering angle of the wheel from that time on.
     """
 
     label: str

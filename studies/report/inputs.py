@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
+from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import InitialYawRate
 from ldctoolkit.vehicle import VehicleParameters
 from studies.results import StudyResults
@@ -33,6 +34,12 @@ class ReportInput:
         Sample time of the controllers.
     initial_yaw_rate : {"path", "zero"}
         As in the study.
+    options : PlantOptions
+        What differs from the ideal plant.
+    settle : float [s]
+        How long the loop went on after the departure's end.
+    seed : int
+        Of what was drawn for each scenario.
     settings : tuple of (name, value)
         The study's settings, seeds and hashes, in the order to be shown.
     versions : tuple of (name, version)
@@ -54,6 +61,9 @@ class ReportInput:
     vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
     dt: float = 0.05
     initial_yaw_rate: InitialYawRate = "path"
+    options: PlantOptions = dataclasses.field(default_factory=PlantOptions)
+    settle: float = 3.0
+    seed: int = 0
     settings: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     model_notes: tuple[str, ...] = ()

@@ -13,12 +13,14 @@ from ldctoolkit.errors import InputError
 from studies.files import write_text
 from studies.report import prose, text
 from studies.report.inputs import ReportInput
+from studies.report.limits import against_limits, limits_table
 from studies.report.panels import Panels
 from studies.report.summary import CaseTable, Row, case_table, is_baseline
 
 SECTIONS = (
     ("answer", "Answer"),
     ("ranking", "Ranking"),
+    ("limits", "Limits"),
     ("landscape", "Landscape"),
     ("sides", "Left and right"),
     ("paths", "Example paths"),
@@ -119,6 +121,10 @@ def render(report: ReportInput) -> str:
         raise InputError(
             f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case"
         )
+    every, results = results.scenarios.n, results.drivable()
+    if results.scenarios.n == 0:
+        raise InputError("report: no scenario could be driven under every design; there is nothing to report on")
+    report = dataclasses.replace(report, results=results)
     tables = [case_table(results, i, ranking) for i, ranking in enumerate(report.rankings)]
     primary = tables[0]
     elsewhere = {warning for table in tables[1:] for warning in table.warnings}  # told beside their own tables
@@ -134,7 +140,11 @@ def render(report: ReportInput) -> str:
         primary=primary,
         warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
         tiles=_tiles(primary),
+        every=every,
         answer=prose.answer(report, primary),
+        plant=prose.plant(report),
+        limits=limits_table(report, primary, report.rankings[0]),
+        against_limits=against_limits(report, primary, report.rankings[0]),
         limitations=prose.limitations(report, primary, replayed.peak_steering),
         partial=prose.partial_grids(report),
         landscape=panels.landscape(),

@@ -134,15 +134,7 @@ class Panels:
             return Replay((), 0.0)
         if self.table.winner.index != shown[0][0]:  # no control won: follow the best design that intervenes
             shown = sorted(shown, key=lambda one: one[0] != shown[0][0])
-        report = self.report
-        return replay(
-            self.scenarios,
-            self.case,
-            shown,
-            vehicle=report.vehicle,
-            dt=report.dt,
-            initial_yaw_rate=report.initial_yaw_rate,
-        )
+        return replay(self.report, self.case, shown)
 
     def paths(self, replayed: Replay) -> list[Panel]:
         """Example departures with and without control."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from markupsafe import Markup
 
 from ldctoolkit.departures import LEFT
+from studies.plant_table import differences
 from studies.report.inputs import ReportInput
 from studies.report.landscape import is_full_grid, on_the_edge
 from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline
@@ -134,17 +136,32 @@ def _tied(table: CaseTable) -> Markup:
     )
 
 
-_LIMITS = (
-    "The plant is the linear single-track model: tyres do not saturate, and steering takes effect at once.",
-    "The speed is frozen at its value at the trigger.",
+_LINEAR = "The plant is the linear single-track model: tyres do not saturate."
+_SATURATING = (
+    "The plant is the single-track model with saturating tyres and static wheel loads: roll, pitch and load transfer "
+    "are left out."
+)
+_AT_ONCE = "Steering takes effect at once: the actuator has no delay, no lag and no limit."
+_SEEN = "Laws see the lane and the vehicle\u2019s state as they are."
+_FROZEN = "The speed is frozen at its value at the trigger."
+_UNCORRECTED = (
     "The uncorrected path, rebuilt from eight parameters, stands for what happens without control. The driver does not "
-    "react to the intervention, and the small residuals about the fitted path are left out.",
-    "Control ends where the uncorrected departure ends; what follows is not scored.",
+    "react to the intervention."
+)
+_NO_RESIDUALS = "The small residuals about the fitted path are left out."
+_NO_HORIZON = "Control ends where the uncorrected departure ends; what follows is not looked at."
+_HORIZON = (
+    "S ends where the uncorrected departure ends. The loop goes on for {} s, which count for overshoot, the way back, "
+    "comfort and steering only."
+)
+_COMFORT = (
     "S puts no price on steering or comfort, and laws have different limits of their own: a design that steers harder "
-    "scores better as long as the linear plant stays stable.",
+    "scores better as long as the plant stays stable. What it costs stands under <a href='#limits'>limits</a>."
+)
+_CHANCE = (
     "Intervals hold the chance in drawing departures from the scenario model. They do not hold the uncertainty of the "
     "model, which was fitted to the numbers of departures given under its name below, and more generated departures do "
-    "not make that smaller.",
+    "not make that smaller."
 )
 _CHOSEN = (
     "The best of {} is chosen on the departures that it is scored on, so its own mean is slightly optimistic, and "
@@ -164,7 +181,7 @@ _SYNTHETIC = (
 def limitations(report: ReportInput, table: CaseTable, peak_steering: float | None = None) -> list[Markup]:
     """What the numbers of this study do not say; `peak_steering` [rad] is the best design's in the example paths."""
     cases = [results.case for results in report.results.cases]
-    said = [Markup(sentence) for sentence in _LIMITS]
+    said = [*_of_the_plant(report), Markup(_COMFORT), Markup(_CHANCE)]
     if peak_steering is not None:
         share = Markup("In the example departures above the best design steers up to {}\u00b0 at the front wheels.")
         said.append(share.format(number(math.degrees(peak_steering), 1)))
@@ -177,6 +194,34 @@ def limitations(report: ReportInput, table: CaseTable, peak_steering: float | No
     if report.synthetic:
         said.append(Markup(_SYNTHETIC))
     return said
+
+
+def _of_the_plant(report: ReportInput) -> Iterator[Markup]:
+    """What the plant of this study leaves out."""
+    options = report.options
+    yield Markup(_LINEAR if options.tyres.ideal else _SATURATING)
+    if options.actuator.ideal:
+        yield Markup(_AT_ONCE)
+    if options.sensors.ideal:
+        yield Markup(_SEEN)
+    if options.speed == "frozen":
+        yield Markup(_FROZEN)
+    yield Markup(_UNCORRECTED)
+    if options.residuals.ideal:
+        yield Markup(_NO_RESIDUALS)
+    yield Markup(_HORIZON).format(compact(report.settle)) if report.settle > 0 else Markup(_NO_HORIZON)
+
+
+def plant(report: ReportInput) -> Markup:
+    """One sentence on a plant that is not ideal; empty for the ideal one."""
+    words = differences(report.options)
+    if not words:
+        return Markup("")
+    said = Markup(
+        "<strong>The plant of this study is not ideal:</strong> {}. Its values stand in the "
+        "<a href='#settings'>settings</a>; scores must not be compared with those on another plant."
+    )
+    return said.format("; ".join(words))
 
 
 def partial_grids(report: ReportInput) -> bool:

@@ -7,8 +7,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-NO_CONTROL = "none"
-"""Registry name of the law that never intervenes; drawn as the recorded path."""
+from studies.design import NO_CONTROL
 
 # Okabe and Ito (2008): distinguishable under the common colour vision deficiencies
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

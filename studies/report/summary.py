@@ -14,7 +14,6 @@ from ldctoolkit import controller_class
 from ldctoolkit.metrics import share_deeper
 from studies.design import Design
 from studies.report.landscape import swept_axes
-from studies.report.style import NO_CONTROL
 from studies.report.text import compact, unit_text
 from studies.results import Case, CaseResults, StudyResults
 
@@ -72,7 +71,7 @@ class Row:
         Not told apart from the best.
     triggered, deeper : float
         Share of departures that were taken over, and share deeper than D_y.
-    solver_failed, diverged, timed_out : int
+    solver_failed, diverged, timed_out, invalid : int
         Departures with that status.
     failed_solves : int
         Commands that came from a law's fallback.
@@ -94,12 +93,13 @@ class Row:
     solver_failed: int
     diverged: int
     timed_out: int
+    invalid: int
     failed_solves: int
 
     @property
     def failures(self) -> int:
         """Departures that did not run as designed."""
-        return self.solver_failed + self.diverged + self.timed_out
+        return self.solver_failed + self.diverged + self.timed_out + self.invalid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -279,10 +279,11 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
         solver_failed=int(ranking.solver_failed[place]),
         diverged=int(ranking.diverged[place]),
         timed_out=int(ranking.timed_out[place]),
+        invalid=int(ranking.invalid[place]),
         failed_solves=int(ranking.failed_solves[place]),
     )
 
 
 def is_baseline(row: Row) -> bool:
     """Whether the design never intervenes."""
-    return row.design.law == NO_CONTROL
+    return row.design.is_baseline

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+import math
+import statistics
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +14,26 @@ import scipy.stats
 
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.metrics import Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
 from studies.bootstrap import bootstrap_means, percentile_interval
-from studies.ranking import write_csv
+from studies.ranking_csv import write_csv
+from studies.release import COLUMNS
 
 
-def results_of(S: np.ndarray, *, left: int, window: str = "departure", y_s: float | None = None) -> StudyResults:
+def companions_of(d: int, n: int, seed: int = 7) -> Companions:
+    """Positive numbers of a plausible size, single precision, each companion its own."""
+    generator = np.random.default_rng(seed)
+    values = {f.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32) for f in dataclasses.fields(Companions)}
+    values["deepest"] = np.tile(np.linspace(0.0, 1.0, n), (d, 1)).astype(np.float32)
+    values["dtle"] = 0.3 - values["dtle"]
+    values["overshoot"] = np.maximum(0.0, values["overshoot"] - 2.0)
+    return Companions(**values)
+
+
+def results_of(
+    S: np.ndarray, *, left: int, window: str = "departure", y_s: float | None = None, law: str = "none"
+) -> StudyResults:
     d, n = S.shape
     side = np.where(np.arange(n) < left, 1, -1)
     case = CaseResults(
@@ -24,11 +41,15 @@ def results_of(S: np.ndarray, *, left: int, window: str = "departure", y_s: floa
         S=S,
         S_uncorrected=np.broadcast_to(S.max(axis=0) + 1.0, S.shape),
         status=np.zeros((d, n), dtype=np.int8),
-        deepest=np.tile(np.linspace(0.0, 1.0, n), (d, 1)),
-        failed_solves=np.zeros((d, n), dtype=np.int64),
+        companions=companions_of(d, n),
+        failed_solves=np.zeros((d, n), dtype=np.int32),
+        law_time=np.full(d, np.nan),
     )
-    designs = tuple(Design.from_gains("none", 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(d))
+    designs = tuple(Design.from_gains(law, 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(d))
     return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,))
+
+
+pytestmark = pytest.mark.usefixtures("laws")
 
 
 def rank(results: StudyResults, **settings: float) -> Ranking:
@@ -132,7 +153,7 @@ def test_one_side_only_has_no_figure_for_the_other() -> None:
 def test_nothing_to_reduce_is_a_reduction_of_zero() -> None:
     results = results_of(np.zeros((1, 4)), left=2)
     case = results.cases[0]
-    still = CaseResults(case.case, case.S, np.zeros((1, 4)), case.status, case.deepest, case.failed_solves)
+    still = dataclasses.replace(case, S_uncorrected=np.zeros((1, 4)))
     assert Ranking.of(results, still).reduction.tolist() == [0.0]
 
 
@@ -153,6 +174,124 @@ def test_failures_count_in_means_and_are_told() -> None:
 def test_scores_that_are_not_finite_are_refused() -> None:
     with pytest.raises(InputError, match="not finite"):
         rank(results_of(np.array([[1.0, np.nan]]), left=1))
+
+
+def quantile(values: list[float], share: float) -> float:
+    """The linear rule by hand: position share (n - 1) between the sorted values."""
+    ordered = sorted(values)
+    place = share * (len(ordered) - 1)
+    low = math.floor(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+
+
+def by_hand(results: StudyResults, i: int, D_y: float) -> dict[str, float]:
+    """The columns beside S of one design, one scenario after the other."""
+    case, d_y = results.cases[0], results.scenarios.d_y
+    values = {f.name: [float(x) for x in getattr(case.companions, f.name)[i]] for f in dataclasses.fields(Companions)}
+    n = len(d_y)
+    acted = [k for k in range(n) if case.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
+
+    def of(name: str) -> list[float]:
+        return [values[name][k] for k in acted]
+
+    wanted = {
+        "deepest_mean_m": sum(values["deepest"]) / n,
+        "deepest_p95_m": quantile(values["deepest"], 0.95),
+        "dtle_mean_m": sum(values["dtle"]) / n,
+        "dtle_p5_m": quantile(values["dtle"], 0.05),
+        "dtle_min_m": min(values["dtle"]),
+        "within_dtle_share": sum(x >= -0.3 for x in values["dtle"]) / n,
+        "needless_share": sum(d_y[k] < D_y for k in acted) / n,
+        "overshoot_share": sum(x > 0 for x in of("overshoot")) / len(acted),
+        "overshoot_max_m": max(of("overshoot")),
+        "back_inside_share": sum(x < math.inf for x in of("t_back")) / len(acted),
+        "t_back_median_s": statistics.median(of("t_back")),
+        "comfortable_share": sum(a <= 3 and j <= 5 for a, j in zip(of("a_y_peak"), of("jerk_peak"), strict=True))
+        / len(acted),
+        "delta_peak_max_rad": max(of("delta_peak")),
+        "delta_rate_peak_max_rad_s": max(of("delta_rate_peak")),
+        "effort_mean_rad2_s": sum(of("effort")) / len(acted),
+        "travel_mean_rad": sum(of("travel")) / len(acted),
+        "law_time_us": 1e6 * case.law_time[i],
+    }
+    for name, unit in (("a_y_peak", "m_s2"), ("jerk_peak", "m_s3")):
+        wanted[f"{name}_mean_{unit}"] = sum(of(name)) / len(acted)
+        wanted[f"{name}_p95_{unit}"] = quantile(of(name), 0.95)
+        wanted[f"{name}_max_{unit}"] = max(of(name))
+    return wanted
+
+
+def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_path: Path) -> None:
+    results = results_of(scores, left=150, law="toy")
+    case = results.cases[0]
+    generator = np.random.default_rng(11)
+    d_y = generator.gamma(2.0, 0.2, 400)
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=d_y, v_mean=20.0, side=results.scenarios.side)
+    case.status[:] = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=case.status.shape)
+    case.companions.t_back[generator.random(case.status.shape) < 0.2] = np.inf
+    case.companions.t_back[3] = np.inf  # not back after most: the median is infinite too
+    case.law_time[:] = [0.0, 1e-6, 2.5e-6, np.nan]
+    results = dataclasses.replace(results, scenarios=scenarios)
+    ranking = rank(results, D_y=0.4)
+    write_csv([ranking], tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, i in zip(rows, ranking.index, strict=True):
+        wanted = by_hand(results, int(i), 0.4)
+        assert set(wanted) == set(COLUMNS.values())
+        for name, value in wanted.items():
+            if math.isnan(value):
+                assert row[name] == "", name
+            else:
+                # sums in another order: a few roundings of 400 numbers
+                assert float(row[name]) == pytest.approx(value, rel=1e-12), name
+    assert rows[-1]["t_back_median_s"] == "inf"
+
+
+def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> None:
+    """The baseline, and a design that never took over: nothing, not zero, and not a mean over nobody."""
+    baseline = rank(results_of(scores[:1], left=150)).release
+    results = results_of(scores[:1], left=150, law="toy")
+    results.cases[0].status[:] = EventStatus.NEVER_TRIGGERED
+    for figures in (baseline, rank(results).release):
+        empty = {name for name in COLUMNS if np.isnan(getattr(figures, name)).all()}
+        assert empty == {
+            "overshoot_share", "overshoot_max", "back_inside", "t_back_median", "comfortable",
+            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "law_time",
+            *(f"{quantity}_{word}" for quantity in ("a_y_peak", "jerk_peak") for word in ("mean", "p95", "max")),
+        }  # fmt: skip
+
+
+def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: np.ndarray) -> None:
+    """As if they had not been drawn: every figure of every design, and the pairing, on those that remain."""
+    results = results_of(scores, left=150, law="toy")
+    case = results.cases[0]
+    case.status[1, [3, 200]] = EventStatus.INVALID
+    case.status[2, 399] = EventStatus.INVALID
+    for array in (case.S, *(getattr(case.companions, f.name) for f in dataclasses.fields(Companions))):
+        array[1, [3, 200]] = array[2, 399] = np.nan
+    ranking = rank(results)
+    kept = np.setdiff1d(np.arange(400), [3, 200, 399])
+    fewer = rank(
+        StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),))
+    )
+    assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
+    assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
+    assert not fewer.warnings
+    for field in dataclasses.fields(Ranking):
+        if field.name not in ("invalid", "warnings", "release"):
+            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
+        assert name == "law_time" or np.isfinite(getattr(ranking.release, name)).all()
+
+
+def test_nothing_that_can_be_driven_is_refused() -> None:
+    results = results_of(np.full((1, 3), np.nan), left=1)
+    results.cases[0].status[:] = EventStatus.INVALID
+    with pytest.raises(InputError, match="no scenario could be driven"):
+        rank(results)
 
 
 def test_the_control_window_warns_where_y_s_varies(scores: np.ndarray) -> None:
@@ -187,7 +326,7 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
 
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path, scores: np.ndarray) -> None:
     with pytest.raises(StoreError, match=r"nowhere/r\.csv: cannot be written"):
-        rank(results_of(scores, left=9)).to_csv(tmp_path / "nowhere" / "r.csv")
+        write_csv([rank(results_of(scores, left=9))], tmp_path / "nowhere" / "r.csv")
 
 
 def test_differences_below_a_solvers_tolerance_are_ties(scores: np.ndarray) -> None:

@@ -81,6 +81,10 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         {"plant": {"sensors": {"delay": 0.1}}, "simulation": {"dt": 0.04}},
         "plant.sensors.delay: 0.1; allowed: a multiple of simulation.dt = 0.04 s",
     ),
+    (
+        {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},
+        "plant.tyres.model: 'magic_formula' with simulation.convention 'as_printed'; the printed matrix is linear",
+    ),
     ({"plant": {"residuals": {"y": 1}}}, "plant.residuals.y: 1; allowed: true or false"),
     ({"vehicle": {"C_a": 3}}, "vehicle.C_a: no such key; did you mean 'C_ar'?"),
     ({"vehicle": {"m": -3}}, "vehicle.m: -3; allowed: a finite number > 0"),
@@ -330,15 +334,16 @@ def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
     assert again.content() == study.content()
     assert again.plant == study.plant
     assert again.hash == study.hash
-    hashes = {make_study().hash}
+    simulation = {"window": ["departure", "control"]}
+    hashes = {make_study(simulation=simulation).hash}
     for key, value in leaves(tomllib.loads(EVERY_OPTION)["plant"]).items():
         table: Any = value
         for part in reversed(key.split(".")):
             table = {part: table}
         if key == "mismatch.mu":
             table["tyres"] = {"model": "magic_formula"}
-        hashes.add(make_study(plant=table).hash)
-    hashes.add(make_study(simulation={"window": ["departure", "control"], "settle": 2}).hash)
+        hashes.add(make_study(plant=table, simulation=simulation).hash)
+    hashes.add(make_study(simulation=simulation | {"settle": 2}).hash)
     # every key gives a study of its own; tyres.model alone is the one that mismatch.mu was compared with
     assert len(hashes) == 2 + len(leaves(tomllib.loads(EVERY_OPTION)["plant"]))
 

@@ -5,12 +5,14 @@ import itertools
 import sys
 from collections.abc import Iterable
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit import BicycleModel, EventStatus, Scenarios, VehicleParameters, simulate
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies.design import Design
 from studies.ranking import Ranking
 from studies.report import ReportInput
@@ -34,19 +36,23 @@ def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:
     )
 
 
-def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case]) -> StudyResults:
+def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], **settings: Any) -> StudyResults:
     """Results of a study, one `simulate` call a design and case."""
     designs = tuple(designs)
     scored = []
     for case in cases:
         model = BicycleModel(VehicleParameters(), convention=case.convention)
         outcomes = [
-            simulate(d.controller(case.convention), scenarios, vehicle=model, y_s=d.y_s, window=case.window)
+            simulate(d.controller(case.convention), scenarios, vehicle=model, y_s=d.y_s, window=case.window, **settings)
             for d in designs
         ]
         columns = {name: np.stack([getattr(o, name) for o in outcomes])
-                   for name in ("S", "S_uncorrected", "status", "deepest", "failed_solves")}  # fmt: skip
-        scored.append(CaseResults(case, **columns))
+                   for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
+        companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
+                      for name in COMPANION_UNITS}  # fmt: skip
+        scored.append(
+            CaseResults(case, **columns, companions=Companions(**companions), law_time=np.zeros(len(designs)))
+        )
     return StudyResults(designs, scenarios, tuple(scored))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -16,12 +17,13 @@ import pytest
 from controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit import Controller, RecordedPath, Scenarios, option, register
 from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from studies.design import Design
 from studies.ranking import Ranking
 from studies.report import ReportInput, write_report
 from studies.report.page import SECTIONS, render
 from studies.report.text import change, number, percent, signed
-from studies.results import Case, StudyResults
+from studies.results import Case, StudyResults, per_scenario
 
 PRIMARY = Case("departure", "consistent")
 
@@ -157,6 +159,122 @@ def test_answer_names_winner_baseline_and_rival(
     assert (f"{tied} other design" in said) if tied else ("No other design is statistically tied" in said)
     assert "end of what was tried for ys (lowest tried)" in said
     assert "60 left, 40 right" in said
+
+
+def limits_table(page: Page) -> list[list[str]]:
+    (table,) = (table for table in page.tables if table[0][0] == "Figure")
+    return table
+
+
+def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, drawn: tuple[str, Page]) -> None:
+    page, ranking = drawn[1], report.rankings[0]
+    figures, table = ranking.release, limits_table(drawn[1])
+    titles = zip(table[0][1:], ("LQR", "Preview P", "No control"), strict=True)
+    assert all(cell.startswith(title) for cell, title in titles)
+    places = [
+        next(k for k, d in enumerate(ranking.designs) if d.law == law)
+        for law in ("lqr", "preview_proportional", "none")
+    ]
+    lines = {row[0]: row[1:] for row in table[1:] if len(row) == 4}
+    assert len(lines) == 18
+
+    def line(start: str) -> list[str]:
+        (found,) = (cells for name, cells in lines.items() if name.startswith(start))
+        return found
+
+    def of_all(values: np.ndarray, show: Callable[[float], str]) -> list[str]:
+        return [show(float(values[k])) for k in places]
+
+    def of_interventions(values: np.ndarray, show: Callable[[float], str]) -> list[str]:
+        return [*of_all(values, show)[:2], "–"]
+
+    assert line("DTLE stays") == of_all(figures.within_dtle, percent)
+    assert line("DTLE, 5") == of_all(figures.dtle_p5, lambda x: number(x, 2))
+    assert line("DTLE at its worst") == of_all(figures.dtle_min, lambda x: number(x, 2))
+    assert line("Deeper than D") == of_all(ranking.deeper, percent)
+    assert line("Back inside after") == (of_interventions(figures.t_back_median, lambda x: number(x, 2)))
+    assert lines["Back inside"] == of_interventions(figures.back_inside, percent)
+    assert lines["Opposite line crossed"] == of_interventions(figures.overshoot_share, percent)
+    assert line("Both limits kept") == of_interventions(figures.comfortable, percent)
+    for start, name in (("Peak lateral acceleration", "a_y_peak"), ("Peak lateral jerk", "jerk_peak")):
+        spread = [
+            " / ".join(number(float(getattr(figures, f"{name}_{word}")[k]), 1) for word in ("mean", "p95", "max"))
+            for k in places[:2]
+        ]
+        assert line(start) == [*spread, "–"]
+    assert line("Largest angle") == of_interventions(figures.delta_peak_max, lambda x: number(np.degrees(x), 1))
+    assert line("Departures taken over") == of_interventions(ranking.triggered, percent)
+    assert line("Needless") == of_interventions(figures.needless, percent)
+    assert line("Time of the law") == ["linear", "linear", "–"]
+    said = page.words("limits")
+    assert f"{percent(figures.within_dtle[0])} of the departures".replace("\u00a0", " ") in said
+    assert f"({percent(figures.within_dtle[places[2]])} without control)".replace("\u00a0", " ") in said
+    assert (
+        f"{percent(figures.comfortable[0])} of its interventions keep both comfort limits".replace("\u00a0", " ")
+        in said
+    )
+    for source in ("Euro NCAP", "(EU) 2021/646", "ISO 11270", "0.3 m", "3 m/s²", "5 m/s³"):
+        assert source in said
+
+
+def test_times_of_laws_with_steps_are_shown(make: ModuleType) -> None:
+    results = make.run(
+        [Design.of(LQR(), 0.05), Design.of(PreviewProportional(), 0.05)], make.invented_scenarios(6, 6), [PRIMARY]
+    )
+    case = dataclasses.replace(results.cases[0], law_time=np.array([12.34e-6, np.nan]))
+    _, page = checked(make.report_input(dataclasses.replace(results, cases=(case,))))
+    (line,) = (row for row in limits_table(page) if row[0].startswith("Time of the law"))
+    assert sorted(line[1:]) == ["12.3", "–"]
+
+
+REAL = PlantOptions(
+    speed="profile",
+    actuator=Actuator(rate_max=0.5, lag=0.1, delay=0.03),
+    mismatch=Mismatch(m=(1.0, 1.3), mu=(0.5, 1.0)),
+    tyres=Tyres(model="magic_formula"),
+    sensors=Sensors(e_y_noise=0.03, delay=0.1, kalman=KalmanFilter()),
+    residuals=Residuals(y=True, v=True),
+)
+
+
+def test_a_plant_that_is_not_ideal_is_told_and_driven_again(make: ModuleType, drawn: tuple[str, Page]) -> None:
+    settings = {"options": REAL, "settle": 1.5, "seed": 7}
+    designs = [Design.of(LQR(r_delta=3000.0), 0.05), Design.of(NoControl(), 0.05)]
+    scenarios = make.invented_scenarios(12, 9)
+    scenarios = dataclasses.replace(scenarios, sigma_y=np.full(21, 0.02), sigma_v=np.full(21, 0.1))
+    results = make.run(designs, scenarios, [PRIMARY], **settings)
+    _, page = checked(make.report_input(results, **settings))
+    said = page.words("answer")
+    assert "The plant of this study is not ideal:" in said
+    for words in ("speed follows its profile", "steering actuator", "saturating tyres", "Kalman filter", "residuals"):
+        assert words in said
+    limits = page.words("failures")
+    for words in ("saturating tyres and static wheel loads", "goes on for 1.5 s"):
+        assert words in limits
+    for words in ("tyres do not saturate", "takes effect at once", "speed is frozen", "residuals about", "as they are"):
+        assert words not in limits
+        assert words in drawn[1].words("failures")
+    assert "not ideal" not in drawn[0]
+    # drawn numbers too are those of the study: scenarios keep their numbers when some are chosen
+    assert "Their scores equal the stored ones." in page.text["paths"]
+    _, other = checked(make.report_input(results, **(settings | {"seed": 8})))
+    assert "differ from the stored ones" in other.text["paths"]
+
+
+def test_scenarios_that_cannot_be_driven_are_left_out_and_told(make: ModuleType) -> None:
+    scenarios = make.invented_scenarios(6, 6)
+    speed = scenarios.v_mean.copy()
+    speed[[2, 8]] = 0.5
+    results = make.run(
+        [Design.of(LQR(), 0.05), Design.of(NoControl(), 0.05)], dataclasses.replace(scenarios, v_mean=speed), [PRIMARY]
+    )
+    assert np.isnan(results.cases[0].S).sum() == 4
+    _, page = checked(make.report_input(results))
+    assert "2 of 12 scenarios cannot be driven" in page.words("answer")
+    assert "5 left, 5 right" in page.words("answer")
+    (table,) = (table for table in page.tables if "Not drivable [departures]" in table[0])
+    assert [row[table[0].index("Not drivable [departures]")] for row in table[1:]] == ["2", "2"]
+    assert "Their scores equal the stored ones." in page.text["paths"]
 
 
 def test_reduction_interval_agrees_with_a_bootstrap(results: StudyResults) -> None:
@@ -341,11 +459,18 @@ def test_replay_with_another_vehicle_is_told(make: ModuleType, results: StudyRes
 def test_many_designs_stay_small(report: ReportInput, results: StudyResults) -> None:
     copies = 10
     designs = tuple(dataclasses.replace(d, y_s=d.y_s + 1e-3 * k) for k in range(copies) for d in results.designs)
-    cases = tuple(
-        dataclasses.replace(c, **{f.name: np.tile(getattr(c, f.name), (copies, 1)) for f in dataclasses.fields(c)[1:]})
-        for c in results.cases
-    )
-    many = dataclasses.replace(results, designs=designs, cases=cases)
+    every = np.ones(results.scenarios.n, dtype=bool)
+    cases = []
+    for case in results.cases:
+        tiled = {
+            name: np.tile(getattr(case, name), (copies, 1))
+            for name in ("S", "S_uncorrected", "status", "failed_solves")
+        }
+        many_companions = per_scenario(case.take(every).companions, lambda a: np.tile(a, (copies, 1)))
+        cases.append(
+            dataclasses.replace(case, **tiled, companions=many_companions, law_time=np.tile(case.law_time, copies))
+        )
+    many = dataclasses.replace(results, designs=designs, cases=tuple(cases))
     rankings = tuple(Ranking.of(many, case, bootstrap=100) for case in many.cases)
     text, page = checked(dataclasses.replace(report, results=many, rankings=rankings))
     assert len(ranking_tables(page)[0]) == 1 + len(designs)

@@ -1,0 +1,60 @@
+"""A ranking as a table for a terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ldctoolkit import controller_class
+from ldctoolkit.gains import GainValue
+from studies.ranking import Ranking
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def ranking_table(ranking: Ranking, top: int = 10) -> Table:
+    """The first `top` designs and the best of each law."""
+    from rich.table import Table
+
+    shown = sorted({*range(min(top, len(ranking))), *ranking.best_of_each_law()})
+    percent = f"{100 * ranking.confidence:g}%"
+    table = Table(title=f"{len(ranking)} designs by mean S, {ranking.case.label}", title_justify="left")
+    for heading in ("#", "law", "y_s\n[m]", "gains that differ\nfrom defaults"):
+        table.add_column(heading, justify="right" if heading in ("#", "y_s\n[m]") else "left")
+    headings = ("mean S\n[m s]", f"{percent}\ninterval", "to the best\n[m s]", "reduction", "left", "right")
+    for heading in (*headings, f"deeper\n{ranking.D_y:g} m", "failed"):
+        table.add_column(heading, justify="right")
+    for previous, i in zip([-1, *shown], shown, strict=False):
+        if i > previous + 1:
+            table.add_section()
+        table.add_row(*_cells(ranking, i), style="bold" if i == 0 else None)
+    return table
+
+
+def _cells(ranking: Ranking, i: int) -> list[str]:
+    design = ranking.designs[i]
+    gains = ", ".join(f"{name}={_text(value)}" for name, value in design.changed)
+    tie = " =" if i and ranking.tied_with_best[i] else ""
+    failed = int(ranking.solver_failed[i] + ranking.diverged[i] + ranking.timed_out[i])
+    return [
+        str(ranking.rank[i]),
+        controller_class(design.law).title,
+        f"{design.y_s:g}",
+        gains,
+        f"{ranking.S[i]:.4f}",
+        f"{ranking.S_low[i]:.3f} .. {ranking.S_high[i]:.3f}",
+        f"+{ranking.difference[i]:.4f}{tie}",
+        *(_percent(values[i]) for values in (ranking.reduction, ranking.reduction_left, ranking.reduction_right)),
+        _percent(ranking.deeper[i]),
+        str(failed) if failed else "-",
+    ]
+
+
+def _percent(value: float) -> str:
+    return "-" if np.isnan(value) else f"{100 * value:.1f} %"
+
+
+def _text(value: GainValue) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,175 @@
+"""What a release engineer asks of a design beside its mean S: one figure a design, from the companions of its runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus, metrics
+from studies.design import Design
+from studies.results import CaseResults
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class ReleaseFigures:
+    """Figures of d designs, arrays of d. Each says over which departures it is taken.
+
+    What is taken over interventions is NaN where a design never intervened.
+
+    Attributes
+    ----------
+    deepest_mean, deepest_p95 : [m]
+        Deepest position of the edge beyond the line: mean and 95 % quantile over all departures.
+    dtle_mean, dtle_p5, dtle_min : [m]
+        Smallest distance of the front axle's edge to the line, negative beyond it: mean, 5 % quantile and least.
+    within_dtle : share
+        Departures whose distance stays at or above -0.3 m.
+    needless : share
+        Departures in which the design took over although they stay below D_y without control.
+    overshoot_share : share
+        Of the interventions, those that take the opposite edge beyond the opposite line.
+    overshoot_max : [m]
+        How far at most.
+    back_inside : share
+        Of the interventions, those after which the edge is back inside before the loop ends.
+    t_back_median : [s]
+        Over interventions, from the departure's start; one that is not back counts as infinite.
+    a_y_peak_mean, a_y_peak_p95, a_y_peak_max : [m/s^2]
+        Largest lateral acceleration, over interventions.
+    jerk_peak_mean, jerk_peak_p95, jerk_peak_max : [m/s^3]
+        Largest lateral jerk, over interventions.
+    comfortable : share
+        Of the interventions, those that keep both limits of ISO 11270.
+    delta_peak_max : [rad]
+        Largest steering angle of the wheel.
+    delta_rate_peak_max : [rad/s]
+        Largest rate of it.
+    effort_mean : [rad^2 s]
+        Mean integral of the squared steering angle, over interventions.
+    travel_mean : [rad]
+        Mean sum of the steering angle's changes, over interventions.
+    law_time : [us]
+        Mean wall time of the law's own step per command; 0 for a linear law, NaN where it was not measured.
+    """
+
+    deepest_mean: FloatArray
+    deepest_p95: FloatArray
+    dtle_mean: FloatArray
+    dtle_p5: FloatArray
+    dtle_min: FloatArray
+    within_dtle: FloatArray
+    needless: FloatArray
+    overshoot_share: FloatArray
+    overshoot_max: FloatArray
+    back_inside: FloatArray
+    t_back_median: FloatArray
+    a_y_peak_mean: FloatArray
+    a_y_peak_p95: FloatArray
+    a_y_peak_max: FloatArray
+    jerk_peak_mean: FloatArray
+    jerk_peak_p95: FloatArray
+    jerk_peak_max: FloatArray
+    comfortable: FloatArray
+    delta_peak_max: FloatArray
+    delta_rate_peak_max: FloatArray
+    effort_mean: FloatArray
+    travel_mean: FloatArray
+    law_time: FloatArray
+
+    @classmethod
+    def of(
+        cls, case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, order: Sequence[int], D_y: float
+    ) -> ReleaseFigures:
+        """Take the figures of one case.
+
+        Parameters
+        ----------
+        case : CaseResults
+            Scenarios that can be driven only.
+        designs : sequence of Design
+            In the order of `case`.
+        d_y : (n,) [m]
+            Depth of the departures without control.
+        order : sequence of int
+            Which designs, in the order wanted.
+        D_y : float [m]
+            Depth below which a departure needs no intervention.
+        """
+        rows = [_row(case, i, designs[i], d_y, D_y) for i in order]
+        columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in COLUMNS}
+        return cls(**columns)
+
+
+COLUMNS: Final = {
+    "deepest_mean": "deepest_mean_m",
+    "deepest_p95": "deepest_p95_m",
+    "dtle_mean": "dtle_mean_m",
+    "dtle_p5": "dtle_p5_m",
+    "dtle_min": "dtle_min_m",
+    "within_dtle": "within_dtle_share",
+    "needless": "needless_share",
+    "overshoot_share": "overshoot_share",
+    "overshoot_max": "overshoot_max_m",
+    "back_inside": "back_inside_share",
+    "t_back_median": "t_back_median_s",
+    "a_y_peak_mean": "a_y_peak_mean_m_s2",
+    "a_y_peak_p95": "a_y_peak_p95_m_s2",
+    "a_y_peak_max": "a_y_peak_max_m_s2",
+    "jerk_peak_mean": "jerk_peak_mean_m_s3",
+    "jerk_peak_p95": "jerk_peak_p95_m_s3",
+    "jerk_peak_max": "jerk_peak_max_m_s3",
+    "comfortable": "comfortable_share",
+    "delta_peak_max": "delta_peak_max_rad",
+    "delta_rate_peak_max": "delta_rate_peak_max_rad_s",
+    "effort_mean": "effort_mean_rad2_s",
+    "travel_mean": "travel_mean_rad",
+    "law_time": "law_time_us",
+}
+"""Figure -> its column in a table, with the unit or the word share at the end."""
+
+
+def _row(case: CaseResults, i: int, design: Design, d_y: FloatArray, D_y: float) -> dict[str, float]:
+    """All figures of one design by name."""
+    value: dict[str, FloatArray] = {
+        field.name: getattr(case.companions, field.name)[i].astype(np.float64)
+        for field in dataclasses.fields(metrics.Companions)
+    }
+    driven = ~np.isin(case.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted = driven & (not design.is_baseline)
+
+    def over_interventions(figure: Callable[[FloatArray], Any], name: str) -> float:
+        return float(figure(value[name][acted])) if acted.any() else float("nan")
+
+    figures = {
+        "deepest_mean": np.mean(value["deepest"]),
+        "deepest_p95": _p95(value["deepest"]),
+        "dtle_mean": np.mean(value["dtle"]),
+        "dtle_p5": np.quantile(value["dtle"], 0.05),
+        "dtle_min": np.min(value["dtle"]),
+        "within_dtle": metrics.share_within_dtle(value["dtle"]),
+        "needless": metrics.needless_share(acted, d_y, D_y),
+        "overshoot_share": metrics.overshoot_share(value["overshoot"], acted),
+        "overshoot_max": over_interventions(np.max, "overshoot"),
+        "back_inside": metrics.back_inside_share(value["t_back"], acted),
+        "t_back_median": over_interventions(np.median, "t_back"),
+        "comfortable": metrics.comfortable_share(value["a_y_peak"], value["jerk_peak"], acted),
+        "delta_peak_max": over_interventions(np.max, "delta_peak"),
+        "delta_rate_peak_max": over_interventions(np.max, "delta_rate_peak"),
+        "effort_mean": over_interventions(np.mean, "effort"),
+        "travel_mean": over_interventions(np.mean, "travel"),
+        "law_time": 1e6 * case.law_time[i],
+    }
+    for name in ("a_y_peak", "jerk_peak"):
+        for word, figure in (("mean", np.mean), ("p95", _p95), ("max", np.max)):
+            figures[f"{name}_{word}"] = over_interventions(figure, name)
+    return {name: float(figure) for name, figure in figures.items()}
+
+
+def _p95(values: FloatArray) -> Any:
+    return np.quantile(values, 0.95)

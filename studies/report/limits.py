@@ -1,0 +1,215 @@
+"""What a release asks for beside S, as a table of figures and a few sentences on the best design."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+
+from markupsafe import Markup
+
+from studies.ranking import Ranking
+from studies.release import ReleaseFigures
+from studies.report.inputs import ReportInput
+from studies.report.prose import design_text
+from studies.report.summary import CaseTable, Row, is_baseline
+from studies.report.text import compact, number, percent, symbols
+
+MOST_COLUMNS = 6
+"""Designs side by side; more do not fit a screen."""
+
+DASH = "–"  # noqa: RUF001 - the page shows true dashes
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """One design: the law's title, and what tells it from others of its law."""
+
+    title: str
+    gains: Markup
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """One figure of every design, and the limit that it is held against."""
+
+    name: Markup
+    limit: str
+    cells: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Figures that are taken over the same departures."""
+
+    title: str
+    over: str
+    lines: tuple[Line, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class LimitsTable:
+    """Figures down, designs across."""
+
+    columns: tuple[Column, ...]
+    groups: tuple[Group, ...]
+    baseline: bool
+
+
+def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> LimitsTable:
+    """The table of the primary case.
+
+    Parameters
+    ----------
+    report : ReportInput
+    table : CaseTable
+        Of the primary case.
+    ranking : Ranking
+        Of that case.
+
+    Returns
+    -------
+    LimitsTable
+        The best design of each law by rank, and the baseline last.
+    """
+    rows = [row for row in table.best_of_each_law if not is_baseline(row)][:MOST_COLUMNS]
+    baseline = next((row for row in table.rows if is_baseline(row)), None)
+    rows += [baseline] if baseline is not None else []
+    places = [next(k for k, one in enumerate(table.rows) if one.index == row.index) for row in rows]
+    figures = ranking.release
+
+    def line(name: str, show: Callable[[Row, int], str], limit: str = "", *, acts: bool = False) -> Line:
+        """`acts`: a figure of the interventions, of which the baseline has none."""
+        cells = (DASH if acts and is_baseline(r) else show(r, k) for r, k in zip(rows, places, strict=True))
+        return Line(Markup(name), limit, tuple(cells))
+
+    def spread(quantity: str) -> Callable[[Row, int], str]:
+        return lambda _, k: _spread(figures, quantity, k)
+
+    groups = (
+        Group(
+            "In the lane",
+            "all departures, to the departure\u2019s end",
+            (
+                line("DTLE stays above \u22120.3\u00a0m", lambda _, k: percent(figures.within_dtle[k]), _DTLE_LIMIT),
+                line("DTLE, 5\u00a0% quantile [m]", lambda _, k: number(figures.dtle_p5[k], 2)),
+                line("DTLE at its worst [m]", lambda _, k: number(figures.dtle_min[k], 2)),
+                line(f"Deeper than D<sub>y</sub> = {compact(table.D_y)}\u00a0m", lambda r, _: percent(r.deeper)),
+            ),
+        ),
+        Group(
+            "Back to the lane",
+            "interventions"
+            + (f", to {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""),
+            (
+                line("Back inside", lambda _, k: percent(figures.back_inside[k]), acts=True),
+                line("Back inside after, median [s]", lambda _, k: number(figures.t_back_median[k], 2), acts=True),
+                line("Opposite line crossed", lambda _, k: percent(figures.overshoot_share[k]), acts=True),
+                line(
+                    "Opposite line crossed by at most [m]", lambda _, k: number(figures.overshoot_max[k], 2), acts=True
+                ),
+            ),
+        ),
+        Group(
+            "Comfort",
+            "interventions; mean / 95\u00a0% quantile / largest",
+            (
+                line("Both limits kept", lambda _, k: percent(figures.comfortable[k]), "ISO 11270", acts=True),
+                line("Peak lateral acceleration [m/s²]", spread("a_y_peak"), "limit 3", acts=True),
+                line("Peak lateral jerk [m/s³]", spread("jerk_peak"), "limit 5", acts=True),
+            ),
+        ),
+        Group(
+            "Steering",
+            "interventions",
+            (
+                line("Largest angle [°]", lambda _, k: _degrees(figures.delta_peak_max[k]), acts=True),
+                line("Largest rate [°/s]", lambda _, k: _degrees(figures.delta_rate_peak_max[k]), acts=True),
+                line(
+                    "Mean effort ∫δ² dt [°²·s]", lambda _, k: number(_DEGREES**2 * figures.effort_mean[k], 2), acts=True
+                ),
+            ),
+        ),
+        Group(
+            "Interventions",
+            "all departures",
+            (
+                line("Departures taken over", lambda r, _: percent(r.triggered), acts=True),
+                line(
+                    f"Needless: without control not deeper than {compact(table.D_y)}\u00a0m",
+                    lambda _, k: percent(figures.needless[k]),
+                    acts=True,
+                ),
+                line("Departures with a failed solve", lambda r, _: f"{r.solver_failed:,}", acts=True),
+                line("Time of the law per command [µs]", lambda _, k: _law_time(figures.law_time[k]), acts=True),
+            ),
+        ),
+    )
+    return LimitsTable(tuple(_column(row) for row in rows), groups, baseline is not None)
+
+
+_DTLE_LIMIT = "Euro NCAP LSS, EU 2021/646"
+_DEGREES = math.degrees(1.0)
+
+
+def _column(row: Row) -> Column:
+    if is_baseline(row):
+        return Column(row.title, Markup(""))
+    threshold = f"y_s\u00a0=\u00a0{compact(row.design.y_s)}\u00a0m"
+    gains = (f"{name}\u00a0=\u00a0{value}{chr(0xA0) + unit if unit else ''}" for name, value, unit in row.gains)
+    return Column(row.title, symbols(", ".join([threshold, *gains])))
+
+
+def _spread(figures: ReleaseFigures, quantity: str, k: int) -> str:
+    values = [float(getattr(figures, f"{quantity}_{word}")[k]) for word in ("mean", "p95", "max")]
+    return DASH if math.isnan(values[0]) else " / ".join(number(value, 1) for value in values)
+
+
+def _degrees(value: float) -> str:
+    return number(_DEGREES * value, 1)
+
+
+def _law_time(value: float) -> str:
+    """A linear law has no step of its own to be timed."""
+    return number(value, 1) if value else "linear"
+
+
+def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> Iterator[Markup]:
+    """The best design against the limits, a sentence or two."""
+    best, figures = table.winner, ranking.release
+    if is_baseline(best):
+        yield Markup("No control has the lowest mean S here, so there is no intervention of the best design to judge.")
+        return
+    said = Markup(
+        "<strong>{}</strong>, the best by mean S, keeps the front axle\u2019s edge within 0.3\u00a0m beyond the line "
+        "in <strong>{}</strong> of the departures{}; at worst the edge is {} it."
+    )
+    none = next((k for k, row in enumerate(table.rows) if is_baseline(row)), None)
+    before = "" if none is None else f" ({percent(figures.within_dtle[none])} without control)"
+    yield said.format(design_text(best), percent(figures.within_dtle[0]), before, _beyond(figures.dtle_min[0]))
+    if best.triggered == 0:
+        yield Markup("It never took over, so there is no intervention to judge.")
+        return
+    said = Markup(
+        "<strong>{}</strong> of its interventions keep both comfort limits; the largest lateral acceleration is "
+        "{}\u00a0m/s², the largest lateral jerk {}\u00a0m/s³. {}"
+    )
+    yield said.format(
+        percent(figures.comfortable[0]),
+        number(figures.a_y_peak_max[0], 1),
+        number(figures.jerk_peak_max[0], 1),
+        _way_back(report, figures),
+    )
+
+
+def _beyond(dtle: float) -> str:
+    return f"{number(abs(dtle), 2)}\u00a0m {'beyond' if dtle < 0 else 'inside'}"
+
+
+def _way_back(report: ReportInput, figures: ReleaseFigures) -> str:
+    horizon = f" within {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""
+    back = f"The edge is back inside after {percent(figures.back_inside[0])} of them{horizon}"
+    if not figures.overshoot_share[0] > 0:
+        return f"{back}, and the opposite edge never crosses the opposite line."
+    share, most = percent(figures.overshoot_share[0]), number(figures.overshoot_max[0], 2)
+    return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m."
