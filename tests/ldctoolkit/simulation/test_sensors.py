@@ -1,0 +1,351 @@
+"""What a law is shown: noise, bias, steps, delay and rate of the camera, the curvature ahead, the filter's estimate."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from ldctoolkit import Controller, LinearLaw, Outcome, Plant, Scenarios, SteeringLaw, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+
+DT, SETTLE, Y_S = 0.05, 0.5, 0.1
+AHEAD = np.array([0.0, 0.4, 1.1])
+
+
+@dataclasses.dataclass
+class Seen:
+    """What a law was shown: t (k, n), x (k, n, 4), yaw rate and heading ahead (k, n, 3)."""
+
+    t: Any = dataclasses.field(default_factory=list)
+    x: Any = dataclasses.field(default_factory=list)
+    yaw_rate: Any = dataclasses.field(default_factory=list)
+    heading: Any = dataclasses.field(default_factory=list)
+
+    def arrays(self) -> Seen:
+        return Seen(*(np.array(getattr(self, field.name)) for field in dataclasses.fields(self)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Witness(Controller):
+    """Steers straight on, and writes down what it sees."""
+
+    name = "witness"
+    title = "Witness"
+    seen: Seen = dataclasses.field(default_factory=Seen)
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        return WitnessLaw(self.seen)
+
+
+@dataclasses.dataclass(frozen=True)
+class WitnessLaw(SteeringLaw):
+    seen: Seen
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return AHEAD
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        for name, value in (("t", t), ("x", x), ("yaw_rate", preview.yaw_rate), ("heading", preview.heading)):
+            getattr(self.seen, name).append(np.array(value))
+        return np.zeros(x.shape[0]), state, np.zeros(x.shape[0], dtype=np.int8)
+
+
+def watch(scenarios: Scenarios, sensors: Sensors, *, seed: int = 0, **options: Any) -> tuple[Seen, np.ndarray]:
+    """What was seen, and the true states at the same samples (k, n, 4); all scenarios as long as the first."""
+    witness = Witness()
+    out = simulate(
+        witness, scenarios, y_s=Y_S, dt=DT, seed=seed, settle=SETTLE, trajectories=True,
+        options=PlantOptions(sensors=sensors, **options),
+    )  # fmt: skip
+    assert out.triggered.all()
+    seen, paths = witness.seen.arrays(), out.trajectories
+    assert paths is not None
+    at_samples = [np.flatnonzero(np.abs(paths.t[0] - t) < 1e-9)[0] for t in seen.t[:, 0]]
+    return seen, paths.x[:, at_samples].transpose(1, 0, 2)
+
+
+def alike(n: int, **changes: Any) -> Scenarios:
+    given = {"T": 1.02, "d_y": 0.4, "v_mean": 22.0, "a_mean": 0.3, "c_0": 1e-3, "dc": -2e-3, "side": 1} | changes
+    return Scenarios.from_arrays(**{name: np.broadcast_to(value, n) for name, value in given.items()})
+
+
+def test_an_ideal_camera_shows_the_truth() -> None:
+    seen, true = watch(alike(1), Sensors())
+    np.testing.assert_array_equal(seen.x, true)
+
+
+def test_noise_is_normal_white_and_independent() -> None:
+    """12,000 numbers of a fixed seed; a false alarm would have had a chance of one in a thousand."""
+    seen, true = watch(alike(400), Sensors(e_y_noise=0.05, e_psi_noise=0.004))
+    noise = (seen.x - true)[:, :, [0, 2]] / [0.05, 0.004]
+    assert noise.size > 20_000
+    np.testing.assert_array_equal(seen.x[:, :, [1, 3]], true[:, :, [1, 3]])
+    for quantity in range(2):
+        assert scipy.stats.kstest(noise[:, :, quantity].ravel(), "norm").pvalue > 1e-3
+    pairs = {
+        "e_y and e_psi": (noise[..., 0], noise[..., 1]),
+        "one frame and the next": (noise[1:, :, 0], noise[:-1, :, 0]),
+        "one scenario and the next": (noise[:, 1:, 1], noise[:, :-1, 1]),
+        "e_psi and the next e_y": (noise[1:, :, 0], noise[:-1, :, 1]),
+    }
+    for what, (a, b) in pairs.items():
+        assert scipy.stats.pearsonr(a.ravel(), b.ravel()).pvalue > 1e-3, what
+
+
+def test_one_noise_alone_leaves_the_other_quantity_true() -> None:
+    seen, true = watch(alike(3), Sensors(e_psi_noise=0.01))
+    np.testing.assert_array_equal(seen.x[..., 0], true[..., 0])
+    assert (seen.x[..., 2] != true[..., 2]).all()
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_bias_is_in_the_roads_frame(side: int) -> None:
+    """Positive to the left: a left departure looks deeper by it, a right one less deep."""
+    seen, true = watch(alike(2, side=side), Sensors(e_y_bias=0.07, e_psi_bias=-0.005))
+    np.testing.assert_allclose(
+        seen.x - true, np.broadcast_to([side * 0.07, 0, side * -0.005, 0], true.shape), atol=1e-15
+    )
+
+
+def test_values_are_rounded_to_the_step_last_of_all() -> None:
+    seen, true = watch(alike(2), Sensors(e_y_step=0.02, e_psi_step=0.003, e_y_bias=0.004))
+    np.testing.assert_array_equal(seen.x[..., 0], 0.02 * np.rint((true[..., 0] + 0.004) / 0.02))
+    np.testing.assert_array_equal(seen.x[..., 2], 0.003 * np.rint(true[..., 2] / 0.003))
+    noisy, _ = watch(alike(2), Sensors(e_y_step=0.02, e_y_noise=0.1))
+    steps = noisy.x[..., 0] / 0.02
+    np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-12)
+
+
+def recorded(scenarios: Scenarios, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """e_y and e_psi of the first scenario's recorded path, from the paper's parabola."""
+    T, d_y, v_mean, a_mean = (getattr(scenarios, name)[0] for name in ("T", "d_y", "v_mean", "a_mean"))
+    x = v_mean * t + a_mean * (t**2 - T * t) / 2
+    bend = -4 * d_y / (v_mean * T) ** 2
+    y = bend * (x - v_mean * T / 2) ** 2 + d_y
+    return y + 0.85, np.arctan(2 * bend * (x - v_mean * T / 2))
+
+
+@pytest.mark.parametrize(("period", "delay"), [(1, 0), (3, 0), (1, 2), (4, 3), (2, 5)])
+def test_delay_and_rate_are_exact(period: int, delay: int) -> None:
+    """The latest frame that has arrived; frames from before the trigger show the recorded path."""
+    scenarios = alike(1)
+    seen, true = watch(scenarios, Sensors(period=(period * DT) if period > 1 else 0.0, delay=delay * DT))
+    t_s = seen.t[0, 0]
+    for k in range(seen.t.shape[0]):
+        sample = (k - delay) // period * period
+        if sample >= 0:
+            assert seen.x[k, 0, 0] == true[sample, 0, 0]
+            assert seen.x[k, 0, 2] == true[sample, 0, 2]
+        else:
+            e_y, e_psi = recorded(scenarios, t_s + sample * DT)
+            assert seen.x[k, 0, 0] == pytest.approx(e_y, abs=1e-14)
+            assert seen.x[k, 0, 2] == pytest.approx(e_psi, abs=1e-14)
+    # rates come from elsewhere
+    np.testing.assert_array_equal(seen.x[:, 0, [1, 3]], true[:, 0, [1, 3]])
+
+
+def test_a_frame_keeps_its_noise_while_it_is_the_latest() -> None:
+    seen, _ = watch(alike(5), Sensors(e_y_noise=0.1, period=3 * DT, delay=DT))
+    frames = (np.arange(seen.t.shape[0]) - 1) // 3
+    for j in range(1, frames.max() + 1):
+        rows = np.flatnonzero(frames == j)
+        assert (seen.x[rows, :, 0] == seen.x[rows[0], :, 0]).all()
+    first = np.array([seen.x[frames == j, :, 0][0] for j in range(frames.max() + 1)])
+    assert np.unique(first).size == first.size
+    # ... which is that of the same frame when it arrives at once
+    prompt, _ = watch(alike(5), Sensors(e_y_noise=0.1, period=3 * DT))
+    np.testing.assert_array_equal(first, prompt.x[::3, :, 0][: first.shape[0]])
+
+
+@pytest.mark.parametrize("speed", ["frozen", "profile"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_curvature_error_is_in_the_preview_and_nowhere_else(side: int, speed: str) -> None:
+    """Relative error and bias of the curvature; the bias is in the road's frame. The path stays the true one."""
+    scenarios = alike(1, side=side)
+    ideal, path = watch(scenarios, Sensors(), speed=speed)
+    off, same_path = watch(scenarios, Sensors(curvature_gain=0.15, curvature_bias=3e-4), speed=speed)
+    np.testing.assert_array_equal(path, same_path)
+    t = off.t[:, :1, None] + AHEAD  # (k, 1, 3)
+    if speed == "frozen":
+        v = np.full_like(t, 22.0 + 0.3 * (off.t[0, 0] - 0.51))
+        way = v * AHEAD
+    else:
+        inside = np.minimum(t, 1.02)
+        v = 22.0 + 0.3 * (inside - 0.51)
+        x = 22.0 * inside + 0.15 * (inside**2 - 1.02 * inside) + v * (t - inside)
+        way = x - x[:, :, :1]
+    np.testing.assert_allclose(off.yaw_rate, 1.15 * ideal.yaw_rate + side * 3e-4 * v, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(off.heading, 1.15 * ideal.heading + side * 3e-4 * way, rtol=0, atol=1e-14)
+
+
+def test_curvature_noise_is_one_normal_draw_a_scenario() -> None:
+    """2,000 draws of a fixed seed."""
+    seen, _ = watch(alike(2000), Sensors(curvature_noise=4e-4))
+    ideal, _ = watch(alike(1), Sensors())
+    v = 22.0 + 0.3 * (seen.t[0, 0] - 0.51)
+    draws = (seen.yaw_rate - ideal.yaw_rate) / v / 4e-4
+    np.testing.assert_allclose(draws, np.broadcast_to(draws[:1, :, :1], draws.shape), rtol=0, atol=1e-10)
+    assert scipy.stats.kstest(draws[0, :, 0], "norm").pvalue > 1e-3
+    assert np.unique(draws[0, :, 0]).size == 2000
+    headings = (seen.heading - ideal.heading)[:, :, 2] / (v * AHEAD[2]) / 4e-4
+    np.testing.assert_allclose(headings, draws[:, :, 0], rtol=0, atol=1e-10)
+
+
+def test_the_filter_knows_rates_that_differencing_does_not() -> None:
+    """Root mean square over 300 departures, after the first half second, against two frames subtracted."""
+    noisy = Sensors(e_y_noise=0.03, e_psi_noise=0.003)
+    frames, true = watch(alike(300), noisy)
+    filtered, same = watch(alike(300), dataclasses.replace(noisy, kalman=KalmanFilter()))
+    np.testing.assert_array_equal(true, same)
+    later = slice(10, None)
+
+    def rms(error: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(error[later] ** 2)))
+
+    for measured, rate, noise in ((0, 1, 0.03), (2, 3, 0.003)):
+        differences = np.diff(frames.x[..., measured], axis=0, prepend=np.nan) / DT
+        assert rms(differences - true[..., rate]) > 0.8 * np.sqrt(2.0) * noise / DT
+        assert rms(filtered.x[..., rate] - true[..., rate]) < 0.2 * rms(differences - true[..., rate])
+        assert rms(filtered.x[..., measured] - true[..., measured]) < 0.7 * noise
+
+
+def test_the_filter_with_true_frames_on_the_true_model_is_the_truth() -> None:
+    """Its start is the truth and it knows the model, the command and a lane without a kink: nothing to correct."""
+    seen, true = watch(alike(2, dc=0.0), Sensors(kalman=KalmanFilter()))
+    np.testing.assert_allclose(seen.x, true, rtol=0, atol=1e-12)
+
+
+# everything that is drawn, at once
+
+DRAWN = PlantOptions(
+    speed="profile",
+    actuator=Actuator(lag=0.05, rate_max=0.4),
+    mismatch=Mismatch(m=(0.8, 1.2), C_af=(0.8, 1.1), mu=(0.6, 1.0)),
+    tyres=Tyres(model="magic_formula"),
+    sensors=Sensors(e_y_noise=0.05, e_psi_noise=0.005, curvature_noise=3e-4, delay=DT, kalman=KalmanFilter()),
+    residuals=Residuals(y=True, v=True),
+)
+ALONE = {
+    "noise": PlantOptions(sensors=Sensors(e_y_noise=0.05, e_psi_noise=0.005)),
+    "curvature": PlantOptions(sensors=Sensors(curvature_noise=3e-4)),
+    "mismatch": PlantOptions(mismatch=Mismatch(m=(0.8, 1.2))),
+    "residual of y": PlantOptions(residuals=Residuals(y=True)),
+    "residual of v": PlantOptions(speed="profile", residuals=Residuals(v=True)),
+    "everything": DRAWN,
+}
+
+
+def various(n: int) -> Scenarios:
+    rng = np.random.default_rng(4)
+    return Scenarios.from_arrays(
+        side=rng.choice([-1, 1], n), T=rng.uniform(0.6, 2.0, n), d_y=rng.uniform(0.05, 0.5, n),
+        v_mean=rng.uniform(9, 33, n), a_mean=rng.normal(0, 0.4, n), c_0=rng.normal(0, 1e-3, n),
+        dc=rng.normal(0, 1e-3, n), sigma_y=0.02, sigma_v=0.1,
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Feedback(Controller):
+    """Linear, or the same called once a step."""
+
+    name = "feedback"
+    title = "Feedback"
+    stepped: bool = False
+
+    def prepare(self, plant: Plant) -> LinearLaw | SteeringLaw:
+        if self.stepped:
+            return SteppedFeedback()
+        n = plant.n
+        return LinearLaw(
+            F=np.tile([-0.02, -0.005, -0.2, -0.01], (n, 1)), preview_times=np.array([0.6]),
+            G_yaw_rate=np.full((n, 1), 0.05), G_heading=np.full((n, 1), -0.2), f_u=np.full(n, 0.1),
+        )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class SteppedFeedback(SteeringLaw):
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.array([0.6])
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        delta = -0.02 * x[:, 0] - 0.005 * x[:, 1] - 0.2 * x[:, 2] - 0.01 * x[:, 3] + 0.1 * delta_prev
+        delta = delta + 0.05 * preview.yaw_rate[:, 0] - 0.2 * preview.heading[:, 0]
+        return delta, state, np.zeros(x.shape[0], dtype=np.int8)
+
+
+def drawn(stepped: bool, scenarios: Scenarios, options: PlantOptions, seed: int, **more: Any) -> Outcome:
+    return simulate(
+        Feedback(stepped=stepped), scenarios, y_s=Y_S, dt=DT, options=options, seed=seed, settle=SETTLE, **more
+    )
+
+
+def assert_same_bits(a: Outcome, b: Outcome, rows: np.ndarray | slice = slice(None)) -> None:
+    for name in ("S", "S_uncorrected", "t_s", "status"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name)[rows], err_msg=name)
+    for name in COMPANION_UNITS:
+        np.testing.assert_array_equal(getattr(a.companions, name), getattr(b.companions, name)[rows], err_msg=name)
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+@pytest.mark.parametrize("case", ALONE)
+def test_the_seed_decides_every_draw(case: str, stepped: bool) -> None:
+    scenarios = various(40)
+    first, again, other = (drawn(stepped, scenarios, ALONE[case], seed) for seed in (7, 7, 8))
+    assert_same_bits(first, again)
+    assert (first.S != other.S)[first.triggered & other.triggered].all()
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+@pytest.mark.parametrize("case", ALONE)
+def test_draws_do_not_depend_on_order_company_or_threads(case: str, stepped: bool) -> None:
+    """A scenario's number goes with it through `take`."""
+    scenarios = various(60)
+    whole = drawn(stepped, scenarios, ALONE[case], 3, threads=2)
+    assert_same_bits(drawn(stepped, scenarios, ALONE[case], 3, threads=1), whole)
+    order = np.random.default_rng(0).permutation(scenarios.n)
+    assert_same_bits(drawn(stepped, scenarios.take(order), ALONE[case], 3), whole, order)
+    for rows in (np.array([17]), np.arange(31, 60)):
+        assert_same_bits(drawn(stepped, scenarios.take(rows), ALONE[case], 3), whole, rows)
+
+
+@pytest.mark.parametrize("case", ALONE)
+def test_both_loops_draw_the_same(case: str) -> None:
+    linear, general = (drawn(stepped, various(60), ALONE[case], 3) for stepped in (False, True))
+    np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(general.t_s, linear.t_s)
+    for name in COMPANION_UNITS:
+        ours, theirs = getattr(general.companions, name), getattr(linear.companions, name)
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_one_options_draws_do_not_depend_on_another() -> None:
+    """Camera noise is the same with and without a curvature error, and conversely."""
+    noise = Sensors(e_y_noise=0.05, e_psi_noise=0.005)
+    curvature = Sensors(curvature_noise=3e-4)
+    both = dataclasses.replace(noise, curvature_noise=3e-4)
+    (a, _), (b, _), (c, _) = (watch(alike(10), sensors) for sensors in (noise, curvature, both))
+    np.testing.assert_array_equal(a.x, c.x)
+    np.testing.assert_array_equal(b.yaw_rate, c.yaw_rate)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "field"), [(Sensors(period=0.07), "period"), (Sensors(delay=0.02), "delay")], ids=["period", "delay"]
+)
+def test_times_that_are_no_multiples_of_dt_are_named(sensors: Sensors, field: str) -> None:
+    value = getattr(sensors, field)
+    with pytest.raises(InputError, match=rf"sensors\.{field}: {value}.*0\.05"):
+        simulate(Feedback(), alike(1), dt=DT, options=PlantOptions(sensors=sensors))
