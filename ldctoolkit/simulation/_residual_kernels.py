@@ -43,7 +43,7 @@ class Path(NamedTuple):
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
 def along(path: Any, i: int, t: float) -> Any:
-    """Distance x, speed v and its rate."""
+    """Motion along the lane: distance x, speed v and its rate."""
     T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
     omega = math.pi / T
     cos_1, sin_1 = math.cos(omega * t), math.sin(omega * t)
@@ -52,30 +52,43 @@ def along(path: Any, i: int, t: float) -> Any:
     for j in range(1, path.count_v[i] + 1):
         c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
         b = path.modes_v[i, j - 1]
-        way += b / (j * omega) * s
+        way += b * s / j
         eps += b * c
-        rate -= b * (j * omega) * s
-    return v_mean * t + 0.5 * a_mean * (t - T) * t + way, v_mean + a_mean * (t - 0.5 * T) + eps, a_mean + rate
+        rate -= b * s * j
+    x = v_mean * t + 0.5 * a_mean * (t - T) * t + way / omega
+    return x, v_mean + a_mean * (t - 0.5 * T) + eps, a_mean + rate * omega
 
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
-def across(path: Any, i: int, t: float, x: float, v: float, dv: float) -> Any:
-    """Lateral distance y and its first two derivatives, from the motion along the lane."""
-    omega = math.pi / path.T[i]
+def motion(path: Any, i: int, t: float) -> Any:
+    """Motion along the lane as `along`, then the lateral distance y and its first two derivatives."""
+    T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
+    omega = math.pi / T
     cos_1, sin_1 = math.cos(omega * t), math.sin(omega * t)
     c, s = 1.0, 0.0
-    eps, rate, bend = 0.0, 0.0, 0.0
-    for j in range(1, path.count_y[i] + 1):
+    way, eps_v, rate_v = 0.0, 0.0, 0.0
+    eps_y, rate_y, bend = 0.0, 0.0, 0.0
+    count_y, count_v = path.count_y[i], path.count_v[i]
+    for j in range(1, max(count_y, count_v) + 1):
         c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
-        a = path.modes_y[i, j - 1]
-        eps += a * s
-        rate += a * (j * omega) * c
-        bend -= a * (j * omega) ** 2 * s
-    d_x = path.v_mean[i] * path.T[i]
+        if j <= count_v:
+            b = path.modes_v[i, j - 1]
+            way += b * s / j
+            eps_v += b * c
+            rate_v -= b * s * j
+        if j <= count_y:
+            a = path.modes_y[i, j - 1]
+            eps_y += a * s
+            rate_y += a * c * j
+            bend -= a * s * (j * j)
+    x = v_mean * t + 0.5 * a_mean * (t - T) * t + way / omega
+    v, dv = v_mean + a_mean * (t - 0.5 * T) + eps_v, a_mean + rate_v * omega
+    d_x = v_mean * T
     share = x / d_x
     slope = 4.0 * path.d_y[i] / d_x * (1.0 - 2.0 * share)
-    y = 4.0 * path.d_y[i] * share * (1.0 - share) + eps
-    return y, slope * v + rate, -8.0 * path.d_y[i] / d_x**2 * v**2 + slope * dv + bend
+    y = 4.0 * path.d_y[i] * share * (1.0 - share) + eps_y
+    ddy = -8.0 * path.d_y[i] / d_x**2 * v**2 + slope * dv + bend * omega**2
+    return x, v, dv, y, slope * v + rate_y * omega, ddy
 
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
@@ -83,11 +96,11 @@ def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
     """One quantity at times t (n, k) into `out`."""
     for i in range(t.shape[0]):
         for k in range(t.shape[1]):
-            x, v, dv = along(path, i, t[i, k])
             if what <= SPEED_RATE:
+                x, v, dv = along(path, i, t[i, k])
                 out[i, k] = x if what == POSITION else (v if what == SPEED else dv)
             else:
-                y, dy, ddy = across(path, i, t[i, k], x, v, dv)
+                _, _, _, y, dy, ddy = motion(path, i, t[i, k])
                 out[i, k] = y if what == LATERAL else (dy if what == LATERAL_RATE else ddy)
 
 
@@ -104,8 +117,8 @@ def turned_by_residual(path: Any, c_0: FloatArray, dc: FloatArray, t: FloatArray
             for j in range(1, path.count_v[i] + 1):
                 c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
                 b = path.modes_v[i, j - 1]
-                once += b / (j * omega) * s
-                twice += b / (j * omega) ** 2 * (c - 1.0)
+                once += b * s / (j * omega)
+                twice += b * (c - 1.0) / (j * omega) ** 2
             out[i, k] = (c_0[i] + growth * t[i, k]) * once + growth * twice
 
 
@@ -146,10 +159,10 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
 def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
     """A curve whose extremes are wanted, and its slope."""
-    x, v, dv = along(path, i, t)
     if which == SLOWNESS:
+        _, v, dv = along(path, i, t)
         return -v, -dv
-    y, dy, ddy = across(path, i, t, x, v, dv)
+    _, v, dv, y, dy, ddy = motion(path, i, t)
     if which == EDGE:
         return y, dy
     return y + l_f * dy / v, dy + l_f * (ddy * v - dy * dv) / v**2

@@ -371,6 +371,9 @@ def test_crossing_equals_brute_force(residuals: Residuals, y_s: float) -> None:
     lower = t[rows, np.maximum(first[rows] - 1, 0)]
     assert np.all(crossing[rows] <= upper)
     assert np.all(crossing[rows] >= lower)
+    if y_s == 0.0:  # at once, and exactly, where the path starts outwards
+        outwards = path.lateral_rate(np.zeros(path.n)) > 0.0
+        np.testing.assert_array_equal(crossing == 0.0, outwards)
     # there y = y_s, to 1e-13 s of its slope and rounding
     found = path.take(rows)
     slope = np.abs(found.lateral_rate(crossing[rows]))
