@@ -19,24 +19,9 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import check_controller, check_law, check_step
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.mixture.sources import usable_cores
-from ldctoolkit.simulation.kernel.data import (
-    A_Y,
-    AREA,
-    BACK,
-    DEEP,
-    DELTA,
-    EFFORT,
-    FRONT,
-    JERK,
-    OVER,
-    RATE,
-    SCORES,
-    TRAVEL,
-    Paths,
-    State,
-)
+from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run, Trajectories
-from ldctoolkit.simulation.tables import BOUND, Tables, designs_table, law_table
+from ldctoolkit.simulation.tables import BOUND, Tables, law_table, times_of
 from ldctoolkit.simulation.takeover import Takeover
 
 FloatArray = npt.NDArray[np.float64]
@@ -111,7 +96,7 @@ def drive_many(
     InputError
         As in `drive`.
     """
-    most = max(1, _TOGETHER // max(1, takeover.m * SCORES))
+    most = max(1, _TOGETHER // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _prepared(controller, takeover)
@@ -195,20 +180,20 @@ def _run(
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
     status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
     # before the trigger the vehicle was on the recorded path
-    front = np.maximum(score[:, FRONT] - edge, takeover.front_before)
+    front = np.maximum(score[:, data.FRONT] - edge, takeover.front_before)
     companions = Companions(
-        deepest=np.maximum(score[:, DEEP] - edge, takeover.deepest_before),
+        deepest=np.maximum(score[:, data.DEEP] - edge, takeover.deepest_before),
         dtle=-front,
-        t_back=score[:, BACK].copy(),
-        overshoot=np.maximum(score[:, OVER] - edge, 0.0),
-        a_y_peak=score[:, A_Y].copy(),
-        jerk_peak=score[:, JERK].copy(),
-        delta_peak=score[:, DELTA].copy(),
-        delta_rate_peak=score[:, RATE].copy(),
-        effort=score[:, EFFORT].copy(),
-        travel=score[:, TRAVEL].copy(),
+        t_back=score[:, data.BACK].copy(),
+        overshoot=np.maximum(score[:, data.OVER] - edge, 0.0),
+        a_y_peak=score[:, data.A_Y].copy(),
+        jerk_peak=score[:, data.JERK].copy(),
+        delta_peak=score[:, data.DELTA].copy(),
+        delta_rate_peak=score[:, data.RATE].copy(),
+        effort=score[:, data.EFFORT].copy(),
+        travel=score[:, data.TRAVEL].copy(),
     )
-    return Run(takeover, score[:, AREA].copy(), status, failed, companions, law_seconds, trajectories)
+    return Run(takeover, score[:, data.AREA].copy(), status, failed, companions, law_seconds, trajectories)
 
 
 def _drive_linear(
@@ -222,15 +207,16 @@ def _drive_linear(
     if not (options.drives_exactly and options.sensors.ideal):
         return [_drive_each(law, tables, rows, threads) for law in laws]
     d, m = len(laws), takeover.m
-    score = np.zeros((d, m, SCORES))
+    score = np.zeros((d, m, data.SCORES))
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     if m:
-        designs, state, none = designs_table(laws), tables.state(), tables.paths(np.zeros(0, dtype=np.int64))
+        table, times = np.stack([law_table(law) for law in laws]), np.stack([times_of(law) for law in laws])
+        state = tables.state()
+        none = tables.paths(np.zeros(0, dtype=np.int64), state)
+        scene, exact, setting = tables.scene, tables.exact, tables.setting
 
         def work(first: int, last: int) -> None:
-            entry.drive_lanes(
-                tables.scene, tables.exact, tables.setting, designs, state, none, first, last, score, diverged, failed
-            )
+            entry.drive_lanes(scene, exact, setting, table, times, state, none, first, last, score, diverged, failed)
 
         _in_threads(work, -(-m // LANES), threads, _SCENARIOS_A_TASK // LANES)
     paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
@@ -241,18 +227,25 @@ def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: 
     """A linear law on any plant, scenario by scenario; on the ideal plant only those whose paths are wanted."""
     from ldctoolkit.simulation.kernel import entry
 
-    over, state, table = tables.over, tables.state(), law_table(law)
+    over, state, table, times = tables.over, tables.state(), law_table(law), times_of(law)
     places, found = _places(over, rows)
-    paths = tables.paths(places)
+    paths = tables.paths(places, state)
     ideal = over.options.drives_exactly and over.options.sensors.ideal
     driven = np.sort(places) if ideal else np.arange(over.m)
 
     def work(first: int, last: int) -> None:
-        entry.begin(tables.scene, tables.setting, state, paths, driven[first:last])
-        entry.drive_each(tables.scene, tables.setting, tables.camera, table, state, paths, driven[first:last])
+        part = driven[first:last]
+        entry.begin(tables.scene, tables.setting, state, paths, part)
+        entry.drive_each(tables.scene, tables.setting, table, times, state, paths, part)
 
     _in_threads(work, driven.size, threads, _SCENARIOS_A_TASK // 8)
-    return _run(over, state.score, state.diverged, state.failed, 0.0, _trajectories(paths, rows, found))
+    return _of_state(over, state, 0.0, _trajectories(paths, rows, found))
+
+
+def _of_state(over: Takeover, state: FloatArray, law_seconds: float, trajectories: Trajectories | None) -> Run:
+    score = state[:, data.SCORE : data.SCORE + data.SCORES]
+    failed = state[:, data.FAILED].astype(np.int64)
+    return _run(over, score, state[:, data.DIVERGED] > 0, failed, law_seconds, trajectories)
 
 
 def _drive_general(
@@ -262,16 +255,16 @@ def _drive_general(
     from ldctoolkit.simulation.kernel import entry
 
     tables = takeover.tables
-    scene, setting, camera, state = tables.scene, tables.setting, tables.camera, tables.state()
+    scene, setting, state = tables.scene, tables.setting, tables.state()
     places, found = _places(takeover, rows)
-    paths = tables.paths(places)
+    paths = tables.paths(places, state)
     batch = np.arange(takeover.m)
     entry.begin(scene, setting, state, paths, batch)
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     own = law.init(takeover.m)
     law_seconds, sample = 0.0, 0
     while True:
-        going = np.flatnonzero(state.alive[batch])
+        going = np.flatnonzero(state[batch, data.ALIVE])
         if not going.size:
             break
         if going.size < _DROP_BELOW * batch.size:
@@ -286,7 +279,7 @@ def _drive_general(
         def look(first: int, last: int) -> None:
             part = slice(first, last)
             entry.look(
-                scene, setting, camera, state, sample, running[part], times,
+                scene, setting, state, sample, running[part], times,
                 seen[part], ahead[0, part], ahead[1, part],
             )  # fmt: skip
 
@@ -298,7 +291,7 @@ def _drive_general(
         delta, own, status = check_step(result, batch.size, name)
         wrong = ~np.isfinite(delta)
         delta[wrong] = previous[wrong]
-        state.failed[running] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
+        state[running, data.FAILED] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
         command = np.ascontiguousarray(delta[going])
 
         def go_on(first: int, last: int) -> None:
@@ -307,37 +300,33 @@ def _drive_general(
         _in_threads(go_on, running.size, threads, _SCENARIOS_A_TASK)
         sample += 1
     trajectories = _trajectories(paths, rows, found)
-    return _run(takeover, state.score, state.diverged, state.failed, law_seconds, trajectories)
+    return _of_state(takeover, state, law_seconds, trajectories)
 
 
 def _shown(
-    takeover: Takeover, state: State, batch: IntArray, going: IntArray, sample: int, seen: FloatArray, ahead: FloatArray
+    takeover: Takeover, state: FloatArray, batch: IntArray, going: IntArray, sample: int, seen: FloatArray, ahead: FloatArray
 ) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
     """What `SteeringLaw.step` is given: scenarios of the batch that have ended are zeros."""
     if going.size == batch.size:
         t = takeover.start[batch] + sample * takeover.dt
-        return t, seen, Preview(ahead[0], ahead[1]), state.command[batch]
+        return t, seen, Preview(ahead[0], ahead[1]), state[batch, data.COMMAND]
     x = np.zeros((batch.size, 4))
     lane = np.zeros((2, batch.size, ahead.shape[2]))
     t, previous = np.zeros(batch.size), np.zeros(batch.size)
     x[going], lane[:, going] = seen, ahead
     t[:] = takeover.start[batch] + sample * takeover.dt
-    previous[going] = state.command[batch[going]]
+    previous[going] = state[batch[going], data.COMMAND]
     return t, x, Preview(lane[0], lane[1]), previous
 
 
-def _trajectories(paths: Paths, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+def _trajectories(paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
     if rows is None:
         return None
-    longest = int(paths.count.max(initial=1))
-
-    def spread(values: FloatArray) -> FloatArray:
-        out = np.full((rows.size, longest, *values.shape[2:]), np.nan)
-        out[found] = values[:, :longest]
-        return out
-
-    return Trajectories(rows, spread(paths.t), spread(paths.x), spread(paths.delta))
+    used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
+    out = np.full((rows.size, int(used), data.PATH), np.nan)
+    out[found] = paths[:, : int(used)]
+    return Trajectories(rows, out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA])
 
 
 __all__ = ["BOUND", "drive", "drive_many"]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.control import LinearLaw
 from ldctoolkit.simulation.kalman import filter_gain
-from ldctoolkit.simulation.kernel.data import SCORES, Camera, Designs, Exact, Law, Paths, Scene, Setting, State
+from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.random_streams import RandomStream, normals
 from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.vehicle import discretize
@@ -29,177 +29,184 @@ JERK_WINDOW = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Tables:
-    """A takeover as the compiled loops see it.
+    """A takeover as the compiled loops see it; the columns are named in `kernel.data`.
 
     Attributes
     ----------
     over : Takeover
-    setting : Setting
-    scene : Scene
-    camera : Camera
+    setting : (s,)
+        Numbers that hold for every scenario.
+    scene : (m, c)
+        A row a scenario.
     """
 
     over: Takeover
-    setting: Setting
-    scene: Scene
-    camera: Camera
+    setting: FloatArray
+    scene: FloatArray
 
     @classmethod
     def of(cls, over: Takeover) -> Self:
         """Everything that designs share."""
         from ldctoolkit.simulation.kernel import entry
 
-        setting = _setting(over)
-        scene = _scene(over)
-        entry.before(scene, setting, scene.a_before)
-        return cls(over, setting, scene, _camera(over))
+        setting, scene = _setting(over), _scene(over)
+        entry.before(scene, setting)
+        return cls(over, setting, scene)
 
     @functools.cached_property
-    def exact(self) -> Exact:
-        """The ideal plant over a whole step."""
+    def exact(self) -> FloatArray:
+        """The ideal plant over a whole step, (m, `data.EXACT`)."""
         over = self.over
         if over.options.mismatch.ideal:
             step = over.plant.step
         else:
             step = discretize(*over.vehicles.matrices(over.plant.v, over.model.convention), over.dt)
-        return Exact(
-            **{name: np.ascontiguousarray(getattr(step, name), dtype=np.float64) for name in Exact._fields}
-        )
+        columns = [step.A[:, i, j] for i in range(4) for j in (1, 2, 3)]
+        columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
+        return _side_by_side([*columns, step.area_delta, step.area_r_0, step.area_r_1])
 
-    def state(self) -> State:
-        """Empty working arrays of one run."""
-        m, camera, setting = self.over.m, self.camera, self.setting
-        frames = 1 if camera.ideal else camera.delay + camera.period + 1
-        ring = math.ceil(setting.window) + 3
-        return State(
-            x=np.zeros((m, 4)),
-            wheel=np.zeros(m),
-            command=np.zeros(m),
-            commands=np.zeros((m, setting.delay_samples + 2)),
-            frames=np.zeros((m, frames, 2)),
-            estimate=np.zeros((m, 4)),
-            a_left=np.zeros((m, ring)),
-            a_right=np.zeros((m, ring)),
-            score=np.zeros((m, SCORES)),
-            alive=np.zeros(m, dtype=np.bool_),
-            diverged=np.zeros(m, dtype=np.bool_),
-            failed=np.zeros(m, dtype=np.int64),
-        )
+    def state(self) -> FloatArray:
+        """Working rows of one run, without paths."""
+        lengths = [int(self.setting[column]) for column in (data.COMMANDS, data.FRAMES, data.RING)]
+        state = np.zeros((self.over.m, data.STATE + lengths[0] + 2 * lengths[1] + 2 * lengths[2]))
+        state[:, data.SLOT] = -1.0
+        return state
 
-    def paths(self, chosen: IntArray) -> Paths:
-        """Room for the paths of the scenarios `chosen` (c,), by their place among the m."""
-        slot = np.full(self.over.m, -1, dtype=np.int64)
-        slot[chosen] = np.arange(chosen.size)
-        longest = int(self.scene.steps[chosen].max(initial=0)) + 2
-        shape = (chosen.size, longest)
-        count = np.zeros(chosen.size, dtype=np.int64)
-        return Paths(slot, count, np.full(shape, np.nan), np.full((*shape, 4), np.nan), np.full(shape, np.nan))
+    def paths(self, chosen: IntArray, state: FloatArray) -> FloatArray:
+        """Room for the paths of the scenarios `chosen` (c,), by their place among the m: (c, entries, columns)."""
+        state[chosen, data.SLOT] = np.arange(chosen.size)
+        longest = int(self.scene[chosen, data.STEPS].max(initial=0)) + 2
+        return np.full((chosen.size, longest, data.PATH), np.nan)
 
 
-def _setting(over: Takeover) -> Setting:
-    actuator = over.options.actuator
-    samples = math.floor(actuator.delay / over.dt + 1e-9)
-    part = actuator.delay - samples * over.dt
-    return Setting(
-        dt=over.dt,
-        offset=over.model.parameters.edge_offset,
-        l_f=over.model.parameters.l_f,
-        bound=BOUND,
-        window=JERK_WINDOW / over.dt,
-        profile=over.options.speed == "profile",
-        saturating=not over.options.tyres.ideal,
-        shape=over.options.tyres.shape,
-        delta_max=math.inf if actuator.delta_max is None else actuator.delta_max,
-        rate_max=math.inf if actuator.rate_max is None else actuator.rate_max,
-        lag=actuator.lag,
-        delay_samples=samples,
-        delay_part=part if part > 1e-9 * over.dt else 0.0,
-    )
+def _side_by_side(columns: list[FloatArray]) -> FloatArray:
+    return np.ascontiguousarray(np.column_stack(columns), dtype=np.float64)
 
 
-def _scene(over: Takeover) -> Scene:
-    p, model = over.triggered, over.model
-    v = np.ascontiguousarray(over.plant.v)
-    A, B, E = over.vehicles.matrices(v, model.convention)
-    car = over.vehicles
-    m, l_f, l_r = over.m, model.parameters.l_f, model.parameters.l_r
-    columns = (car.C_af, car.C_ar, l_f, l_r, car.m, car.I_z, car.mu)
-    printed = 4.0 * car.C_ar * l_r / car.m if model.convention == "as_printed" else 0.0
-    vehicle = np.column_stack([np.broadcast_to(column, m) for column in (*columns, printed)])
-    linear = np.column_stack([*(A[:, i, j] for i in (1, 3) for j in (1, 2, 3)), B[:, 1], B[:, 3], E[:, 1], E[:, 3]])
+def _setting(over: Takeover) -> FloatArray:
+    actuator, sensors, dt = over.options.actuator, over.options.sensors, over.dt
+    whole = math.floor(actuator.delay / dt + 1e-9)
+    part = actuator.delay - whole * dt
+    period, late = max(1, round(sensors.period / dt)), round(sensors.delay / dt)
+    values = {
+        "dt": dt,
+        "offset": over.model.parameters.edge_offset,
+        "l_f": over.model.parameters.l_f,
+        "bound": BOUND,
+        "window": JERK_WINDOW / dt,
+        "profile": over.options.speed == "profile",
+        "saturating": not over.options.tyres.ideal,
+        "shape": over.options.tyres.shape,
+        "delta_max": math.inf if actuator.delta_max is None else actuator.delta_max,
+        "rate_max": math.inf if actuator.rate_max is None else actuator.rate_max,
+        "lag": actuator.lag,
+        "delay_samples": whole,
+        "delay_part": part if part > 1e-9 * dt else 0.0,
+        "modes": over.driven.modes_v.shape[1],
+        "earlier": -(-late // period),
+        "camera": not sensors.ideal,
+        "period": period,
+        "late": late,
+        "noise_y": sensors.e_y_noise,
+        "noise_psi": sensors.e_psi_noise,
+        "bias_y": sensors.e_y_bias,
+        "bias_psi": sensors.e_psi_bias,
+        "step_y": sensors.e_y_step,
+        "step_psi": sensors.e_psi_step,
+        "curvature_gain": sensors.curvature_gain,
+        "seed_low": over.seed & 0xFFFFFFFF,
+        "seed_high": over.seed >> 32,
+        "filtered": sensors.kalman is not None,
+        "commands": whole + 2,
+        "frames": 0 if sensors.ideal else late + period + 1,
+        "ring": math.ceil(JERK_WINDOW / dt) + 3,
+    }
+    return np.array([values[name] for name in data.SETTINGS], dtype=np.float64)
+
+
+def _scene(over: Takeover) -> FloatArray:
+    p, model, car, v, m = over.triggered, over.model, over.vehicles, over.plant.v, over.m
+    l_f, l_r = model.parameters.l_f, model.parameters.l_r
+    A, B, E = car.matrices(v, model.convention)
     lateral = 2.0 * (car.C_af + car.C_ar) / car.m
     yaw = 2.0 * (car.C_af * l_f**2 + car.C_ar * l_r**2) / car.I_z
-    full, rest = over.full_steps, over.rest
-    return Scene(
-        start=over.start,
-        T=np.ascontiguousarray(p.T),
-        full=full,
-        rest=rest,
-        steps=full + over.settle + (rest > 0.0),
-        side=p.side.astype(np.float64),
-        index=np.ascontiguousarray(p.index),
-        v=v,
-        v_mean=np.ascontiguousarray(p.v_mean),
-        a_mean=np.ascontiguousarray(p.a_mean),
-        c_0=np.ascontiguousarray(p.c_0),
-        dc=np.ascontiguousarray(p.dc),
-        modes_v=np.ascontiguousarray(over.driven.modes_v),
-        linear=np.ascontiguousarray(linear),
-        vehicle=np.ascontiguousarray(vehicle),
-        fastest=np.ascontiguousarray(np.broadcast_to(np.maximum(lateral, yaw), m)),
-        x_0=np.ascontiguousarray(over.x_0),
-        delta_0=np.ascontiguousarray(over.delta_0),
-        a_before=np.zeros(m),
-    )
+    steps = over.full_steps + over.settle + (over.rest > 0.0)
+    columns = {
+        data.START: over.start,
+        data.T_END: p.T,
+        data.FULL: over.full_steps,
+        data.REST: over.rest,
+        data.STEPS: steps,
+        data.SIDE: p.side,
+        data.INDEX: p.index,
+        data.SPEED: v,
+        data.V_MEAN: p.v_mean,
+        data.A_MEAN: p.a_mean,
+        data.C_0: p.c_0,
+        data.DC: p.dc,
+        data.DELTA_0: over.delta_0,
+        data.FASTEST: np.maximum(lateral, yaw),
+        data.C_AF: car.C_af,
+        data.C_AR: car.C_ar,
+        data.L_F: l_f,
+        data.L_R: l_r,
+        data.MASS: car.m,
+        data.I_Z: car.I_z,
+        data.MU: car.mu,
+        data.PRINTED: 4.0 * car.C_ar * l_r / car.m if model.convention == "as_printed" else 0.0,
+        data.CURVATURE_BIAS: _curvature_bias(over),
+        data.B_1: B[:, 1],
+        data.B_3: B[:, 3],
+        data.E_1: E[:, 1],
+        data.E_3: E[:, 3],
+    }
+    columns |= {first + j: A[:, i, j + 1] for first, i in ((data.A_11, 1), (data.A_31, 3)) for j in range(3)}
+    tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
+    scene = np.zeros((m, data.SCENE + sum(part.shape[1] for part in tail)))
+    for column, values in columns.items():
+        scene[:, column] = values
+    scene[:, data.X_0 : data.X_0 + 4] = over.x_0
+    scene[:, data.SCENE :] = np.concatenate(tail, axis=1)
+    return scene
 
 
-def _camera(over: Takeover) -> Camera:
-    sensors, dt, m = over.options.sensors, over.dt, over.m
-    period = max(1, round(sensors.period / dt))
-    delay = round(sensors.delay / dt)
-    side = over.triggered.side.astype(np.float64)
-    bias = np.full(m, sensors.curvature_bias)
+def _curvature_bias(over: Takeover) -> FloatArray:
+    """Constant error of the previewed curvature, outward."""
+    sensors = over.options.sensors
+    bias = np.full(over.m, sensors.curvature_bias)
     if sensors.curvature_noise > 0:
         bias += sensors.curvature_noise * normals(over.seed, over.triggered.index, RandomStream.CURVATURE, 1)[:, 0]
-    earlier = np.zeros((m, -(-delay // period), 2))
-    for j in range(earlier.shape[1]):
+    return np.asarray(over.triggered.side * bias, dtype=np.float64)
+
+
+def _earlier_frames(over: Takeover) -> FloatArray:
+    """(e_y, e_psi) of the recorded path in the frames before the trigger that still reach the law, latest first."""
+    sensors, dt = over.options.sensors, over.dt
+    period = max(1, round(sensors.period / dt))
+    frames = np.zeros((over.m, 2 * -(-round(sensors.delay / dt) // period)))
+    for j in range(frames.shape[1] // 2):
         t = over.start - (j + 1) * period * dt
-        earlier[:, j, 0] = over.driven.lateral(t) + over.model.parameters.edge_offset
-        earlier[:, j, 1] = np.arctan2(over.driven.lateral_rate(t), over.driven.speed(t))
-    kalman = sensors.kalman
-    step = over.plant.step
-    filtered = kalman is not None
-    rows = m if filtered else 0
-    return Camera(
-        ideal=sensors.ideal,
-        period=period,
-        delay=delay,
-        noise=np.array([sensors.e_y_noise, sensors.e_psi_noise]),
-        bias=np.array([sensors.e_y_bias, sensors.e_psi_bias]),
-        step=np.array([sensors.e_y_step, sensors.e_psi_step]),
-        earlier=earlier,
-        curvature_gain=sensors.curvature_gain,
-        curvature_bias=side * bias,
-        seed=over.seed,
-        filtered=filtered,
-        gain=np.zeros((0, 4, 2)) if kalman is None else np.ascontiguousarray(filter_gain(over.plant, kalman, period)),
-        A=np.ascontiguousarray(step.A[:rows]),
-        B=np.ascontiguousarray(step.B[:rows]),
-        E_0=np.ascontiguousarray(step.E_0[:rows]),
-        E_1=np.ascontiguousarray(step.E_1[:rows]),
-    )
+        frames[:, 2 * j] = over.driven.lateral(t) + over.model.parameters.edge_offset
+        frames[:, 2 * j + 1] = np.arctan2(over.driven.lateral_rate(t), over.driven.speed(t))
+    return frames
 
 
-def law_table(law: LinearLaw) -> Law:
-    """A linear law for the compiled loops."""
-    columns = (law.F, law.preview_times, law.G_yaw_rate, law.G_heading, law.f_u)
-    return Law(*(np.ascontiguousarray(column, dtype=np.float64) for column in columns))
+def _filter(over: Takeover) -> FloatArray:
+    """The Kalman filter's gain and model; no columns without one."""
+    sensors, step = over.options.sensors, over.plant.step
+    if sensors.kalman is None:
+        return np.zeros((over.m, 0))
+    gain = filter_gain(over.plant, sensors.kalman, max(1, round(sensors.period / over.dt)))
+    parts = (gain.reshape(-1, 8), step.A.reshape(-1, 16), step.B, step.E_0, step.E_1)
+    return np.concatenate(parts, axis=1)
 
 
-def designs_table(laws: list[LinearLaw]) -> Designs:
-    """Linear laws with equally many lookahead times, side by side."""
+def law_table(law: LinearLaw) -> FloatArray:
+    """A linear law for the compiled loops, (m, `data.LAW` + 2 p)."""
+    weights = np.stack([law.G_yaw_rate, law.G_heading], axis=-1).reshape(law.F.shape[0], -1)
+    return np.concatenate([law.F, law.f_u[:, None], weights], axis=1, dtype=np.float64)
 
-    def stack(name: str) -> FloatArray:
-        return np.ascontiguousarray(np.stack([getattr(law, name) for law in laws]), dtype=np.float64)
 
-    return Designs(stack("F"), stack("preview_times"), stack("G_yaw_rate"), stack("G_heading"), stack("f_u"))
+def times_of(law: LinearLaw) -> FloatArray:
+    """Lookahead times (p,) [s]."""
+    return np.ascontiguousarray(law.preview_times, dtype=np.float64)

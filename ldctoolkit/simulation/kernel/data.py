@@ -1,19 +1,54 @@
-"""What the compiled loops read and write: tuples of arrays, one row a scenario, that numba takes as they are.
+"""What the compiled loops read and write: one row of numbers a scenario, and the numbers that all of them share.
 
-The m triggered scenarios come in the takeover's order. No module that is imported here needs the compiler.
+A compiled function counts references to every array that it is handed in a tuple, which costs more than the step of a
+plant: the scenarios are therefore one array and their states another, with the columns named here. The m triggered
+scenarios come in the takeover's order. Nothing that is imported here needs the compiler.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
-import numpy as np
-import numpy.typing as npt
+# columns of a scenario: constant over a run
+START: Final = 0  # [s] trigger
+T_END: Final = 1  # [s] departure's end T
+FULL: Final = 2  # whole steps from the trigger to T
+REST: Final = 3  # [s] what remains of T after them
+STEPS: Final = 4  # steps to the end of the settling horizon, a last shorter one included
+SIDE: Final = 5  # +1 left, -1 right
+INDEX: Final = 6  # identity, for random draws
+SPEED: Final = 7  # [m/s] at the trigger
+V_MEAN: Final = 8
+A_MEAN: Final = 9
+C_0: Final = 10
+DC: Final = 11
+X_0: Final = 12  # 4 columns: start state
+DELTA_0: Final = 16
+A_BEFORE: Final = 17  # [m/s^2] lateral acceleration with x_0 and delta_0
+FASTEST: Final = 18  # [m/s^2] fastest mode [1/s] times speed
+# the rows of e_y'' and e_psi'' in the linear model, and their weights of delta and psi_l'
+A_11, A_12, A_13, A_31, A_32, A_33, B_1, B_3, E_1, E_3 = range(19, 29)
+# true vehicle; PRINTED is 4 C_ar l_r/m where the printed matrix is meant
+C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(29, 37)
+CURVATURE_BIAS: Final = 37  # [1/m] outward
+SCENE: Final = 38
+"""Then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter."""
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+# the filter's own columns: gain (4 x 2), A (4 x 4), B, E_0, E_1 (4 each)
+GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, FILTER = 0, 8, 24, 28, 32, 36
 
-# columns of `State.score`
+# columns of a state: whatever changes along a run
+X: Final = 0  # 4 columns
+WHEEL: Final = 4  # [rad] steering angle
+COMMAND: Final = 5  # [rad] last command
+ESTIMATE: Final = 6  # 4 columns: the Kalman filter's
+ALIVE: Final = 10  # 1: neither ended nor diverged
+DIVERGED: Final = 11
+FAILED: Final = 12  # commands that were not finite, or came from a fallback
+SLOT: Final = 13  # place of its path, or -1
+COUNT: Final = 14  # entries of its path so far
+SCORE: Final = 15
+# scores, counted from SCORE
 AREA: Final = 0  # integral of |e_y| up to T
 DEEP: Final = 1  # max of e_y up to T
 FRONT: Final = 2  # max of e_y + l_f e_psi up to T
@@ -26,132 +61,87 @@ RATE: Final = 8
 EFFORT: Final = 9
 TRAVEL: Final = 10
 SCORES: Final = 11
+STATE: Final = SCORE + SCORES
+"""Then, in this order: a ring of commands, a ring of frames (2 each), two rings of lateral accelerations."""
 
-# columns of `Scene.linear`: the rows of e_y'' and e_psi'' in the linear model, and their weights of delta and psi_l'
-A_11, A_12, A_13, A_31, A_32, A_33, B_1, B_3, E_1, E_3 = range(10)
+# a thread's scratch
+W_X, W_AFTER, W_END, W_SCORE, W_LIMITS, W_SEEN, W_FRAME, W_K = 0, 4, 9, 14, 14 + SCORES, 16 + SCORES, 20 + SCORES, 22 + SCORES
+WORK: Final = W_K + 60
 
-# columns of `Scene.vehicle`
-C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(8)
+# columns of a path's entry
+P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
 
+# columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time
+LAW_F, LAW_U, LAW = 0, 4, 5
 
-class Scene(NamedTuple):
-    """The scenarios: m rows, constant over a run."""
-
-    start: FloatArray  # (m,) [s] trigger
-    T: FloatArray  # (m,) [s]
-    full: IntArray  # (m,) whole steps from the trigger to T
-    rest: FloatArray  # (m,) [s] what remains of T after them
-    steps: IntArray  # (m,) steps to the end of the settling horizon, a last shorter one included
-    side: FloatArray  # (m,) +1 left, -1 right
-    index: IntArray  # (m,) identity, for random draws
-    v: FloatArray  # (m,) [m/s] speed at the trigger
-    v_mean: FloatArray  # (m,) [m/s]
-    a_mean: FloatArray  # (m,) [m/s^2]
-    c_0: FloatArray  # (m,) [1/m]
-    dc: FloatArray  # (m,) [1/m]
-    modes_v: FloatArray  # (m, J) [m/s] cosine amplitudes of the speed residual
-    linear: FloatArray  # (m, 10)
-    vehicle: FloatArray  # (m, 8) true parameters
-    fastest: FloatArray  # (m,) [1/s] fastest mode times speed, for the number of substeps
-    x_0: FloatArray  # (m, 4)
-    delta_0: FloatArray  # (m,) [rad]
-    a_before: FloatArray  # (m,) [m/s^2] lateral acceleration with x_0 and delta_0
+# columns of the ideal plant over one whole step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
+EX_A, EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 0, 12, 16, 20, 24, 28, 29, 30, 31
 
 
-class Setting(NamedTuple):
-    """Numbers of the run that hold for every scenario."""
-
-    dt: float
-    offset: float  # [m] e_y with the edge on the line
-    l_f: float  # [m]
-    bound: float  # [m] |e_y| that counts as diverged
-    window: float  # samples in the moving average of the jerk
-    profile: bool  # v(t) instead of the trigger's speed
-    saturating: bool  # tyres
-    shape: float  # of the tyres
-    delta_max: float  # infinite for none
-    rate_max: float  # infinite for none
-    lag: float
-    delay_samples: int
-    delay_part: float  # [s] what remains of the delay after whole samples
-
-
-class Camera(NamedTuple):
-    """What the law sees instead of the state and the lane."""
-
-    ideal: bool
-    period: int  # samples
-    delay: int  # samples
-    noise: FloatArray  # (2,) of e_y, e_psi
-    bias: FloatArray  # (2,) in the road's frame
-    step: FloatArray  # (2,) of quantisation
-    earlier: FloatArray  # (m, frames, 2) what frame -1, -2, ... saw of the recorded path
-    curvature_gain: float
-    curvature_bias: FloatArray  # (m,) outward
-    seed: int
-    filtered: bool
-    gain: FloatArray  # (m, 4, 2) of the Kalman filter
-    A: FloatArray  # (m, 4, 4) its model, one step
-    B: FloatArray  # (m, 4)
-    E_0: FloatArray  # (m, 4)
-    E_1: FloatArray  # (m, 4)
-
-
-class Law(NamedTuple):
-    """A linear law of m scenarios and p lookahead times."""
-
-    F: FloatArray  # (m, 4)
-    times: FloatArray  # (p,)
-    G_yaw_rate: FloatArray  # (m, p)
-    G_heading: FloatArray  # (m, p)
-    f_u: FloatArray  # (m,)
-
-
-class State(NamedTuple):
-    """Everything that changes along a run, one row a scenario."""
-
-    x: FloatArray  # (m, 4)
-    wheel: FloatArray  # (m,) steering angle
-    command: FloatArray  # (m,) last command
-    commands: FloatArray  # (m, delay + 2) ring of limited commands
-    frames: FloatArray  # (m, frames, 2) ring of what the camera saw at samples
-    estimate: FloatArray  # (m, 4) of the Kalman filter
-    a_left: FloatArray  # (m, ring) lateral acceleration just before each sample
-    a_right: FloatArray  # (m, ring) just after it
-    score: FloatArray  # (m, SCORES)
-    alive: npt.NDArray[np.bool_]  # (m,) neither ended nor diverged
-    diverged: npt.NDArray[np.bool_]  # (m,)
-    failed: IntArray  # (m,) commands that were not finite, or came from a fallback
-
-
-class Paths(NamedTuple):
-    """Paths of chosen scenarios; `slot` says where, or -1."""
-
-    slot: IntArray  # (m,)
-    count: IntArray  # (c,) entries so far
-    t: FloatArray  # (c, k)
-    x: FloatArray  # (c, k, 4)
-    delta: FloatArray  # (c, k)
-
-
-class Exact(NamedTuple):
-    """The ideal plant over one whole step; see `ldctoolkit.vehicle.Discretization`."""
-
-    A: FloatArray  # (m, 4, 4)
-    B: FloatArray  # (m, 4)
-    E_0: FloatArray
-    E_1: FloatArray
-    area_x: FloatArray  # (m, 4)
-    area_delta: FloatArray  # (m,)
-    area_r_0: FloatArray
-    area_r_1: FloatArray
-
-
-class Designs(NamedTuple):
-    """d linear laws of the same m scenarios."""
-
-    F: FloatArray  # (d, m, 4)
-    times: FloatArray  # (d, p)
-    G_yaw_rate: FloatArray  # (d, m, p)
-    G_heading: FloatArray  # (d, m, p)
-    f_u: FloatArray  # (d, m)
+# numbers of a run that hold for every scenario; yes is 1
+SETTINGS: Final = (
+    "dt",
+    "offset",  # [m] e_y with the edge on the line
+    "l_f",  # [m]
+    "bound",  # [m] |e_y| that counts as diverged
+    "window",  # samples in the moving average of the jerk
+    "profile",  # v(t) instead of the trigger's speed
+    "saturating",  # tyres
+    "shape",  # of the tyres
+    "delta_max",  # infinite for none
+    "rate_max",  # infinite for none
+    "lag",
+    "delay_samples",
+    "delay_part",  # [s] what remains of the delay after whole samples
+    "modes",  # columns of the speed residual
+    "earlier",  # frames before the trigger
+    "camera",  # the law sees frames, not the state
+    "period",  # samples between frames
+    "late",  # samples until a frame arrives
+    "noise_y",
+    "noise_psi",
+    "bias_y",  # in the road's frame
+    "bias_psi",
+    "step_y",  # of quantisation
+    "step_psi",
+    "curvature_gain",
+    "seed_low",
+    "seed_high",
+    "filtered",
+    "commands",  # length of the ring of commands
+    "frames",  # length of the ring of frames
+    "ring",  # length of the rings of lateral accelerations
+)
+(
+    DT,
+    OFFSET,
+    AXLE,
+    BOUND,
+    WINDOW,
+    PROFILE,
+    SATURATING,
+    SHAPE,
+    DELTA_MAX,
+    RATE_MAX,
+    LAG,
+    DELAY_SAMPLES,
+    DELAY_PART,
+    MODES,
+    EARLIER,
+    CAMERA,
+    PERIOD,
+    LATE,
+    NOISE_Y,
+    NOISE_PSI,
+    BIAS_Y,
+    BIAS_PSI,
+    STEP_Y,
+    STEP_PSI,
+    CURVATURE_GAIN,
+    SEED_LOW,
+    SEED_HIGH,
+    FILTERED,
+    COMMANDS,
+    FRAMES,
+    RING,
+) = range(len(SETTINGS))

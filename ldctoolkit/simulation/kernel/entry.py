@@ -11,30 +11,42 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
 
 from ldctoolkit.simulation import _philox
 from ldctoolkit.simulation.kernel import data, lanes, plant, sample, senses
-from ldctoolkit.simulation.kernel.data import SCORES
+from ldctoolkit.simulation.kernel.data import (
+    A_BEFORE,
+    ALIVE,
+    AXLE,
+    BACK,
+    COMMAND,
+    COUNT,
+    DEEP,
+    DELTA_0,
+    DT,
+    ESTIMATE,
+    FRONT,
+    OVER,
+    RING,
+    SCORE,
+    SLOT,
+    START,
+    STEPS,
+    W_SEEN,
+    WHEEL,
+    WORK,
+    X,
+    X_0,
+)
 from ldctoolkit.simulation.kernel.lanes import LANES, ROWS, drive_block
-from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature
-from ldctoolkit.simulation.kernel.sample import advance, record
+from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, speed
+from ldctoolkit.simulation.kernel.sample import advance, record, rings
 from ldctoolkit.simulation.kernel.senses import lane_ahead, linear_command, see
 from ldctoolkit.vehicle import _nonlinear_compiled
-
-
-class Work(NamedTuple):
-    """Scratch of one thread."""
-
-    x: Any
-    after: Any
-    end: Any
-    K: Any
-    score: Any
-    limits: Any
 
 
 def _digest() -> int:
@@ -45,11 +57,6 @@ def _digest() -> int:
     return int.from_bytes(text.digest()[:6], "big")
 
 
-@numba.njit(**OPTIONS)
-def _work():
-    return Work(np.zeros(4), np.zeros(5), np.zeros(5), np.zeros((12, 5)), np.zeros(SCORES), np.zeros(2))
-
-
 def _entries(digest: int) -> Any:
     """The entries, each with the digest among what it closes over: numba keeps one version a value."""
 
@@ -58,84 +65,83 @@ def _entries(digest: int) -> Any:
         """Start of the scenarios `rows`."""
         if digest < 0:
             return
+        commands, frames, _, _ = rings(setting)
         for i in rows:
+            for n in range(state.shape[1]):
+                if n not in (SLOT, COUNT):
+                    state[i, n] = 0.0
             for n in range(4):
-                state.x[i, n] = scene.x_0[i, n]
-                state.estimate[i, n] = scene.x_0[i, n]
-            state.wheel[i] = state.command[i] = scene.delta_0[i]
-            state.commands[i, :] = scene.delta_0[i]
-            state.score[i, :] = 0.0
-            state.score[i, data.DEEP] = scene.x_0[i, 0]
-            state.score[i, data.FRONT] = scene.x_0[i, 0] + setting.l_f * scene.x_0[i, 2]
-            state.score[i, data.BACK] = math.inf
-            state.score[i, data.OVER] = -scene.x_0[i, 0]
-            state.alive[i] = scene.steps[i] > 0
-            state.diverged[i] = False
-            state.failed[i] = 0
-            record(paths, state, i, scene.start[i])
+                state[i, X + n] = state[i, ESTIMATE + n] = scene[i, X_0 + n]
+            state[i, WHEEL] = state[i, COMMAND] = scene[i, DELTA_0]
+            state[i, commands:frames] = scene[i, DELTA_0]
+            state[i, SCORE + DEEP] = scene[i, X_0]
+            state[i, SCORE + FRONT] = scene[i, X_0] + setting[AXLE] * scene[i, X_0 + 2]
+            state[i, SCORE + BACK] = math.inf
+            state[i, SCORE + OVER] = -scene[i, X_0]
+            state[i, ALIVE] = 1.0 if scene[i, STEPS] > 0.0 else 0.0
+            record(paths, state, i, scene[i, START])
 
     @numba.njit(cache=True, **OPTIONS)
-    def before(scene, setting, out):
-        """Lateral acceleration just before the trigger, into (m,)."""
-        for i in range(out.shape[0]):
+    def before(scene, setting):
+        """Fill in the lateral acceleration just before the trigger."""
+        for i in range(scene.shape[0]):
             if digest < 0:
                 return
-            t, x = scene.start[i], scene.x_0[i]
-            v, _ = plant.speed(scene, setting, i, t)
-            _, _, out[i] = accelerations(
-                scene, setting, i, t, v * curvature(scene, i, t), x[1], x[2], x[3], scene.delta_0[i]
-            )
+            t, p, psi, w = scene[i, START], scene[i, X_0 + 1], scene[i, X_0 + 2], scene[i, X_0 + 3]
+            v, _ = speed(scene, setting, i, t)
+            r = v * curvature(scene, i, t)
+            _, _, scene[i, A_BEFORE] = accelerations(scene, setting, i, t, r, p, psi, w, scene[i, DELTA_0])
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(scene, setting, camera, state, k, rows, times, seen, yaw_rate, turn):
+    def look(scene, setting, state, k, rows, times, seen, yaw_rate, turn):
         """What the law sees at sample k of the scenarios `rows`, into (r, 4), (r, p), (r, p)."""
         if digest < 0:
             return
-        frame = np.zeros(2)
+        work = np.zeros(WORK)
         for n in range(rows.shape[0]):
             i = rows[n]
-            see(scene, setting, camera, state, i, k, seen[n], frame)
-            t = scene.start[i] + k * setting.dt
+            see(scene, setting, state, i, k, work)
+            for j in range(4):
+                seen[n, j] = work[W_SEEN + j]
+            t = scene[i, START] + k * setting[DT]
             for j in range(times.shape[0]):
-                yaw_rate[n, j], turn[n, j] = lane_ahead(scene, setting, camera, i, t, times[j])
+                yaw_rate[n, j], turn[n, j] = lane_ahead(scene, setting, i, t, times[j])
 
     @numba.njit(cache=True, **OPTIONS)
     def go_on(scene, setting, state, paths, k, rows, command):
         """Sample k of the scenarios `rows` with the commands (r,)."""
         if digest < 0:
             return
-        work = _work()
+        work = np.zeros(WORK)
         for n in range(rows.shape[0]):
             advance(scene, setting, state, paths, rows[n], k, command[n], work)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_each(scene, setting, camera, law, state, paths, rows):
+    def drive_each(scene, setting, law, times, state, paths, rows):
         """A linear law on the scenarios `rows`, each from its start to its end."""
         if digest < 0:
             return
-        work, seen, frame = _work(), np.zeros(4), np.zeros(2)
-        for n in range(rows.shape[0]):
-            i = rows[n]
-            for k in range(scene.steps[i]):
-                if not state.alive[i]:
+        work = np.zeros(WORK)
+        for i in rows:
+            for k in range(int(scene[i, STEPS])):
+                if state[i, ALIVE] == 0.0:
                     break
-                see(scene, setting, camera, state, i, k, seen, frame)
-                command = linear_command(scene, setting, camera, law, state, i, scene.start[i] + k * setting.dt, seen)
+                see(scene, setting, state, i, k, work)
+                t = scene[i, START] + k * setting[DT]
+                command = linear_command(scene, setting, law, times, state, i, t, work)
                 advance(scene, setting, state, paths, i, k, command, work)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_lanes(scene, exact, setting, law, state, paths, first, last, score, diverged, failed):
-        """Linear laws on blocks first to last of the ideal plant."""
+    def drive_lanes(scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed):
+        """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
         if digest < 0:
             return
-        size = int(math.ceil(setting.window)) + 3
-        w, g = np.zeros(ROWS * LANES), np.zeros(2 * law.times.shape[1] * LANES + 1)
+        size = int(setting[RING])
+        w, g = np.zeros(ROWS * LANES), np.zeros((2 * times.shape[1] + 1) * LANES)
         left, right = np.zeros((size, LANES)), np.zeros((size, LANES))
-        single, work = np.zeros(LANES), _work()
+        tables = (w, g, left, right, np.zeros(LANES), np.zeros(WORK))
         for block in range(first, last):
-            drive_block(
-                scene, exact, setting, law, state, paths, block, w, g, left, right, single, work, score, diverged, failed
-            )
+            drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables)
 
     return begin, before, look, go_on, drive_each, drive_lanes
 

@@ -14,29 +14,57 @@ import math
 from typing import Final
 
 import numba
-import numpy as np
 
 from ldctoolkit.simulation.kernel.data import (
     A_11,
     A_12,
     A_13,
+    A_BEFORE,
     A_Y,
     AREA,
+    AXLE,
     B_1,
     BACK,
+    BOUND,
+    C_0,
+    DC,
     DEEP,
     DELTA,
+    DELTA_0,
+    DT,
     E_1,
     EFFORT,
+    EX_B,
+    EX_DELTA,
+    EX_E_0,
+    EX_E_1,
+    EX_R_0,
+    EX_R_1,
+    EX_X,
+    EXACT,
     FRONT,
     JERK,
+    LAW,
+    LAW_F,
+    LAW_U,
+    OFFSET,
     OVER,
     RATE,
+    SCORE,
     SCORES,
+    SPEED,
+    START,
+    STEPS,
+    T_END,
     TRAVEL,
+    W_LIMITS,
+    WHEEL,
+    WINDOW,
+    X,
+    X_0,
 )
 from ldctoolkit.simulation.kernel.plant import OPTIONS
-from ldctoolkit.simulation.kernel.sample import drive, earlier, length
+from ldctoolkit.simulation.kernel.sample import drive, earlier, length, rings
 
 LANES: Final = 8
 L: Final = LANES
@@ -59,19 +87,18 @@ _PAST_LEFT = _PAST_RIGHT + 1
 # ... and the scenario
 _T = _PAST_LEFT + 1
 _START = _T + 1
-_V = _START + 1
-_C0 = _V + 1  # v c_0
+_C0 = _START + 1  # v c_0
 _DC = _C0 + 1  # v dc
 _BEFORE = _DC + 1
-_P = _BEFORE + 1  # A[:, 1:4], row by row
-_B = _P + 12
-_E0 = _B + 4
-_E1 = _E0 + 4
-_AX = _E1 + 4
-_AD = _AX + 4
-_AR0 = _AD + 1
-_AR1 = _AR0 + 1
-_Q = _AR1 + 1  # row of a_y: 3 states, delta, yaw rate
+_P = _BEFORE + 1  # the exact step: A[:, 1:4] row by row, and the rest
+_B = _P + EX_B
+_E0 = _P + EX_E_0
+_E1 = _P + EX_E_1
+_AX = _P + EX_X
+_AD = _P + EX_DELTA
+_AR0 = _P + EX_R_0
+_AR1 = _P + EX_R_1
+_Q = _P + EXACT  # row of a_y: 3 states, delta, yaw rate
 _F = _Q + 5
 _FU = _F + 4
 ROWS: Final = _FU + 1
@@ -80,71 +107,58 @@ ROWS: Final = _FU + 1
 @numba.njit(**OPTIONS)
 def _load(scene, exact, block, w):
     """Scenario data of a block; lanes beyond the last scenario repeat it and are never alive."""
-    m = scene.start.shape[0]
+    m = scene.shape[0]
     for l in range(L):
         i = min(block * L + l, m - 1)
-        v = scene.v[i]
-        w[_T * L + l] = scene.T[i]
-        w[_START * L + l] = scene.start[i]
-        w[_V * L + l] = v
-        w[_C0 * L + l] = v * scene.c_0[i]
-        w[_DC * L + l] = v * scene.dc[i]
-        w[_BEFORE * L + l] = scene.a_before[i]
-        for a in range(4):
-            for b in range(3):
-                w[(_P + 3 * a + b) * L + l] = exact.A[i, a, b + 1]
-            w[(_B + a) * L + l] = exact.B[i, a]
-            w[(_E0 + a) * L + l] = exact.E_0[i, a]
-            w[(_E1 + a) * L + l] = exact.E_1[i, a]
-            w[(_AX + a) * L + l] = exact.area_x[i, a]
-        w[_AD * L + l] = exact.area_delta[i]
-        w[_AR0 * L + l] = exact.area_r_0[i]
-        w[_AR1 * L + l] = exact.area_r_1[i]
-        q = scene.linear[i]
-        w[(_Q + 0) * L + l] = q[A_11]
-        w[(_Q + 1) * L + l] = q[A_12]
-        w[(_Q + 2) * L + l] = q[A_13]
-        w[(_Q + 3) * L + l] = q[B_1]
-        w[(_Q + 4) * L + l] = q[E_1] + v
+        v = scene[i, SPEED]
+        w[_T * L + l] = scene[i, T_END]
+        w[_START * L + l] = scene[i, START]
+        w[_BEFORE * L + l] = scene[i, A_BEFORE]
+        for n in range(EXACT):
+            w[(_P + n) * L + l] = exact[i, n]
+        w[(_Q + 0) * L + l] = scene[i, A_11]
+        w[(_Q + 1) * L + l] = scene[i, A_12]
+        w[(_Q + 2) * L + l] = scene[i, A_13]
+        w[(_Q + 3) * L + l] = scene[i, B_1]
+        w[(_Q + 4) * L + l] = scene[i, E_1] + v
 
 
 @numba.njit(**OPTIONS)
-def _begin(scene, setting, law, design, block, w, g):
+def _begin(scene, setting, law, times, design, block, w, g):
     """Start state and law of a block."""
-    m = scene.start.shape[0]
-    p = law.times.shape[1]
+    m = scene.shape[0]
     for l in range(L):
         i = min(block * L + l, m - 1)
-        alive = block * L + l < m and scene.steps[i] > 0
+        alive = block * L + l < m and scene[i, STEPS] > 0.0
+        v = scene[i, SPEED] if alive else 0.0
+        w[_C0 * L + l], w[_DC * L + l] = v * scene[i, C_0], v * scene[i, DC]
         for n in range(4):
-            w[(_X + n) * L + l] = scene.x_0[i, n] if alive else 0.0
-            w[(_F + n) * L + l] = law.F[design, i, n] if alive else 0.0
-        w[_U * L + l] = scene.delta_0[i] if alive else 0.0
-        w[_FU * L + l] = law.f_u[design, i] if alive else 0.0
-        for j in range(p):
-            g[(2 * j) * L + l] = law.G_yaw_rate[design, i, j] if alive else 0.0
-            g[(2 * j + 1) * L + l] = law.G_heading[design, i, j] if alive else 0.0
+            w[(_X + n) * L + l] = scene[i, X_0 + n] if alive else 0.0
+            w[(_F + n) * L + l] = law[design, i, LAW_F + n] if alive else 0.0
+        w[_U * L + l] = scene[i, DELTA_0] if alive else 0.0
+        w[_FU * L + l] = law[design, i, LAW_U] if alive else 0.0
+        for j in range(2 * times.shape[1]):
+            g[j * L + l] = law[design, i, LAW + j] if alive else 0.0
         for n in range(SCORES):
             w[(_S + n) * L + l] = 0.0
-        w[(_S + DEEP) * L + l] = scene.x_0[i, 0]
-        w[(_S + FRONT) * L + l] = scene.x_0[i, 0] + setting.l_f * scene.x_0[i, 2]
+        w[(_S + DEEP) * L + l] = scene[i, X_0]
+        w[(_S + FRONT) * L + l] = scene[i, X_0] + setting[AXLE] * scene[i, X_0 + 2]
         w[(_S + BACK) * L + l] = math.inf if alive else 0.0
-        w[(_S + OVER) * L + l] = -scene.x_0[i, 0]
-        w[_COUNTED * L + l] = 1.0 if alive and (scene.full[i] > 0 or scene.rest[i] > 0.0) else 0.0
+        w[(_S + OVER) * L + l] = -scene[i, X_0]
         w[_ALIVE * L + l] = 1.0 if alive else 0.0
 
 
 @numba.njit(**OPTIONS)
-def _command(setting, law, design, k, w, g):
+def _command(setting, times, design, k, w, g):
     """Command of every lane at sample k; True if one is not finite."""
-    t_k = k * setting.dt
+    t_k = k * setting[DT]
     for l in range(L):
         d = w[_FU * L + l] * w[_U * L + l]
         for n in range(4):
             d += w[(_F + n) * L + l] * w[(_X + n) * L + l]
         w[_D * L + l] = d
-    for j in range(law.times.shape[1]):
-        ahead = law.times[design, j]
+    for j in range(times.shape[1]):
+        ahead = times[design, j]
         for l in range(L):
             T = w[_T * L + l]
             t_0 = w[_START * L + l] + t_k
@@ -163,7 +177,8 @@ def _command(setting, law, design, k, w, g):
 @numba.njit(**OPTIONS)
 def _step(setting, k, w):
     """One whole step of every lane; True if something rare happens in one."""
-    t_k, t_next, offset, bound, l_f = k * setting.dt, (k + 1) * setting.dt, setting.offset, setting.bound, setting.l_f
+    dt, offset, bound, l_f = setting[DT], setting[OFFSET], setting[BOUND], setting[AXLE]
+    t_k, t_next, per_step = k * dt, (k + 1) * dt, 1.0 / dt
     rare = False
     for l in range(L):
         T = w[_T * L + l]
@@ -192,35 +207,40 @@ def _step(setting, k, w):
         rare |= not abs(n_0) <= bound
         rare |= (x_0 * n_0 < 0.0) | (x_1 * n_1 < 0.0) | (f_0 * f_1 < 0.0)
         rare |= (w[(_S + BACK) * L + l] == math.inf) & (n_0 < offset)
+        # both ends on one side, but so close that the path between them may reach over
+        rise = (n_0 - x_0) * per_step
+        rare |= min(abs(x_0), abs(n_0)) < dt * (abs(x_1 - rise) + abs(n_1 - rise))
     return rare
 
 
 @numba.njit(**OPTIONS)
 def _is_rare(setting, w, l):
     """What `_step` asks of all lanes together, of one."""
-    l_f = setting.l_f
+    l_f = setting[AXLE]
     x_0, x_1, x_3 = w[_X * L + l], w[(_X + 1) * L + l], w[(_X + 3) * L + l]
     n_0, n_1, n_3 = w[_N * L + l], w[(_N + 1) * L + l], w[(_N + 3) * L + l]
     turns = x_0 * n_0 < 0.0 or x_1 * n_1 < 0.0 or (x_1 + l_f * x_3) * (n_1 + l_f * n_3) < 0.0
-    back = w[(_S + BACK) * L + l] == math.inf and n_0 < setting.offset
-    return turns or back or not abs(n_0) <= setting.bound
+    back = w[(_S + BACK) * L + l] == math.inf and n_0 < setting[OFFSET]
+    rise = (n_0 - x_0) * (1.0 / setting[DT])
+    close = min(abs(x_0), abs(n_0)) < setting[DT] * (abs(x_1 - rise) + abs(n_1 - rise))
+    return turns or back or close or not abs(n_0) <= setting[BOUND]
 
 
 @numba.njit(**OPTIONS)
 def _alone(scene, setting, state, paths, i, l, k, w, work):
     """Step k of one lane through `sample.drive`; False if it diverged."""
     for n in range(4):
-        state.x[i, n] = w[(_X + n) * L + l]
+        state[i, X + n] = w[(_X + n) * L + l]
     for n in range(SCORES):
-        state.score[i, n] = w[(_S + n) * L + l]
-    state.wheel[i] = w[_U * L + l]
+        state[i, SCORE + n] = w[(_S + n) * L + l]
+    state[i, WHEEL] = w[_U * L + l]
     d = w[_D * L + l]
     whole = drive(scene, setting, state, paths, i, k, d, d, work)
     for n in range(4):
-        w[(_N + n) * L + l] = state.x[i, n]
+        w[(_N + n) * L + l] = state[i, X + n]
     for n in range(SCORES):
-        w[(_S + n) * L + l] = state.score[i, n]
-    w[_RIGHT * L + l], w[_LEFT * L + l] = work.limits[0], work.limits[1]
+        w[(_S + n) * L + l] = state[i, SCORE + n]
+    w[_RIGHT * L + l], w[_LEFT * L + l] = work[W_LIMITS], work[W_LIMITS + 1]
     return whole
 
 
@@ -246,7 +266,7 @@ def _past(left, right, position, from_left, w, row):
 @numba.njit(**OPTIONS)
 def _score(setting, w, single):
     """Scores of a step in every lane; `single` lanes have theirs but for acceleration, jerk and rate."""
-    dt, l_f, per_window, per_step = setting.dt, setting.l_f, 1.0 / (setting.window * setting.dt), 1.0 / setting.dt
+    dt, l_f, per_window, per_step = setting[DT], setting[AXLE], 1.0 / (setting[WINDOW] * setting[DT]), 1.0 / setting[DT]
     for l in range(L):
         alone = single[l]
         n_0, d, u = w[_N * L + l], w[_D * L + l], w[_U * L + l]
@@ -272,82 +292,79 @@ def _score(setting, w, single):
 
 
 @numba.njit(**OPTIONS)
-def _stop(w, g, l, p):
-    """Empty a lane that has ended: everything in it stays 0."""
+def _leave(w, g, l, rows, out):
+    """Take the scores of a lane that has ended and empty it: everything in it stays 0."""
+    for n in range(SCORES):
+        out[n] = w[(_S + n) * L + l]
     for n in range(4):
         w[(_X + n) * L + l] = w[(_F + n) * L + l] = w[(_N + n) * L + l] = 0.0
-    for j in range(2 * p):
+    for j in range(rows):
         g[j * L + l] = 0.0
     w[_U * L + l] = w[_D * L + l] = w[_FU * L + l] = w[_COUNTED * L + l] = w[_ALIVE * L + l] = 0.0
+    w[_C0 * L + l] = w[_DC * L + l] = w[_RIGHT * L + l] = w[_LEFT * L + l] = 0.0
     w[(_S + BACK) * L + l] = 0.0
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, state, paths, block, w, g, left, right, single, work, score, diverged, failed):
-    """Every design of a law on one block of scenarios; scores into (d, m, SCORES)."""
-    m, first, p = scene.start.shape[0], block * L, law.times.shape[1]
-    _load(scene, exact, block, w)
-    c_0 = np.empty(L)
-    dc = np.empty(L)
+def _replace_wrong(w, failed, count):
+    """Commands that are not finite become the ones before, and are counted."""
     for l in range(L):
-        c_0[l], dc[l] = w[_C0 * L + l], w[_DC * L + l]
-    last = min(first + L, m)
-    # the rest of a step that T cuts, and each scenario's last step, are not whole
+        if not abs(w[_D * L + l]) < math.inf:
+            w[_D * L + l] = w[_U * L + l]
+            if l < count and w[_ALIVE * L + l] > 0.0:
+                failed[l] += 1
+
+
+@numba.njit(**OPTIONS)
+def _past_of_last(scene, setting, state, i, l, k, left, right, w):
+    """The same for a last step that is not whole."""
+    _, _, at_left, at_right = rings(setting)
+    for n in range(left.shape[0]):
+        state[i, at_left + n], state[i, at_right + n] = left[n, l], right[n, l]
+    h, _ = length(scene, setting, i, k)
+    arrival = k + (h / setting[DT] if h < setting[DT] else 1.0)
+    w[_PAST_LEFT * L + l] = earlier(setting, state, i, scene[i, A_BEFORE], arrival - setting[WINDOW], True)
+
+
+@numba.njit(**OPTIONS)
+def drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables):
+    """Every design of a law on one block of scenarios; scores into (d, m, SCORES)."""
+    w, g, left, right, single, work = tables
+    first, rows, size = block * L, 2 * times.shape[1], left.shape[0]
+    count = min(L, scene.shape[0] - first)
     most = 0
-    for i in range(first, last):
-        most = max(most, scene.steps[i])
-    for design in range(law.F.shape[0]):
-        _begin(scene, setting, law, design, block, w, g)
-        for l in range(L):
-            w[_C0 * L + l], w[_DC * L + l] = c_0[l], dc[l]
+    for l in range(count):
+        most = max(most, int(scene[first + l, STEPS]))
+    _load(scene, exact, block, w)
+    for design in range(law.shape[0]):
+        _begin(scene, setting, law, times, design, block, w, g)
         for k in range(most):
-            if _command(setting, law, design, k, w, g):
-                for l in range(L):
-                    if not abs(w[_D * L + l]) < math.inf:
-                        w[_D * L + l] = w[_U * L + l]
-                        if first + l < m and w[_ALIVE * L + l] > 0.0:
-                            failed[design, first + l] += 1
+            if _command(setting, times, design, k, w, g):
+                _replace_wrong(w, failed[design, first:], count)
             rare = _step(setting, k, w)
             for l in range(L):
                 single[l] = 0.0
-            for l in range(last - first):
+            for l in range(count):
                 i = first + l
                 if w[_ALIVE * L + l] == 0.0:
                     continue
                 h, counted = length(scene, setting, i, k)
                 w[_COUNTED * L + l] = 1.0 if counted > 0.0 else 0.0
-                if h < setting.dt or 0.0 < counted < h or (rare and _is_rare(setting, w, l)):
+                # a last step, or one that T cuts, is not whole
+                if h < setting[DT] or 0.0 < counted < h or (rare and _is_rare(setting, w, l)):
                     single[l] = 1.0
                     if not _alone(scene, setting, state, paths, i, l, k, w, work):
                         diverged[design, i] = True
-                        for n in range(SCORES):
-                            score[design, i, n] = w[(_S + n) * L + l]
-                        _stop(w, g, l, p)
-                        w[_C0 * L + l] = w[_DC * L + l] = 0.0
-                        w[_RIGHT * L + l] = w[_LEFT * L + l] = 0.0
-            size = left.shape[0]
+                        _leave(w, g, l, rows, score[design, i])
             for l in range(L):
                 right[k % size, l] = w[_RIGHT * L + l]
                 left[(k + 1) % size, l] = w[_LEFT * L + l]
-            _past(left, right, k - setting.window, False, w, _PAST_RIGHT)
-            _past(left, right, k + 1 - setting.window, True, w, _PAST_LEFT)
-            for l in range(last - first):
-                if single[l] > 0.0 and w[_ALIVE * L + l] > 0.0 and k + 1 == scene.steps[first + l]:
-                    _past_of_one(scene, setting, first + l, l, k, left, right, w)
+            _past(left, right, k - setting[WINDOW], False, w, _PAST_RIGHT)
+            _past(left, right, k + 1 - setting[WINDOW], True, w, _PAST_LEFT)
+            for l in range(count):
+                if single[l] * w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                    _past_of_last(scene, setting, state, first + l, l, k, left, right, w)
             _score(setting, w, single)
-            for l in range(last - first):
-                i = first + l
-                if w[_ALIVE * L + l] > 0.0 and k + 1 == scene.steps[i]:
-                    for n in range(SCORES):
-                        score[design, i, n] = w[(_S + n) * L + l]
-                    _stop(w, g, l, p)
-                    w[_C0 * L + l] = w[_DC * L + l] = 0.0
-
-
-@numba.njit(**OPTIONS)
-def _past_of_one(scene, setting, i, l, k, left, right, w):
-    """The same for a last step that is not whole."""
-    h, _ = length(scene, setting, i, k)
-    arrival = k + (h / setting.dt if h < setting.dt else 1.0)
-    past = earlier(left[:, l], right[:, l], w[_BEFORE * L + l], arrival - setting.window, True)
-    w[_PAST_LEFT * L + l] = past
+            for l in range(count):
+                if w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                    _leave(w, g, l, rows, score[design, first + l])

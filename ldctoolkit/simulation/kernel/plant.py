@@ -25,18 +25,33 @@ from ldctoolkit.simulation.kernel.data import (
     A_31,
     A_32,
     A_33,
+    A_MEAN,
     B_1,
     B_3,
+    C_0,
     C_AF,
     C_AR,
+    DC,
     E_1,
     E_3,
+    FASTEST,
     I_Z,
+    LAG,
     L_F,
     L_R,
     MASS,
+    MODES,
     MU,
     PRINTED,
+    PROFILE,
+    SATURATING,
+    SCENE,
+    SHAPE,
+    SPEED,
+    T_END,
+    V_MEAN,
+    W_K,
+    X,
 )
 from ldctoolkit.vehicle._nonlinear_compiled import nonlinear_rhs
 
@@ -55,63 +70,65 @@ _SUBSTEP: Final = 0.25
 """Longest substep of the Runge-Kutta method, in the same units."""
 
 _MOST_TERMS: Final = 80
+_INVERSE: Final = 1.0 / np.maximum(np.arange(_MOST_TERMS + 2.0), 1.0)
+_NOTHING: Final = 2.0**-57
+"""Share of a sum that is lost in its rounding."""
+_TINY: Final = 1e-22
 
 
 @numba.njit(**OPTIONS)
 def speed(scene, setting, i, t):
     """Speed and its rate."""
-    if not setting.profile:
-        return scene.v[i], 0.0
-    T = scene.T[i]
+    if setting[PROFILE] == 0.0:
+        return scene[i, SPEED], 0.0
+    T = scene[i, T_END]
     s = min(t, T)
-    v = scene.v_mean[i] + scene.a_mean[i] * (s - 0.5 * T)
-    rate = scene.a_mean[i]
-    modes = scene.modes_v.shape[1]
-    if modes:
+    v = scene[i, V_MEAN] + scene[i, A_MEAN] * (s - 0.5 * T)
+    rate = scene[i, A_MEAN]
+    if setting[MODES] > 0.0:
         w = math.pi / T
         cos_1, sin_1 = math.cos(w * s), math.sin(w * s)
         c, d = 1.0, 0.0
-        for j in range(modes):
+        for j in range(int(setting[MODES])):
             c, d = c * cos_1 - d * sin_1, d * cos_1 + c * sin_1
-            v += scene.modes_v[i, j] * c
-            rate -= scene.modes_v[i, j] * (j + 1) * w * d
+            v += scene[i, SCENE + j] * c
+            rate -= scene[i, SCENE + j] * (j + 1) * w * d
     return v, (rate if t < T else 0.0)
 
 
 @numba.njit(**OPTIONS)
 def curvature(scene, i, t):
     """Lane curvature, held beyond T."""
-    return scene.c_0[i] + scene.dc[i] * min(t / scene.T[i], 1.0)
+    return scene[i, C_0] + scene[i, DC] * min(t / scene[i, T_END], 1.0)
 
 
 @numba.njit(**OPTIONS)
 def _turned(scene, setting, i, t):
     """Integral of v(t) (c(t), 1) from 0 to t, t at most T, in closed form."""
-    T, c_0, slope = scene.T[i], scene.c_0[i], scene.dc[i] / scene.T[i]
-    v_0 = scene.v_mean[i] - 0.5 * scene.a_mean[i] * T
-    a = scene.a_mean[i]
+    T, c_0, slope = scene[i, T_END], scene[i, C_0], scene[i, DC] / scene[i, T_END]
+    v_0 = scene[i, V_MEAN] - 0.5 * scene[i, A_MEAN] * T
+    a = scene[i, A_MEAN]
     way = t * (v_0 + 0.5 * a * t)
     turn = c_0 * way + slope * t * t * (0.5 * v_0 + a * t / 3.0)
-    modes = scene.modes_v.shape[1]
-    if modes:
+    if setting[MODES] > 0.0:
         w = math.pi / T
         cos_1, sin_1 = math.cos(w * t), math.sin(w * t)
         c, d = 1.0, 0.0
-        for j in range(modes):
+        for j in range(int(setting[MODES])):
             c, d = c * cos_1 - d * sin_1, d * cos_1 + c * sin_1
             f = (j + 1) * w
-            part = scene.modes_v[i, j] * d / f
+            part = scene[i, SCENE + j] * d / f
             way += part
-            turn += part * (c_0 + slope * t) + scene.modes_v[i, j] * slope * (c - 1.0) / (f * f)
+            turn += part * (c_0 + slope * t) + scene[i, SCENE + j] * slope * (c - 1.0) / (f * f)
     return turn, way
 
 
 @numba.njit(**OPTIONS)
 def heading(scene, setting, i, t_0, t_1):
     """Turn of the lane between two times, and the way driven."""
-    T, c_0, dc = scene.T[i], scene.c_0[i], scene.dc[i]
-    if not setting.profile:
-        v = scene.v[i]
+    T, c_0, dc = scene[i, T_END], scene[i, C_0], scene[i, DC]
+    if setting[PROFILE] == 0.0:
+        v = scene[i, SPEED]
         in_0, in_1 = min(t_0, T), min(t_1, T)
         turn = c_0 * (t_1 - t_0) + dc * (0.5 * (in_1 * in_1 - in_0 * in_0) / T + (max(t_1 - T, 0.0) - max(t_0 - T, 0.0)))
         return v * turn, v * (t_1 - t_0)
@@ -125,106 +142,112 @@ def heading(scene, setting, i, t_0, t_1):
 @numba.njit(**OPTIONS)
 def accelerations(scene, setting, i, t, r, p, psi, w, delta):
     """Accelerations e_y'' and e_psi'', and a_y, at time t with the lane yaw rate r."""
-    if not (setting.profile or setting.saturating):
-        q = scene.linear[i]
-        lateral = q[A_11] * p + q[A_12] * psi + q[A_13] * w + q[B_1] * delta + q[E_1] * r
-        yaw = q[A_31] * p + q[A_32] * psi + q[A_33] * w + q[B_3] * delta + q[E_3] * r
-        return lateral, yaw, lateral + scene.v[i] * r
+    if setting[PROFILE] + setting[SATURATING] == 0.0:
+        lateral = scene[i, A_11] * p + scene[i, A_12] * psi + scene[i, A_13] * w + scene[i, B_1] * delta + scene[i, E_1] * r
+        yaw = scene[i, A_31] * p + scene[i, A_32] * psi + scene[i, A_33] * w + scene[i, B_3] * delta + scene[i, E_3] * r
+        return lateral, yaw, lateral + scene[i, SPEED] * r
     v, dv = speed(scene, setting, i, t)
-    car = scene.vehicle[i]
-    if setting.saturating:
+    if setting[SATURATING] > 0.0:
         return nonlinear_rhs(
             p, psi, w, delta, r, v, dv,
-            car[C_AF], car[C_AR], car[L_F], car[L_R], car[MASS], car[I_Z], car[MU], setting.shape,
+            scene[i, C_AF], scene[i, C_AR], scene[i, L_F], scene[i, L_R], scene[i, MASS], scene[i, I_Z], scene[i, MU], setting[SHAPE],
         )  # fmt: skip
     v_y = p - v * psi
     omega = w + r
-    front = 2.0 * car[C_AF] * (delta - (v_y + car[L_F] * omega) / v)
-    rear = -2.0 * car[C_AR] * (v_y - car[L_R] * omega) / v
-    a_y = (front + rear) / car[MASS] - car[PRINTED] * w / v
-    return a_y - v * r + dv * psi, (car[L_F] * front - car[L_R] * rear) / car[I_Z], a_y
+    front = 2.0 * scene[i, C_AF] * (delta - (v_y + scene[i, L_F] * omega) / v)
+    rear = -2.0 * scene[i, C_AR] * (v_y - scene[i, L_R] * omega) / v
+    a_y = (front + rear) / scene[i, MASS] - scene[i, PRINTED] * w / v
+    return a_y - v * r + dv * psi, (scene[i, L_F] * front - scene[i, L_R] * rear) / scene[i, I_Z], a_y
 
 
 @numba.njit(**OPTIONS)
-def _series(q, x, h, offset, slope, decay, lag, r, r_slope, out):
-    """Linear plant at h: state into out[:4], integral of e_y into out[4]; h within the reach of a series."""
-    y, p, psi, w = x[0], x[1], x[2], x[3]
+def _series(scene, i, state, h, offset, slope, decay, lag, r, r_slope, work, out):
+    """Linear plant at h: state into work[out:out + 4], integral of e_y behind it; h within the reach of a series."""
+    a_11, a_12, a_13 = scene[i, A_11], scene[i, A_12], scene[i, A_13]
+    a_31, a_32, a_33 = scene[i, A_31], scene[i, A_32], scene[i, A_33]
+    b_1, b_3, e_1, e_3 = scene[i, B_1], scene[i, B_3], scene[i, E_1], scene[i, E_3]
+    y, p, psi, w = state[i, X], state[i, X + 1], state[i, X + 2], state[i, X + 3]
     sum_y, sum_p, sum_psi, sum_w, area = y, p, psi, w, h * y
     steer, lane, fading = offset + decay, r, decay
     for k in range(1, _MOST_TERMS):
-        f = h / k
-        p_next = f * (q[A_11] * p + q[A_12] * psi + q[A_13] * w + q[B_1] * steer + q[E_1] * lane)
-        w_next = f * (q[A_31] * p + q[A_32] * psi + q[A_33] * w + q[B_3] * steer + q[E_3] * lane)
+        f = h * _INVERSE[k]
+        p_next = f * (a_11 * p + a_12 * psi + a_13 * w + b_1 * steer + e_1 * lane)
+        w_next = f * (a_31 * p + a_32 * psi + a_33 * w + b_3 * steer + e_3 * lane)
         y, psi = f * p, f * w
         p, w = p_next, w_next
         sum_y += y
         sum_p += p
         sum_psi += psi
         sum_w += w
-        area += y * h / (k + 1)
+        area += y * h * _INVERSE[k + 1]
+        steer, lane = 0.0, 0.0
         if decay != 0.0:
             fading *= -f / lag
-        steer, lane = fading, 0.0
+            steer = fading
         if k == 1:
             steer += h * slope
             lane = h * r_slope
-        # two terms in a row without weight, and nothing left in the inputs that could bring more
-        small = abs(p) <= 1e-17 * abs(sum_p) + 1e-22 and abs(w) <= 1e-17 * abs(sum_w) + 1e-22
-        if k > 3 and small and abs(fading) <= 1e-19 * abs(decay) and abs(psi) <= 1e-17 * abs(sum_psi) + 1e-22:
+        # nothing left in the state, nor in the inputs that could bring more
+        elif (
+            abs(p) <= _NOTHING * abs(sum_p) + _TINY
+            and abs(w) <= _NOTHING * abs(sum_w) + _TINY
+            and abs(psi) <= _NOTHING * abs(sum_psi) + _TINY
+            and abs(y) <= _NOTHING * abs(sum_y) + _TINY
+            and abs(fading) <= _NOTHING * abs(decay)
+        ):
             break
-    out[0], out[1], out[2], out[3], out[4] = sum_y, sum_p, sum_psi, sum_w, area
+    work[out], work[out + 1], work[out + 2], work[out + 3], work[out + 4] = sum_y, sum_p, sum_psi, sum_w, area
 
 
 @numba.njit(**OPTIONS)
-def _runge_kutta(scene, setting, i, x, t, h, offset, slope, decay, lag, s_0, out, K):
+def _runge_kutta(scene, setting, i, state, t, h, offset, slope, decay, s_0, work, out):
     """One substep from t to t + h; s_0 is its start since the piece's start."""
     for stage in range(_STAGES):
-        y, p, psi, w = x[0], x[1], x[2], x[3]
+        y, p, psi, w = state[i, X], state[i, X + 1], state[i, X + 2], state[i, X + 3]
         for j in range(stage):
             a = h * _A[stage, j]
-            y += a * K[j, 0]
-            p += a * K[j, 1]
-            psi += a * K[j, 2]
-            w += a * K[j, 3]
+            K = W_K + 5 * j
+            y += a * work[K]
+            p += a * work[K + 1]
+            psi += a * work[K + 2]
+            w += a * work[K + 3]
         s = s_0 + _C[stage] * h
         delta = offset + slope * s
         if decay != 0.0:
-            delta += decay * math.exp(-s / lag)
+            delta += decay * math.exp(-s / setting[LAG])
         at = t + _C[stage] * h
         v, _ = speed(scene, setting, i, at)
         lateral, yaw, _ = accelerations(scene, setting, i, at, v * curvature(scene, i, at), p, psi, w, delta)
-        K[stage, 0], K[stage, 1], K[stage, 2], K[stage, 3], K[stage, 4] = p, lateral, w, yaw, y
-    for n in range(4):
+        K = W_K + 5 * stage
+        work[K], work[K + 1], work[K + 2], work[K + 3], work[K + 4] = p, lateral, w, yaw, y
+    for n in range(5):
         total = 0.0
         for stage in range(_STAGES):
-            total += _B[stage] * K[stage, n]
-        out[n] = x[n] + h * total
-    area = 0.0
-    for stage in range(_STAGES):
-        area += _B[stage] * K[stage, 4]
-    out[4] = h * area
+            total += _B[stage] * work[W_K + 5 * stage + n]
+        work[out + n] = (state[i, X + n] if n < 4 else 0.0) + h * total
 
 
 @numba.njit(**OPTIONS)
 def substeps(scene, setting, i, t, h, decay):
     """Into how many equal parts a smooth piece is cut."""
     v, _ = speed(scene, setting, i, t)
-    fastest = scene.fastest[i] / v
+    fastest = scene[i, FASTEST] / v
     if decay != 0.0:
-        fastest = max(fastest, 1.0 / setting.lag)
-    reach = _SUBSTEP if setting.profile or setting.saturating else _SERIES_REACH
+        fastest = max(fastest, 1.0 / setting[LAG])
+    reach = _SUBSTEP if setting[PROFILE] + setting[SATURATING] > 0.0 else _SERIES_REACH
     parts = math.ceil(h * fastest / reach)
     return max(1, min(int(parts), 100_000) if parts == parts else 1)
 
 
 @numba.njit(**OPTIONS)
-def move(scene, setting, i, x, t, h, offset, slope, decay, s_0, out, K):
-    """One substep: state at t + h into out[:4], integral of e_y into out[4]."""
-    if setting.profile or setting.saturating:
-        _runge_kutta(scene, setting, i, x, t, h, offset, slope, decay, setting.lag, s_0, out, K)
+def move(scene, setting, i, state, t, h, offset, slope, decay, s_0, work, out):
+    """One substep: state at t + h into work[out:out + 4], integral of e_y behind it."""
+    if setting[PROFILE] + setting[SATURATING] > 0.0:
+        _runge_kutta(scene, setting, i, state, t, h, offset, slope, decay, s_0, work, out)
         return
-    fading = decay * math.exp(-s_0 / setting.lag) if decay != 0.0 else 0.0
-    r = scene.v[i] * curvature(scene, i, t)
+    fading = decay * math.exp(-s_0 / setting[LAG]) if decay != 0.0 else 0.0
+    v, T = scene[i, SPEED], scene[i, T_END]
     # the piece does not reach over T, where the curvature's slope ends
-    r_slope = scene.v[i] * scene.dc[i] / scene.T[i] if t + 0.5 * h < scene.T[i] else 0.0
-    _series(scene.linear[i], x, h, offset + slope * s_0, slope, fading, setting.lag, r, r_slope, out)
+    r_slope = v * scene[i, DC] / T if t + 0.5 * h < T else 0.0
+    r = v * curvature(scene, i, t)
+    _series(scene, i, state, h, offset + slope * s_0, slope, fading, setting[LAG], r, r_slope, work, out)

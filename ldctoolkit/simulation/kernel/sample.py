@@ -9,18 +9,55 @@ import math
 import numba
 
 from ldctoolkit.simulation.kernel.data import (
+    A_BEFORE,
     A_Y,
+    ALIVE,
     AREA,
+    AXLE,
     BACK,
+    BOUND,
+    COMMAND,
+    COMMANDS,
+    COUNT,
     DEEP,
+    DELAY_PART,
+    DELAY_SAMPLES,
     DELTA,
+    DELTA_MAX,
+    DIVERGED,
+    DT,
     EFFORT,
+    FAILED,
+    FRAMES,
     FRONT,
+    FULL,
     JERK,
+    LAG,
+    OFFSET,
     OVER,
+    P_DELTA,
+    P_TIME,
+    P_X,
     RATE,
+    RATE_MAX,
+    REST,
+    RING,
+    SCORE,
     SCORES,
+    SLOT,
+    START,
+    STATE,
+    STEPS,
+    T_END,
     TRAVEL,
+    W_AFTER,
+    W_END,
+    W_LIMITS,
+    W_SCORE,
+    W_X,
+    WHEEL,
+    WINDOW,
+    X,
 )
 from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, move, speed, substeps
 
@@ -45,147 +82,162 @@ def hermite_peak(f_0, m_0, f_1, m_1, h):
 
 
 @numba.njit(**OPTIONS)
-def _time_at(scene, setting, i, x, t, h, e_end, level, offset, slope, decay, s_0, work):
-    """When e_y is at a level within a substep that starts at x; the integral of e_y up to then."""
-    end, K = work.end, work.K
+def _time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, work):
+    """When e_y is at a level within a substep that was moved over; the integral of e_y up to then."""
     low, high = 0.0, h
-    above = x[0] - level
-    s = h * above / (x[0] - e_end)
+    above = state[i, X] - level
+    s = h * above / (state[i, X] - work[W_AFTER])
     for _ in range(_NEWTON_PASSES):
-        move(scene, setting, i, x, t, s, offset, slope, decay, s_0, end, K)
-        value = end[0] - level
+        move(scene, setting, i, state, t, s, offset, slope, decay, s_0, work, W_END)
+        value = work[W_END] - level
         if value * above < 0.0:
             high = s
         else:
             low = s
-        following = s - value / end[1]
+        following = s - value / work[W_END + 1]
         if not low < following < high:
             following = 0.5 * (low + high)
         if value == 0.0 or abs(following - s) <= 1e-15 * h:
             break
         s = following
-    return s, end[4]
+    return s, work[W_END + 4]
 
 
 @numba.njit(**OPTIONS)
 def _smooth(scene, setting, state, i, t, h, offset, slope, decay, counted, work):
     """A piece on which the steering angle is offset + slope s + decay exp(-s/lag)."""
-    x, score, after = state.x[i], state.score[i], work.after
     parts = substeps(scene, setting, i, t, h, decay)
     part = h / parts
     for n in range(parts):
         s_0 = n * part
         at = t + s_0
-        move(scene, setting, i, x, at, part, offset, slope, decay, s_0, after, work.K)
-        if score[BACK] == math.inf and x[0] >= setting.offset > after[0]:
-            level = setting.offset
-            s, _ = _time_at(scene, setting, i, x, at, part, after[0], level, offset, slope, decay, s_0, work)
-            score[BACK] = at + s
+        move(scene, setting, i, state, at, part, offset, slope, decay, s_0, work, W_AFTER)
+        e_0, e_1, area = state[i, X], work[W_AFTER], work[W_AFTER + 4]
+        if state[i, SCORE + BACK] == math.inf and e_0 >= setting[OFFSET] > e_1:
+            level = setting[OFFSET]
+            s, _ = _time_at(scene, setting, i, state, at, part, level, offset, slope, decay, s_0, work)
+            state[i, SCORE + BACK] = at + s
         if counted:
-            if x[0] * after[0] < 0.0:
-                _, before = _time_at(scene, setting, i, x, at, part, after[0], 0.0, offset, slope, decay, s_0, work)
-                score[AREA] += abs(before) + abs(after[4] - before)
+            if e_0 * e_1 < 0.0:
+                _, before = _time_at(scene, setting, i, state, at, part, 0.0, offset, slope, decay, s_0, work)
+                state[i, SCORE + AREA] += abs(before) + abs(area - before)
             else:
-                score[AREA] += abs(after[4])
-        x[0], x[1], x[2], x[3] = after[0], after[1], after[2], after[3]
-    fallen = math.exp(-h / setting.lag) if decay != 0.0 else 0.0
+                state[i, SCORE + AREA] += abs(area)
+        for j in range(4):
+            state[i, X + j] = work[W_AFTER + j]
+    fallen = math.exp(-h / setting[LAG]) if decay != 0.0 else 0.0
     end = offset + slope * h + decay * fallen
-    score[EFFORT] += h * (offset * offset + h * (offset * slope + h * slope * slope / 3.0))
+    state[i, SCORE + EFFORT] += h * (offset * offset + h * (offset * slope + h * slope * slope / 3.0))
     if decay != 0.0:
-        lag = setting.lag
-        score[EFFORT] += 2.0 * offset * decay * lag * (1.0 - fallen) + 0.5 * decay * decay * lag * (1.0 - fallen * fallen)
-    score[TRAVEL] += abs(end - state.wheel[i])
-    score[DELTA] = max(score[DELTA], abs(end))
-    state.wheel[i] = end
+        lag = setting[LAG]
+        cross, square = 2.0 * offset * decay * (1.0 - fallen), 0.5 * decay * decay * (1.0 - fallen * fallen)
+        state[i, SCORE + EFFORT] += lag * (cross + square)
+    state[i, SCORE + TRAVEL] += abs(end - state[i, WHEEL])
+    state[i, SCORE + DELTA] = max(state[i, SCORE + DELTA], abs(end))
+    state[i, WHEEL] = end
 
 
 @numba.njit(**OPTIONS)
 def _steer(scene, setting, state, i, t, h, u, counted, work):
     """A piece with one target u of the steering angle."""
-    lag, rate = setting.lag, setting.rate_max
+    lag, rate = setting[LAG], setting[RATE_MAX]
     if lag == 0.0 and rate == math.inf:
-        score = state.score[i]
-        score[TRAVEL] += abs(u - state.wheel[i])
-        score[DELTA] = max(score[DELTA], abs(u))
-        state.wheel[i] = u
+        state[i, SCORE + TRAVEL] += abs(u - state[i, WHEEL])
+        state[i, WHEEL] = u
         _smooth(scene, setting, state, i, t, h, u, 0.0, 0.0, counted, work)
         return
-    distance = u - state.wheel[i]
+    distance = u - state[i, WHEEL]
     ramp = 0.0
     if rate < math.inf:
         # the rate is at its limit until u is within rate times lag
         ramp = min(max((abs(distance) - rate * lag) / rate, 0.0), h)
         if ramp > 0.0:
-            _smooth(scene, setting, state, i, t, ramp, state.wheel[i], math.copysign(rate, distance), 0.0, counted, work)
+            slope = math.copysign(rate, distance)
+            _smooth(scene, setting, state, i, t, ramp, state[i, WHEEL], slope, 0.0, counted, work)
     if ramp < h:
-        if lag == 0.0:
-            state.wheel[i] = u
-            _smooth(scene, setting, state, i, t + ramp, h - ramp, u, 0.0, 0.0, counted, work)
-        else:
-            decay = state.wheel[i] - u
-            _smooth(scene, setting, state, i, t + ramp, h - ramp, u, 0.0, decay, counted, work)
+        decay = state[i, WHEEL] - u if lag > 0.0 else 0.0
+        _smooth(scene, setting, state, i, t + ramp, h - ramp, u, 0.0, decay, counted, work)
 
 
 @numba.njit(**OPTIONS)
-def earlier(left, right, before, position, from_left):
-    """Lateral acceleration at a past position, in samples, from rings of both limits; constant before the first."""
+def rings(setting):
+    """First columns of the rings of commands, frames, and a_y just before and just after each sample."""
+    frames = STATE + int(setting[COMMANDS])
+    left = frames + 2 * int(setting[FRAMES])
+    return STATE, frames, left, left + int(setting[RING])
+
+
+@numba.njit(**OPTIONS)
+def earlier(setting, state, i, before, position, from_left):
+    """Lateral acceleration at a past position, in samples; linear between samples, constant before the first."""
     if position < -_SAME:
         return before
-    size = left.shape[0]
+    _, _, left, right = rings(setting)
+    size = int(setting[RING])
     j = int(math.floor(position + _SAME))
     part = position - j
     if part <= _SAME:
         if from_left:
-            return left[j % size] if j > 0 else before
-        return right[j % size]
-    start, end = right[j % size], left[(j + 1) % size]
+            return state[i, left + j % size] if j > 0 else before
+        return state[i, right + j % size]
+    start, end = state[i, right + j % size], state[i, left + (j + 1) % size]
     return start + part * (end - start)
 
 
 @numba.njit(**OPTIONS)
 def _diverge(scene, setting, state, i, t, counted, inwards):
     """Score the bound from the start of the stretch that left it."""
-    score = state.score[i]
     if counted:
-        score[AREA] += setting.bound * (scene.T[i] - t)
+        state[i, SCORE + AREA] += setting[BOUND] * (scene[i, T_END] - t)
         if not inwards:
-            score[DEEP] = score[FRONT] = setting.bound
+            state[i, SCORE + DEEP] = state[i, SCORE + FRONT] = setting[BOUND]
     if inwards:
-        score[OVER] = setting.bound
-    state.diverged[i] = True
-    state.alive[i] = False
+        state[i, SCORE + OVER] = setting[BOUND]
+    state[i, DIVERGED] = 1.0
+    state[i, ALIVE] = 0.0
 
 
 @numba.njit(**OPTIONS)
-def _extremes(setting, score, x, y, h, counted):
-    """Depth and overshoot over a stretch from x to y."""
+def _extremes(setting, state, i, h, counted, work):
+    """Depth and overshoot over a stretch from the state in `work` to the present one."""
+    x_0, x_1, y_0, y_1 = work[W_X], work[W_X + 1], state[i, X], state[i, X + 1]
     if counted:
-        score[DEEP] = max(score[DEEP], hermite_peak(x[0], x[1], y[0], y[1], h))
-        l_f = setting.l_f
-        peak = hermite_peak(x[0] + l_f * x[2], x[1] + l_f * x[3], y[0] + l_f * y[2], y[1] + l_f * y[3], h)
-        score[FRONT] = max(score[FRONT], peak)
-    score[OVER] = max(score[OVER], hermite_peak(-x[0], -x[1], -y[0], -y[1], h))
+        state[i, SCORE + DEEP] = max(state[i, SCORE + DEEP], hermite_peak(x_0, x_1, y_0, y_1, h))
+        l_f = setting[AXLE]
+        f_0, f_1 = x_0 + l_f * work[W_X + 2], x_1 + l_f * work[W_X + 3]
+        g_0, g_1 = y_0 + l_f * state[i, X + 2], y_1 + l_f * state[i, X + 3]
+        state[i, SCORE + FRONT] = max(state[i, SCORE + FRONT], hermite_peak(f_0, f_1, g_0, g_1, h))
+    state[i, SCORE + OVER] = max(state[i, SCORE + OVER], hermite_peak(-x_0, -x_1, -y_0, -y_1, h))
 
 
 @numba.njit(**OPTIONS)
 def record(paths, state, i, t):
     """Put the present state into the path of a chosen scenario."""
-    c = paths.slot[i]
+    c = int(state[i, SLOT])
     if c >= 0:
-        n = paths.count[c]
-        paths.t[c, n] = t
+        n = int(state[i, COUNT])
+        paths[c, n, P_TIME] = t
         for j in range(4):
-            paths.x[c, n, j] = state.x[i, j]
-        paths.delta[c, n] = state.wheel[i]
-        paths.count[c] = n + 1
+            paths[c, n, P_X + j] = state[i, X + j]
+        paths[c, n, P_DELTA] = state[i, WHEEL]
+        state[i, COUNT] = n + 1
 
 
 @numba.njit(**OPTIONS)
 def length(scene, setting, i, k):
     """Length of step k, and how much of it lies before T."""
-    full, rest = scene.full[i], scene.rest[i]
-    h = rest if k + 1 == scene.steps[i] and rest > 0.0 else setting.dt
+    full, rest = scene[i, FULL], scene[i, REST]
+    h = rest if k + 1 == scene[i, STEPS] and rest > 0.0 else setting[DT]
     return h, (h if k < full else (rest if k == full else 0.0))
+
+
+@numba.njit(**OPTIONS)
+def _acceleration(scene, setting, state, i, t, delta):
+    """Lateral acceleration in the present state."""
+    v, _ = speed(scene, setting, i, t)
+    r = v * curvature(scene, i, t)
+    _, _, a_y = accelerations(scene, setting, i, t, r, state[i, X + 1], state[i, X + 2], state[i, X + 3], delta)
+    return a_y
 
 
 @numba.njit(**OPTIONS)
@@ -193,47 +245,40 @@ def drive(scene, setting, state, paths, i, k, stale, fresh, work):
     """Drive scenario i from sample k to the next, or to its end; False if it diverged.
 
     The target of the steering angle is `stale` until the fraction of the delay has passed, then `fresh`. Both limits
-    of a_y, after sample k and before the next, are left in `work.limits`.
+    of a_y, after sample k and before the next, are left in `work`.
     """
-    x, score = state.x[i], state.score[i]
     h, counted_until = length(scene, setting, i, k)
-    t, switch = scene.start[i] + k * setting.dt, setting.delay_part
-    at_once = setting.lag == 0.0 and setting.rate_max == math.inf
-    angle = (stale if switch > 0.0 else fresh) if at_once else state.wheel[i]
-    v, _ = speed(scene, setting, i, t)
-    r = v * curvature(scene, i, t)
-    _, _, work.limits[0] = accelerations(scene, setting, i, t, r, x[1], x[2], x[3], angle)
-    if paths.slot[i] >= 0:
-        paths.delta[paths.slot[i], paths.count[paths.slot[i]] - 1] = angle
+    t, switch = scene[i, START] + k * setting[DT], setting[DELAY_PART]
+    at_once = setting[LAG] == 0.0 and setting[RATE_MAX] == math.inf
+    angle = (stale if switch > 0.0 else fresh) if at_once else state[i, WHEEL]
+    work[W_LIMITS] = _acceleration(scene, setting, state, i, t, angle)
+    if state[i, SLOT] >= 0.0:
+        paths[int(state[i, SLOT]), int(state[i, COUNT]) - 1, P_DELTA] = angle
 
     s = 0.0
     while s < h:
         counted = s < counted_until
         stop = counted_until if counted and counted_until < h else h
         for n in range(4):
-            work.x[n] = x[n]
+            work[W_X + n] = state[i, X + n]
         for n in range(SCORES):
-            work.score[n] = score[n]
-        wheel, first = state.wheel[i], s
+            work[W_SCORE + n] = state[i, SCORE + n]
+        wheel, first = state[i, WHEEL], s
         while s < stop:
             piece = switch if s < switch < stop else stop
             _steer(scene, setting, state, i, t + s, piece - s, stale if s < switch else fresh, counted, work)
             s = piece
-        if not abs(x[0]) <= setting.bound:  # also true for NaN
-            inwards = x[0] < 0.0
+        if not abs(state[i, X]) <= setting[BOUND]:  # also true for NaN
             for n in range(SCORES):
-                score[n] = work.score[n]
-            state.wheel[i] = wheel
-            _diverge(scene, setting, state, i, t + first, counted, inwards)
+                state[i, SCORE + n] = work[W_SCORE + n]
+            state[i, WHEEL] = wheel
+            _diverge(scene, setting, state, i, t + first, counted, state[i, X] < 0.0)
             return False
-        _extremes(setting, score, work.x, x, stop - first, counted)
+        _extremes(setting, state, i, stop - first, counted, work)
         if stop < h:
-            record(paths, state, i, scene.T[i])
+            record(paths, state, i, scene[i, T_END])
 
-    end = t + h
-    v, _ = speed(scene, setting, i, end)
-    r = v * curvature(scene, i, end)
-    _, _, work.limits[1] = accelerations(scene, setting, i, end, r, x[1], x[2], x[3], state.wheel[i])
+    work[W_LIMITS + 1] = _acceleration(scene, setting, state, i, t + h, state[i, WHEEL])
     return True
 
 
@@ -241,30 +286,30 @@ def drive(scene, setting, state, paths, i, k, stale, fresh, work):
 def advance(scene, setting, state, paths, i, k, command, work):
     """Everything between sample k and the next of scenario i, with the command given at k."""
     if not math.isfinite(command):
-        command = state.command[i]
-        state.failed[i] += 1
-    state.command[i] = command
-    ring = state.commands.shape[1]
-    state.commands[i, k % ring] = min(max(command, -setting.delta_max), setting.delta_max)
-    fresh = state.commands[i, (k - setting.delay_samples) % ring]
-    stale = state.commands[i, (k - setting.delay_samples - 1) % ring]
-    wheel_before = state.wheel[i]
+        command = state[i, COMMAND]
+        state[i, FAILED] += 1.0
+    state[i, COMMAND] = command
+    commands, _, left, right = rings(setting)
+    ring, whole = int(setting[COMMANDS]), k - int(setting[DELAY_SAMPLES])
+    state[i, commands + k % ring] = min(max(command, -setting[DELTA_MAX]), setting[DELTA_MAX])
+    fresh, stale = state[i, commands + whole % ring], state[i, commands + (whole - 1) % ring]
+    wheel_before = state[i, WHEEL]
     if not drive(scene, setting, state, paths, i, k, stale, fresh, work):
         return
 
-    dt, window, score = setting.dt, setting.window, state.score[i]
-    left, right, before = state.a_left[i], state.a_right[i], scene.a_before[i]
-    right[k % right.shape[0]] = work.limits[0]
-    left[(k + 1) % left.shape[0]] = work.limits[1]
+    dt, window, size = setting[DT], setting[WINDOW], int(setting[RING])
+    a_right, a_left, before = work[W_LIMITS], work[W_LIMITS + 1], scene[i, A_BEFORE]
+    state[i, right + k % size] = a_right
+    state[i, left + (k + 1) % size] = a_left
     h, _ = length(scene, setting, i, k)
     arrival = k + (h / dt if h < dt else 1.0)
-    jerk = abs(work.limits[0] - earlier(left, right, before, k - window, False))
-    jerk = max(jerk, abs(work.limits[1] - earlier(left, right, before, arrival - window, True)))
-    score[JERK] = max(score[JERK], jerk / (window * dt))
-    score[A_Y] = max(score[A_Y], max(abs(work.limits[0]), abs(work.limits[1])))
-    score[RATE] = max(score[RATE], abs(state.wheel[i] - wheel_before) / dt)
-    last, full, rest = k + 1 == scene.steps[i], scene.full[i], scene.rest[i]
+    jerk = abs(a_right - earlier(setting, state, i, before, k - window, False))
+    jerk = max(jerk, abs(a_left - earlier(setting, state, i, before, arrival - window, True)))
+    state[i, SCORE + JERK] = max(state[i, SCORE + JERK], jerk / (window * dt))
+    state[i, SCORE + A_Y] = max(state[i, SCORE + A_Y], max(abs(a_right), abs(a_left)))
+    state[i, SCORE + RATE] = max(state[i, SCORE + RATE], abs(state[i, WHEEL] - wheel_before) / dt)
+    last, full, rest = k + 1 == scene[i, STEPS], scene[i, FULL], scene[i, REST]
     at_T = (k == full and h == rest) or (k + 1 == full and rest == 0.0)
-    record(paths, state, i, scene.T[i] if at_T else scene.start[i] + k * dt + h)
+    record(paths, state, i, scene[i, T_END] if at_T else scene[i, START] + k * dt + h)
     if last:
-        state.alive[i] = False
+        state[i, ALIVE] = 0.0

@@ -4,13 +4,49 @@
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 
 from ldctoolkit.simulation._philox import normal_pair
+from ldctoolkit.simulation.kernel.data import (
+    BIAS_PSI,
+    BIAS_Y,
+    CAMERA,
+    COMMAND,
+    CURVATURE_BIAS,
+    CURVATURE_GAIN,
+    DT,
+    EARLIER,
+    ESTIMATE,
+    FILTERED,
+    FRAMES,
+    GAIN,
+    INDEX,
+    LATE,
+    LAW,
+    LAW_F,
+    LAW_U,
+    MODEL_A,
+    MODEL_B,
+    MODEL_E_0,
+    MODEL_E_1,
+    MODES,
+    NOISE_PSI,
+    NOISE_Y,
+    PERIOD,
+    SCENE,
+    SEED_HIGH,
+    SEED_LOW,
+    SIDE,
+    START,
+    STEP_PSI,
+    STEP_Y,
+    W_FRAME,
+    W_SEEN,
+    X,
+)
 from ldctoolkit.simulation.kernel.plant import OPTIONS, curvature, heading, speed
+from ldctoolkit.simulation.kernel.sample import rings
 
 _CAMERA = 4
 """Stream of random numbers; see `ldctoolkit.simulation.random_streams`."""
@@ -20,78 +56,89 @@ _FRAME_ZERO = 1 << 20
 
 
 @numba.njit(**OPTIONS)
-def _frame(scene, camera, state, i, j, out):
-    """Frame j as it reaches the law."""
-    ring = state.frames.shape[1]
-    a, b = 0.0, 0.0
-    if camera.noise[0] > 0.0 or camera.noise[1] > 0.0:
-        a, b = normal_pair(camera.seed, scene.index[i], _CAMERA, _FRAME_ZERO + j)
-    for n in range(2):
-        true = state.frames[i, (j * camera.period) % ring, n] if j >= 0 else camera.earlier[i, -j - 1, n]
-        value = true + scene.side[i] * camera.bias[n] + camera.noise[n] * (a if n == 0 else b)
-        if camera.step[n] > 0.0:
-            value = camera.step[n] * np.rint(value / camera.step[n])
-        out[n] = value
+def _measured(scene, setting, i, true, noise, bias, step):
+    """Bias in the road's frame, noise, quantisation."""
+    value = true + scene[i, SIDE] * bias + noise
+    return step * np.rint(value / step) if step > 0.0 else value
 
 
 @numba.njit(**OPTIONS)
-def lane_ahead(scene, setting, camera, i, t, ahead):
+def _frame(scene, setting, state, i, j, work):
+    """Frame j as it reaches the law, into `work`."""
+    a, b = 0.0, 0.0
+    if setting[NOISE_Y] + setting[NOISE_PSI] > 0.0:
+        seed = (np.uint64(setting[SEED_HIGH]) << np.uint64(32)) | np.uint64(setting[SEED_LOW])
+        a, b = normal_pair(seed, np.uint64(scene[i, INDEX]), _CAMERA, np.uint64(_FRAME_ZERO + j))
+    if j >= 0:
+        _, frames, _, _ = rings(setting)
+        at = frames + 2 * ((j * int(setting[PERIOD])) % int(setting[FRAMES]))
+        y, psi = state[i, at], state[i, at + 1]
+    else:
+        at = SCENE + int(setting[MODES]) + 2 * (-j - 1)
+        y, psi = scene[i, at], scene[i, at + 1]
+    work[W_FRAME] = _measured(scene, setting, i, y, setting[NOISE_Y] * a, setting[BIAS_Y], setting[STEP_Y])
+    work[W_FRAME + 1] = _measured(scene, setting, i, psi, setting[NOISE_PSI] * b, setting[BIAS_PSI], setting[STEP_PSI])
+
+
+@numba.njit(**OPTIONS)
+def lane_ahead(scene, setting, i, t, ahead):
     """Yaw rate and turn of the lane at a lookahead time, as the law is told."""
     v, _ = speed(scene, setting, i, t + ahead)
     c = curvature(scene, i, t + ahead)
     turn, way = heading(scene, setting, i, t, t + ahead)
-    if camera.ideal:
+    if setting[CAMERA] == 0.0:
         return v * c, turn
-    gain, bias = 1.0 + camera.curvature_gain, camera.curvature_bias[i]
+    gain, bias = 1.0 + setting[CURVATURE_GAIN], scene[i, CURVATURE_BIAS]
     return v * (gain * c + bias), gain * turn + bias * way
 
 
 @numba.njit(**OPTIONS)
-def see(scene, setting, camera, state, i, k, seen, frame):
-    """State as the law sees it at sample k, into `seen`; each sample once and in order."""
-    x = state.x[i]
+def see(scene, setting, state, i, k, work):
+    """State as the law sees it at sample k, into `work`; each sample once and in order."""
     for n in range(4):
-        seen[n] = x[n]
-    if camera.ideal:
+        work[W_SEEN + n] = state[i, X + n]
+    if setting[CAMERA] == 0.0:
         return
-    ring = state.frames.shape[1]
-    state.frames[i, k % ring, 0] = x[0]
-    state.frames[i, k % ring, 1] = x[2]
-    j = (k - camera.delay) // camera.period
-    fresh = k == 0 or j != (k - 1 - camera.delay) // camera.period
-    if not camera.filtered:
-        _frame(scene, camera, state, i, j, frame)
-        seen[0], seen[2] = frame[0], frame[1]
+    _, frames, _, _ = rings(setting)
+    at = frames + 2 * (k % int(setting[FRAMES]))
+    state[i, at], state[i, at + 1] = state[i, X], state[i, X + 2]
+    period, late = int(setting[PERIOD]), int(setting[LATE])
+    j = (k - late) // period
+    if setting[FILTERED] == 0.0:
+        _frame(scene, setting, state, i, j, work)
+        work[W_SEEN], work[W_SEEN + 2] = work[W_FRAME], work[W_FRAME + 1]
         return
-    z = state.estimate[i]
+    model = SCENE + int(setting[MODES]) + 2 * int(setting[EARLIER])
     if k > 0:
-        t = scene.start[i] + k * setting.dt
-        r_0, _ = lane_ahead(scene, setting, camera, i, t - setting.dt, 0.0)
-        r_1, _ = lane_ahead(scene, setting, camera, i, t, 0.0)
+        t = scene[i, START] + k * setting[DT]
+        r_0, _ = lane_ahead(scene, setting, i, t - setting[DT], 0.0)
+        r_1, _ = lane_ahead(scene, setting, i, t, 0.0)
         for n in range(4):
-            value = camera.B[i, n] * state.command[i] + camera.E_0[i, n] * r_0 + camera.E_1[i, n] * r_1
+            value = scene[i, model + MODEL_B + n] * state[i, COMMAND]
+            value += scene[i, model + MODEL_E_0 + n] * r_0 + scene[i, model + MODEL_E_1 + n] * r_1
             for m in range(4):
-                value += camera.A[i, n, m] * z[m]
-            seen[n] = value
+                value += scene[i, model + MODEL_A + 4 * n + m] * state[i, ESTIMATE + m]
+            work[W_SEEN + n] = value
         for n in range(4):
-            z[n] = seen[n]
-    if fresh:
-        _frame(scene, camera, state, i, j, frame)
-        a, b = frame[0] - z[0], frame[1] - z[2]
+            state[i, ESTIMATE + n] = work[W_SEEN + n]
+    if k == 0 or j != (k - 1 - late) // period:
+        _frame(scene, setting, state, i, j, work)
+        a, b = work[W_FRAME] - state[i, ESTIMATE], work[W_FRAME + 1] - state[i, ESTIMATE + 2]
         for n in range(4):
-            z[n] += camera.gain[i, n, 0] * a + camera.gain[i, n, 1] * b
+            state[i, ESTIMATE + n] += scene[i, model + GAIN + 2 * n] * a + scene[i, model + GAIN + 2 * n + 1] * b
     for n in range(4):
-        seen[n] = z[n]
+        work[W_SEEN + n] = state[i, ESTIMATE + n]
 
 
 @numba.njit(**OPTIONS)
-def linear_command(scene, setting, camera, law, state, i, t, seen):
+def linear_command(scene, setting, law, times, state, i, t, work):
     """Command of a linear law on what it sees."""
-    command = law.f_u[i] * state.command[i]
+    command = law[i, LAW_U] * state[i, COMMAND]
     for n in range(4):
-        command += law.F[i, n] * seen[n]
-    for j in range(law.times.shape[0]):
-        if law.G_yaw_rate[i, j] != 0.0 or law.G_heading[i, j] != 0.0:
-            yaw_rate, turn = lane_ahead(scene, setting, camera, i, t, law.times[j])
-            command += law.G_yaw_rate[i, j] * yaw_rate + law.G_heading[i, j] * turn
+        command += law[i, LAW_F + n] * work[W_SEEN + n]
+    for j in range(times.shape[0]):
+        of_rate, of_turn = law[i, LAW + 2 * j], law[i, LAW + 2 * j + 1]
+        if of_rate != 0.0 or of_turn != 0.0:
+            yaw_rate, turn = lane_ahead(scene, setting, i, t, times[j])
+            command += of_rate * yaw_rate + of_turn * turn
     return command
