@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics.samples import SAME_TIME, largest, per_path, per_sample, positive, used_samples
+from ldctoolkit.metrics.samples import SAME_TIME, largest, last_used, per_path, per_sample, positive, used_samples
 
 if TYPE_CHECKING:
     from ldctoolkit.vehicle import BicycleModel
@@ -125,7 +125,8 @@ def acceleration_peak(t: npt.ArrayLike, a_left: npt.ArrayLike, a_right: npt.Arra
     t : (..., k) [s]
         Times of the samples, NaN after the end.
     a_left, a_right : (..., k) [m/s^2]
-        Lateral acceleration just before and just after each sample.
+        Lateral acceleration just before and just after each sample. The first left one is from before the trajectory
+        and does not count; the last right one may be NaN: as the left one.
 
     Returns
     -------
@@ -147,8 +148,9 @@ def acceleration_peak(t: npt.ArrayLike, a_left: npt.ArrayLike, a_right: npt.Arra
     2.0
     """
     times, used = used_samples(t)
-    left, right = np.abs(per_sample("a_left", a_left, times)), np.abs(per_sample("a_right", a_right, times))
-    return largest(np.maximum(left, right), used, 0.0)
+    left, right = _limits(times, a_left, a_right)
+    left[..., :1] = right[..., :1]
+    return largest(np.maximum(np.abs(left), np.abs(right)), used, 0.0)
 
 
 def moving_average_jerk(
@@ -166,7 +168,8 @@ def moving_average_jerk(
     t : (..., k) [s]
         Times of the samples, NaN after the end.
     a_left, a_right : (..., k) [m/s^2]
-        Lateral acceleration just before and just after each sample. The first left one is `before`, whatever it says.
+        Lateral acceleration just before and just after each sample. The first left one is `before`, whatever it says;
+        the last right one may be NaN: as the left one.
     before : (...) or float [m/s^2]
         Lateral acceleration before the first sample, constant.
     window : float [s]
@@ -198,13 +201,13 @@ def moving_average_jerk(
     array([0., 1., 2., 2.])
     """
     times, used = used_samples(t)
-    left, right = per_sample("a_left", a_left, times).copy(), per_sample("a_right", a_right, times)
+    left, right = _limits(times, a_left, a_right)
     constant = per_path("before", before, times)[..., None]
     length = positive("window", window, "s")
     if length <= SAME_TIME:
         raise InputError(f"window: {window!r} s; allowed: more than {SAME_TIME:g} s")
     if times.shape[-1] == 0:
-        return left, right.copy()
+        return left, right
     left[..., :1] = np.where(used[..., :1], constant, np.nan)
 
     earlier = times - length
@@ -242,7 +245,7 @@ def jerk_peak(
     t : (..., k) [s]
         Times of the samples, NaN after the end.
     a_left, a_right : (..., k) [m/s^2]
-        Lateral acceleration just before and just after each sample.
+        Lateral acceleration just before and just after each sample, as there.
     before : (...) or float [m/s^2]
         Lateral acceleration before the first sample.
     window : float [s]
@@ -270,6 +273,12 @@ def jerk_peak(
     times, used = used_samples(t)
     left, right = moving_average_jerk(times, a_left, a_right, before=before, window=window)
     return largest(np.maximum(np.abs(left), np.abs(right)), used, 0.0)
+
+
+def _limits(t: FloatArray, a_left: npt.ArrayLike, a_right: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Both limits, as copies; the last right one as the left one where it is NaN."""
+    left, right = per_sample("a_left", a_left, t).copy(), per_sample("a_right", a_right, t)
+    return left, np.where(last_used(~np.isnan(t)) & np.isnan(right), left, right)
 
 
 def _last_not_after(t: FloatArray, query: FloatArray) -> npt.NDArray[np.intp]:

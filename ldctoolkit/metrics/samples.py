@@ -164,6 +164,27 @@ def largest(values: FloatArray, used: BoolArray, least: float) -> FloatArray:
     return result
 
 
+def last_used(used: BoolArray) -> BoolArray:
+    """Which sample is the last of its trajectory.
+
+    Parameters
+    ----------
+    used : (..., k) bool
+
+    Returns
+    -------
+    (..., k) bool
+
+    Examples
+    --------
+    >>> last_used(np.array([True, True, False]))
+    array([False,  True, False])
+    """
+    last = used.copy()
+    last[..., :-1] &= ~used[..., 1:]
+    return last
+
+
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
     try:
         return np.asarray(values, dtype=np.float64)

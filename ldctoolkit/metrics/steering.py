@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.metrics.samples import BoolArray, largest, per_path, per_sample, positive, used_samples
+from ldctoolkit.metrics.samples import BoolArray, largest, last_used, per_path, per_sample, positive, used_samples
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -137,9 +137,8 @@ def _angle(t: npt.ArrayLike, delta: npt.ArrayLike) -> tuple[FloatArray, BoolArra
     """Angle from each sample on, that before the end held there if it is NaN; and which samples are used."""
     times, used = used_samples(t)
     angle = per_sample("delta", delta, times).copy()
-    end = used[..., 1:].copy()
-    end[..., :-1] &= ~used[..., 2:]
-    angle[..., 1:] = np.where(end & np.isnan(angle[..., 1:]), angle[..., :-1], angle[..., 1:])
+    held = (last_used(used) & np.isnan(angle))[..., 1:]
+    angle[..., 1:] = np.where(held, angle[..., :-1], angle[..., 1:])
     return angle, used
 
 

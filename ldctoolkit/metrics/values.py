@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics.motion import acceleration_peak, jerk_peak
 from ldctoolkit.metrics.position import deepest_position, distance_to_lane_edge, overshoot, time_back_inside
-from ldctoolkit.metrics.samples import SAME_TIME, BoolArray, per_path, per_sample, positive, used_samples
+from ldctoolkit.metrics.samples import SAME_TIME, BoolArray, last_used, per_path, per_sample, positive, used_samples
 from ldctoolkit.metrics.steering import steering_effort, steering_peak, steering_rate_peak, steering_travel
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,7 +98,8 @@ def companions(
     delta : (n, k) [rad]
         Steering angle of the wheel from that time on, constant in between; NaN at the end: held.
     a_left, a_right : (n, k) [m/s^2]
-        Lateral acceleration just before and just after that time. The first left one is `a_before`, whatever it says.
+        Lateral acceleration just before and just after that time. The first left one does not count, it is `a_before`;
+        the last right one may be NaN: as the left one.
     T : (n,) [s]
         The departure's end.
     t_s : (n,) [s]
@@ -162,7 +163,6 @@ def companions(
 
     at, angle = _moved_up(times, keep), _moved_up(per_sample("delta", delta, times), keep)
     left, right = (_moved_up(per_sample(n, a, times), keep) for n, a in (("a_left", a_left), ("a_right", a_right)))
-    left[:, :1] = np.where(used[:, :1], before[:, None], np.nan)
     return Companions(
         deepest=np.maximum(driven, deepest),
         dtle=np.minimum(distance, dtle),
@@ -194,9 +194,7 @@ def _at_samples(t: FloatArray, used: BoolArray, t_s: FloatArray, T: FloatArray, 
         i = int(np.argmax(wrong))
         raise InputError(f"t[{i}, 0] = {first[i]:g}; allowed: t_s[{i}] = {t_s[i]:g}, no times where never triggered")
     since = t - np.where(triggered, t_s, 0.0)[:, None]
-    keep = used & (np.abs(since - dt * np.round(since / dt)) <= SAME_TIME)
-    keep[:, :-1] |= used[:, :-1] & ~used[:, 1:]
-    keep[:, -1:] |= used[:, -1:]
+    keep = used & (np.abs(since - dt * np.round(since / dt)) <= SAME_TIME) | last_used(used)
     odd = used & ~keep & ~(np.abs(t - T[:, None]) <= SAME_TIME)
     if odd.any():
         i, j = (int(k) for k in np.argwhere(odd)[0])

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicHermiteSpline
@@ -148,7 +148,7 @@ def test_jerk_equals_brute_force(seed: int, dt: float, window: float) -> None:
     t = rng.uniform(0, 5) + np.arange(k) * dt
     if k > 1:
         t[-1] -= rng.uniform(0.01, 0.99) * dt
-    left, right = rng.normal(size=(2, k))
+    left, right = np.asarray(rng.normal(size=(2, k)), dtype=np.float64)
     jerk = metrics.moving_average_jerk(t, left, right, before=0.3, window=window)
     for side, values in zip((-1, 1), jerk, strict=True):
         expected = brute_force_jerk(t, left, right, 0.3, window, side)
@@ -167,9 +167,20 @@ def test_windows_of_whole_samples_do_not_hang_on_rounding() -> None:
         np.testing.assert_allclose(right[11:], 20.0, atol=ROUNDING)
 
 
+def test_peak_acceleration_sees_both_limits_but_not_what_was_before() -> None:
+    t = np.array([[0.0, 0.1, 0.2], [0.0, 0.1, NAN]])
+    left = np.array([[9.0, -3.0, 1.0], [9.0, 1.0, NAN]])
+    right = np.array([[1.0, 2.0, NAN], [-2.0, NAN, NAN]])
+    np.testing.assert_array_equal(metrics.acceleration_peak(t, left, right), [3.0, 2.0])
+    left[1, 1] = 4.0
+    np.testing.assert_array_equal(metrics.acceleration_peak(t, left, right), [3.0, 4.0])
+
+
 # ---------------------------------------------------------------- positions
 
 
+@example([0.0, 0.0, 1.0, -1.0], [1.0], 1.0)
+@example([0.0, 1.0, -1.0, 0.0], [1.0], 1.0)
 @given(
     st.lists(st.integers(-2000, 2000).map(lambda c: c / 1000), min_size=4, max_size=4),
     st.lists(st.floats(0.05, 1.0), min_size=1, max_size=6),
@@ -247,6 +258,7 @@ def test_time_back_at_the_ends_of_a_step() -> None:
     # triggered on the line itself: outwards first, or at once inwards
     assert metrics.time_back_inside(t, [0.0, -1.0, -2.0], [-1.0, -1.0, -1.0], edge_offset=0.0) == 1.0
     assert metrics.time_back_inside(t, [0.0, 0.5, -0.5], [1.0, 0.0, 0.0], edge_offset=0.0) == pytest.approx(2.5)
+    assert metrics.time_back_inside(t, [0.0, 0.0, -0.5], [0.0, 0.0, -1.0], edge_offset=0.0) == 1.0
     assert metrics.time_back_inside([1.0], [0.5], [0.0], edge_offset=0.0) == np.inf
 
 
@@ -324,9 +336,11 @@ def driven(seed: int = 0, dt: float = 0.1) -> Driven:
     e_y, e_y_rate, _ = sine(t, 1.4, 2.0)
     e_psi, e_psi_rate, _ = sine(t, 0.02, 3.0)
     a_left, a_right, delta = np.where(used, rng.normal(size=(3, 3, k)), NAN)
-    # at T between two samples nothing jumps
-    a_right[0, 9], delta[0, 9] = a_left[0, 9], delta[0, 8]
-    delta[0, 13] = delta[1, 13] = NAN
+    # at T between two samples nothing jumps, and nothing is looked at
+    a_left[0, 9] = a_right[0, 9] = 50.0
+    delta[0, 9] = delta[0, 8]
+    # what the law would do at the end is not asked
+    delta[0, 13] = delta[1, 13] = a_right[0, 13] = a_right[1, 13] = NAN
     x = np.stack([e_y, e_y_rate, e_psi, e_psi_rate], axis=-1)
     delta_0, a_before = rng.normal(size=(2, 3))
     return Driven(t, x, delta, a_left, a_right, T, t_s, dt, delta_0, a_before)
@@ -356,7 +370,8 @@ def test_companions_put_the_parts_together() -> None:
             keep[9] = False
         left, right = case.a_left[i, :n][keep], case.a_right[i, :n][keep]
         left[0] = case.a_before[i]
-        assert result.a_y_peak[i] == max(np.abs(left).max(), np.abs(right).max())
+        right[-1] = left[-1]
+        assert result.a_y_peak[i] == max(np.abs(left[1:]).max(), np.abs(right).max())  # not before the trigger
         jerk = [brute_force_jerk(t[keep], left, right, float(case.a_before[i]), 0.5, side) for side in (-1, 1)]
         assert result.jerk_peak[i] == pytest.approx(np.abs(jerk).max(), abs=1e-11)
         angles = np.concatenate([[case.delta_0[i]], case.delta[i, :n][keep][:-1]])
@@ -477,6 +492,12 @@ def test_nan_among_the_samples_is_not_dropped() -> None:
         for name in metrics.COMPANION_UNITS:
             assert np.isnan(getattr(result, name)[0]) == (name in touched[argument]), (argument, name)
             assert not np.isnan(getattr(result, name)[1:]).any()
+
+
+def test_an_end_that_is_nan_gives_nan() -> None:
+    t = np.tile([0.0, 1.0], (2, 1))
+    depth = metrics.deepest_position(t, t, t, T=[NAN, 1.0], edge_offset=0.0)
+    assert np.isnan(depth).tolist() == [True, False]
 
 
 def test_no_scenarios() -> None:
