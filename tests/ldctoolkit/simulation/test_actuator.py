@@ -96,7 +96,7 @@ ACTUATORS: dict[str, dict[str, Any]] = {
     "lag and rate": {"lag": 0.04, "rate_max": 0.15},
     "rate that does not bind": {"lag": 0.5, "rate_max": 1.0},
 }
-DELAYS = (0.0, 3 * DT, 0.013, 0.117, 5.0)
+DELAYS = (0.0, 0.15, 3 * DT, 0.013, 0.117, 5.0)  # 0.15/DT is a little less than 3, 3 DT a little more than 0.15
 
 
 @pytest.mark.parametrize("delay", DELAYS)
@@ -114,7 +114,7 @@ def test_step_response_is_analytic(kind: str, delay: float, limit: float | None)
         np.testing.assert_allclose(delta[sure], expected[sure], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("delay", [0.0, 2 * DT])
+@pytest.mark.parametrize("delay", [0.0, 2 * DT, 0.15])
 def test_whole_delays_without_lag_are_exact_at_samples(delay: float) -> None:
     """The command of sample k is at the wheel from sample k + delay/dt on, that sample included."""
     for i, (t, delta) in enumerate(wheel(Constant(), Actuator(delay=delay))):
