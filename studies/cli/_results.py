@@ -88,8 +88,8 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
     yield "initial yaw rate", study.simulation.initial_yaw_rate
     yield "settling after the end", f"{study.simulation.settle:g} s"
-    yield "plant", "ideal" if study.plant.ideal else "not ideal; what differs:"
-    yield from ((f"plant {key}", value) for key, value in plant_settings(study.plant))
+    yield "plant", "ideal" if study.plant.ideal else "not ideal"
+    yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
     units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
     for field in dataclasses.fields(study.vehicle):
         yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"

@@ -103,7 +103,8 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
     Returns
     -------
     Figure
-        The lane line is y = 0; the trigger is a marker of the law's shape. The winner is drawn on top.
+        The lane line is y = 0; the trigger is a marker of the law's shape; a thin upright line is the departure's end
+        where paths go on beyond it. The winner is drawn on top.
     """
     from matplotlib.figure import Figure
 
@@ -136,7 +137,12 @@ def path_figure(example: Example, limits: tuple[tuple[float, float], tuple[float
             below.step(path.t, np.degrees(path.delta), where="post", zorder=order, **stairs)
         above.set_ylim(y_low, y_high)
         below.set_ylim(d_low, d_high)
-        above.set_xlim(-0.02 * float(example.t[-1]), float(example.t[-1]))
+        T = float(example.t[-1])
+        end = max([T, *(float(path.t[-1]) for path in example.paths if path.t.size)])
+        above.set_xlim(-0.02 * end, end)
+        if end > T:  # the loop goes on after the departure, S does not
+            for axes in (above, below):
+                axes.axvline(T, color="#767676", linewidth=0.9, zorder=1.2)
         if y_low < example.far_line:
             above.axhline(example.far_line, color="#222222", linewidth=1.1, dashes=(7, 4), zorder=1.5)
         if y_low < -0.12 * (y_high - y_low):

@@ -20,7 +20,7 @@ from studies.report.summary import CaseTable, Row, case_table, is_baseline
 SECTIONS = (
     ("answer", "Answer"),
     ("ranking", "Ranking"),
-    ("limits", "Limits"),
+    ("limits", "Release limits"),
     ("landscape", "Landscape"),
     ("sides", "Left and right"),
     ("paths", "Example paths"),

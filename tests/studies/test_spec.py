@@ -417,6 +417,8 @@ def test_the_catalog_loads() -> None:
     for name in catalog_names():
         study = load_study(name)
         assert study.name == name
+    assert not load_study("reality").plant.ideal
+    assert load_study("paper").plant.ideal
     assert len(load_study("trigger-and-gains").designs) >= 100
     assert {d.law for d in load_study("trigger-and-gains").designs} >= {"none", "lqr", "linear_mpc"}
 
