@@ -165,7 +165,7 @@ def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
     _, v, dv, y, dy, ddy = motion(path, i, t)
     if which == EDGE:
         return y, dy
-    return y + l_f * dy / v, dy + l_f * (ddy * v - dy * dv) / v**2
+    return y + l_f * math.atan2(dy, v), dy + l_f * (ddy * v - dy * dv) / (v**2 + dy**2)
 
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]

@@ -216,7 +216,10 @@ def _drive_linear(
         scene, exact, setting = tables.scene, tables.exact, tables.setting
 
         def work(first: int, last: int) -> None:
-            entry.drive_lanes(scene, exact, setting, table, times, state, none, first, last, score, diverged, failed)
+            own = entry.scratch(setting, times.shape[1])
+            entry.drive_lanes(
+                scene, exact, setting, table, times, state, none, first, last, score, diverged, failed, own
+            )
 
         _in_threads(work, -(-m // LANES), threads, _SCENARIOS_A_TASK // LANES)
     paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
@@ -236,7 +239,7 @@ def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: 
     def work(first: int, last: int) -> None:
         part = driven[first:last]
         entry.begin(tables.scene, tables.setting, state, paths, part)
-        entry.drive_each(tables.scene, tables.setting, table, times, state, paths, part)
+        entry.drive_each(tables.scene, tables.setting, table, times, state, paths, part, entry.scratch())
 
     _in_threads(work, driven.size, threads, _SCENARIOS_A_TASK // 8)
     return _of_state(over, state, 0.0, _trajectories(paths, rows, found))
@@ -280,7 +283,7 @@ def _drive_general(
             part = slice(first, last)
             entry.look(
                 scene, setting, state, sample, running[part], times,
-                seen[part], ahead[0, part], ahead[1, part],
+                seen[part], ahead[0, part], ahead[1, part], entry.scratch(),
             )  # fmt: skip
 
         _in_threads(look, running.size, threads, _SCENARIOS_A_TASK)
@@ -295,7 +298,7 @@ def _drive_general(
         command = np.ascontiguousarray(delta[going])
 
         def go_on(first: int, last: int) -> None:
-            entry.go_on(scene, setting, state, paths, sample, running[first:last], command[first:last])
+            entry.go_on(scene, setting, state, paths, sample, running[first:last], command[first:last], entry.scratch())
 
         _in_threads(go_on, running.size, threads, _SCENARIOS_A_TASK)
         sample += 1

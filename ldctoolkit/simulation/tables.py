@@ -203,7 +203,7 @@ def _filter(over: Takeover) -> FloatArray:
 
 def law_table(law: LinearLaw) -> FloatArray:
     """A linear law for the compiled loops, (m, `data.LAW` + 2 p)."""
-    weights = np.stack([law.G_yaw_rate, law.G_heading], axis=-1).reshape(law.F.shape[0], -1)
+    weights = np.stack([law.G_yaw_rate, law.G_heading], axis=-1).reshape(law.F.shape[0], 2 * law.preview_times.size)
     return np.concatenate([law.F, law.f_u[:, None], weights], axis=1, dtype=np.float64)
 
 

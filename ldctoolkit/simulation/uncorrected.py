@@ -241,16 +241,17 @@ class UncorrectedPath:
         Returns
         -------
         (n,) [m]
-            Largest y + l_f (dy/dt)/v, the heading error taken as the slope of the path.
+            Largest y + l_f e_psi, with e_psi = arctan of the slope (dy/dt)/v.
         """
         end = np.minimum(t_end, self.scenarios.T)
         if self._disturbed:
             return self._highest("FRONT_EDGE", l_f, np.zeros_like(end), end)
         p = self.scenarios
         d_x = p.v_mean * p.T
-        # 4 d_y s (1 - s) + l_f 4 d_y/d_x (1 - 2 s) is highest at s = 1/2 - l_f/d_x
-        share = np.clip(0.5 - l_f / d_x, 0.0, dep.position(p, end) / d_x)
-        return 4.0 * p.d_y * (share * (1.0 - share) + l_f / d_x * (1.0 - 2.0 * share))
+        # 4 d_y s (1 - s) + l_f arctan(q), q = 4 d_y/d_x (1 - 2 s), is highest where q (1 + q^2) = 8 l_f d_y/d_x^2
+        q = 2.0 / np.sqrt(3.0) * np.sinh(np.arcsinh(12.0 * np.sqrt(3.0) * l_f * p.d_y / d_x**2) / 3.0)
+        share = np.clip(0.5 - l_f / (d_x * (1.0 + q**2)), 0.0, dep.position(p, end) / d_x)
+        return 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(4.0 * p.d_y / d_x * (1.0 - 2.0 * share))
 
     @_quiet
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:

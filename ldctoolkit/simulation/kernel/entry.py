@@ -1,5 +1,8 @@
 """The compiled loops as they are called from Python: ranges of scenarios, the interpreter's lock released.
 
+Every entry works on bare views of its arrays: counting references to them in each small function would cost as much as
+the step of a plant, and the counters would go back and forth between the threads.
+
 A compiled entry is kept on disk between runs. What it calls lies in other files of this package, which numba does not
 look at: a digest of all of them is part of each entry, so that a changed file is compiled anew.
 """
@@ -15,6 +18,9 @@ from typing import Any
 
 import numba
 import numpy as np
+import numpy.typing as npt
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from ldctoolkit.simulation import _philox
 from ldctoolkit.simulation.kernel import data, lanes, plant, sample, senses
@@ -49,12 +55,31 @@ from ldctoolkit.simulation.kernel.senses import lane_ahead, linear_command, see
 from ldctoolkit.vehicle import _nonlinear_compiled
 
 
+FloatArray = npt.NDArray[np.float64]
+
+
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256()
     for module in (data, lanes, plant, sample, senses, _philox, _nonlinear_compiled):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
+
+
+@intrinsic
+def _bare(typing, array):
+    """The same numbers, not counted; the caller of the entry keeps them alive."""
+
+    def build(context, builder, signature, arguments):
+        counted = context.make_array(array)(context, builder, arguments[0])
+        bare = context.make_array(array)(context, builder)
+        for name in ("data", "nitems", "itemsize", "shape", "strides"):
+            setattr(bare, name, getattr(counted, name))
+        for name in ("meminfo", "parent"):
+            setattr(bare, name, cgutils.get_null_value(getattr(counted, name).type))
+        return bare._getvalue()
+
+    return array(array), build
 
 
 def _entries(digest: int) -> Any:
@@ -65,6 +90,11 @@ def _entries(digest: int) -> Any:
         """Start of the scenarios `rows`."""
         if digest < 0:
             return
+        scene = _bare(scene)
+        setting = _bare(setting)
+        state = _bare(state)
+        paths = _bare(paths)
+        rows = _bare(rows)
         commands, frames, _, _ = rings(setting)
         for i in rows:
             for n in range(state.shape[1]):
@@ -84,20 +114,30 @@ def _entries(digest: int) -> Any:
     @numba.njit(cache=True, **OPTIONS)
     def before(scene, setting):
         """Fill in the lateral acceleration just before the trigger."""
+        if digest < 0:
+            return
+        scene = _bare(scene)
+        setting = _bare(setting)
         for i in range(scene.shape[0]):
-            if digest < 0:
-                return
             t, p, psi, w = scene[i, START], scene[i, X_0 + 1], scene[i, X_0 + 2], scene[i, X_0 + 3]
             v, _ = speed(scene, setting, i, t)
             r = v * curvature(scene, i, t)
             _, _, scene[i, A_BEFORE] = accelerations(scene, setting, i, t, r, p, psi, w, scene[i, DELTA_0])
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(scene, setting, state, k, rows, times, seen, yaw_rate, turn):
+    def look(scene, setting, state, k, rows, times, seen, yaw_rate, turn, work):
         """What the law sees at sample k of the scenarios `rows`, into (r, 4), (r, p), (r, p)."""
         if digest < 0:
             return
-        work = np.zeros(WORK)
+        scene = _bare(scene)
+        setting = _bare(setting)
+        state = _bare(state)
+        rows = _bare(rows)
+        times = _bare(times)
+        seen = _bare(seen)
+        yaw_rate = _bare(yaw_rate)
+        turn = _bare(turn)
+        work = _bare(work)
         for n in range(rows.shape[0]):
             i = rows[n]
             see(scene, setting, state, i, k, work)
@@ -108,20 +148,33 @@ def _entries(digest: int) -> Any:
                 yaw_rate[n, j], turn[n, j] = lane_ahead(scene, setting, i, t, times[j])
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(scene, setting, state, paths, k, rows, command):
+    def go_on(scene, setting, state, paths, k, rows, command, work):
         """Sample k of the scenarios `rows` with the commands (r,)."""
         if digest < 0:
             return
-        work = np.zeros(WORK)
+        scene = _bare(scene)
+        setting = _bare(setting)
+        state = _bare(state)
+        paths = _bare(paths)
+        rows = _bare(rows)
+        command = _bare(command)
+        work = _bare(work)
         for n in range(rows.shape[0]):
             advance(scene, setting, state, paths, rows[n], k, command[n], work)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_each(scene, setting, law, times, state, paths, rows):
+    def drive_each(scene, setting, law, times, state, paths, rows, work):
         """A linear law on the scenarios `rows`, each from its start to its end."""
         if digest < 0:
             return
-        work = np.zeros(WORK)
+        scene = _bare(scene)
+        setting = _bare(setting)
+        law = _bare(law)
+        times = _bare(times)
+        state = _bare(state)
+        paths = _bare(paths)
+        rows = _bare(rows)
+        work = _bare(work)
         for i in rows:
             for k in range(int(scene[i, STEPS])):
                 if state[i, ALIVE] == 0.0:
@@ -132,14 +185,27 @@ def _entries(digest: int) -> Any:
                 advance(scene, setting, state, paths, i, k, command, work)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_lanes(scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed):
+    def drive_lanes(scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed, work):
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
         if digest < 0:
             return
-        size = int(setting[RING])
-        w, g = np.zeros(ROWS * LANES), np.zeros((2 * times.shape[1] + 1) * LANES)
-        left, right = np.zeros((size, LANES)), np.zeros((size, LANES))
-        tables = (w, g, left, right, np.zeros(LANES), np.zeros(WORK))
+        scene = _bare(scene)
+        exact = _bare(exact)
+        setting = _bare(setting)
+        law = _bare(law)
+        times = _bare(times)
+        state = _bare(state)
+        paths = _bare(paths)
+        score = _bare(score)
+        diverged = _bare(diverged)
+        failed = _bare(failed)
+        work = _bare(work)
+        size, rows = int(setting[RING]), 2 * times.shape[1]
+        lane = work[WORK:].reshape(-1, LANES)
+        w, g = lane[:ROWS].ravel(), lane[ROWS : ROWS + rows].ravel()
+        single, rings_at = lane[ROWS + rows], ROWS + rows + 1
+        left, right = lane[rings_at : rings_at + size], lane[rings_at + size : rings_at + 2 * size]
+        tables = (w, g, left, right, single, work)
         for block in range(first, last):
             drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables)
 
@@ -147,3 +213,9 @@ def _entries(digest: int) -> Any:
 
 
 begin, before, look, go_on, drive_each, drive_lanes = _entries(_digest())
+
+
+def scratch(setting: FloatArray | None = None, lookaheads: int = 0) -> FloatArray:
+    """Scratch of one call; with a setting, for `drive_lanes` with that many lookahead times."""
+    lanes_rows = 0 if setting is None else ROWS + 2 * lookaheads + 1 + 2 * int(setting[RING])
+    return np.zeros(WORK + lanes_rows * LANES)

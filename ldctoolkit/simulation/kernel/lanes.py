@@ -43,6 +43,7 @@ from ldctoolkit.simulation.kernel.data import (
     EX_X,
     EXACT,
     FRONT,
+    FULL,
     JERK,
     LAW,
     LAW_F,
@@ -57,14 +58,15 @@ from ldctoolkit.simulation.kernel.data import (
     STEPS,
     T_END,
     TRAVEL,
+    W_AFTER,
     W_LIMITS,
     WHEEL,
     WINDOW,
     X,
     X_0,
 )
-from ldctoolkit.simulation.kernel.plant import OPTIONS
-from ldctoolkit.simulation.kernel.sample import drive, earlier, length, rings
+from ldctoolkit.simulation.kernel.plant import OPTIONS, substeps
+from ldctoolkit.simulation.kernel.sample import before_end, drive, hermite_peak, length, rings, time_at
 
 LANES: Final = 8
 L: Final = LANES
@@ -86,7 +88,8 @@ _PAST_RIGHT = _R1 + 1
 _PAST_LEFT = _PAST_RIGHT + 1
 # ... and the scenario
 _T = _PAST_LEFT + 1
-_START = _T + 1
+_PER_T = _T + 1  # 1/T
+_START = _PER_T + 1
 _C0 = _START + 1  # v c_0
 _DC = _C0 + 1  # v dc
 _BEFORE = _DC + 1
@@ -99,19 +102,21 @@ _AD = _P + EX_DELTA
 _AR0 = _P + EX_R_0
 _AR1 = _P + EX_R_1
 _Q = _P + EXACT  # row of a_y: 3 states, delta, yaw rate
-_F = _Q + 5
+_STIFF = _Q + 5  # 1 where the fastest mode dies within a step
+_F = _STIFF + 1
 _FU = _F + 4
 ROWS: Final = _FU + 1
 
 
 @numba.njit(**OPTIONS)
-def _load(scene, exact, block, w):
+def _load(scene, setting, exact, block, w):
     """Scenario data of a block; lanes beyond the last scenario repeat it and are never alive."""
     m = scene.shape[0]
     for l in range(L):
         i = min(block * L + l, m - 1)
         v = scene[i, SPEED]
         w[_T * L + l] = scene[i, T_END]
+        w[_PER_T * L + l] = 1.0 / scene[i, T_END]
         w[_START * L + l] = scene[i, START]
         w[_BEFORE * L + l] = scene[i, A_BEFORE]
         for n in range(EXACT):
@@ -121,6 +126,7 @@ def _load(scene, exact, block, w):
         w[(_Q + 2) * L + l] = scene[i, A_13]
         w[(_Q + 3) * L + l] = scene[i, B_1]
         w[(_Q + 4) * L + l] = scene[i, E_1] + v
+        w[_STIFF * L + l] = 1.0 if substeps(scene, setting, i, scene[i, START], setting[DT], 0.0) > 1 else 0.0
 
 
 @numba.njit(**OPTIONS)
@@ -132,6 +138,8 @@ def _begin(scene, setting, law, times, design, block, w, g):
         alive = block * L + l < m and scene[i, STEPS] > 0.0
         v = scene[i, SPEED] if alive else 0.0
         w[_C0 * L + l], w[_DC * L + l] = v * scene[i, C_0], v * scene[i, DC]
+        start = scene[i, START] * w[_PER_T * L + l]
+        w[_R1 * L + l] = w[_C0 * L + l] + w[_DC * L + l] * min(start, 1.0)
         for n in range(4):
             w[(_X + n) * L + l] = scene[i, X_0 + n] if alive else 0.0
             w[(_F + n) * L + l] = law[design, i, LAW_F + n] if alive else 0.0
@@ -146,30 +154,32 @@ def _begin(scene, setting, law, times, design, block, w, g):
         w[(_S + BACK) * L + l] = math.inf if alive else 0.0
         w[(_S + OVER) * L + l] = -scene[i, X_0]
         w[_ALIVE * L + l] = 1.0 if alive else 0.0
+        w[_COUNTED * L + l] = 0.0
 
 
 @numba.njit(**OPTIONS)
-def _command(setting, times, design, k, w, g):
+def _command(setting, times, design, k, w, g, width):
     """Command of every lane at sample k; True if one is not finite."""
     t_k = k * setting[DT]
-    for l in range(L):
+    for l in range(width):
         d = w[_FU * L + l] * w[_U * L + l]
         for n in range(4):
             d += w[(_F + n) * L + l] * w[(_X + n) * L + l]
         w[_D * L + l] = d
     for j in range(times.shape[1]):
         ahead = times[design, j]
-        for l in range(L):
+        for l in range(width):
             T = w[_T * L + l]
             t_0 = w[_START * L + l] + t_k
             t_1 = t_0 + ahead
             in_0, in_1 = min(t_0, T), min(t_1, T)
-            inside = 0.5 * (in_1 * in_1 - in_0 * in_0) / T
+            per_T = w[_PER_T * L + l]
+            inside = 0.5 * (in_1 * in_1 - in_0 * in_0) * per_T
             turn = w[_C0 * L + l] * (t_1 - t_0) + w[_DC * L + l] * (inside + (t_1 - in_1) - (t_0 - in_0))
-            rate = w[_C0 * L + l] + w[_DC * L + l] * (in_1 / T)
+            rate = w[_C0 * L + l] + w[_DC * L + l] * (in_1 * per_T)
             w[_D * L + l] += g[(2 * j) * L + l] * rate + g[(2 * j + 1) * L + l] * turn
     wrong = False
-    for l in range(L):
+    for l in range(width):
         wrong |= not abs(w[_D * L + l]) < math.inf
     return wrong
 
@@ -178,12 +188,12 @@ def _command(setting, times, design, k, w, g):
 def _step(setting, k, w):
     """One whole step of every lane; True if something rare happens in one."""
     dt, offset, bound, l_f = setting[DT], setting[OFFSET], setting[BOUND], setting[AXLE]
-    t_k, t_next, per_step = k * dt, (k + 1) * dt, 1.0 / dt
+    t_next, per_dt = (k + 1) * dt, 1.0 / dt
     rare = False
     for l in range(L):
-        T = w[_T * L + l]
-        r_0 = w[_C0 * L + l] + w[_DC * L + l] * min((w[_START * L + l] + t_k) / T, 1.0)
-        r_1 = w[_C0 * L + l] + w[_DC * L + l] * min((w[_START * L + l] + t_next) / T, 1.0)
+        r_0 = w[_R1 * L + l]
+        r_1 = w[_C0 * L + l] + w[_DC * L + l] * min((w[_START * L + l] + t_next) * w[_PER_T * L + l], 1.0)
+        w[_R0 * L + l], w[_R1 * L + l] = r_0, r_1
         x_0, x_1, x_2, x_3 = w[_X * L + l], w[(_X + 1) * L + l], w[(_X + 2) * L + l], w[(_X + 3) * L + l]
         d = w[_D * L + l]
         # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
@@ -203,27 +213,76 @@ def _step(setting, k, w):
         w[_LEFT * L + l] = q_1 * n_1 + q_2 * n_2 + q_3 * n_3 + q_d + q_r * r_1
         w[_N * L + l], w[(_N + 1) * L + l], w[(_N + 2) * L + l], w[(_N + 3) * L + l] = n_0, n_1, n_2, n_3
         w[_SIGNED * L + l] = area
-        f_0, f_1 = x_1 + l_f * x_3, n_1 + l_f * n_3
-        rare |= not abs(n_0) <= bound
-        rare |= (x_0 * n_0 < 0.0) | (x_1 * n_1 < 0.0) | (f_0 * f_1 < 0.0)
-        rare |= (w[(_S + BACK) * L + l] == math.inf) & (n_0 < offset)
-        # both ends on one side, but so close that the path between them may reach over
-        rise = (n_0 - x_0) * per_step
-        rare |= min(abs(x_0), abs(n_0)) < dt * (abs(x_1 - rise) + abs(n_1 - rise))
+        rare |= _event(
+            x_0, x_1, x_1 + l_f * x_3, n_0, n_1, n_1 + l_f * n_3, l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
+            w[_COUNTED * L + l] > 0.0, w[_STIFF * L + l] > 0.0,
+            w[(_S + BACK) * L + l], w[(_S + DEEP) * L + l], w[(_S + FRONT) * L + l], w[(_S + OVER) * L + l],
+        )  # fmt: skip
     return rare
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _event(
+    x_0, x_1, f_0, n_0, n_1, f_1, ahead_0, ahead_1, dt, per_dt, offset, bound, counted, stiff, back, deep, front, over
+):  # fmt: skip
+    """Whether a step holds anything but a smooth piece on one side of the lane's centre."""
+    rise = (n_0 - x_0) * per_dt
+    reach = dt * (abs(x_1 - rise) + abs(n_1 - rise))  # how far the path may be from the chord
+    high, low = max(x_0, n_0), min(x_0, n_0)
+    event = not abs(n_0) <= bound  # also true for NaN
+    event |= (back == math.inf) & ((n_0 < offset) | (stiff & (low - reach < offset)))
+    # an extreme between the samples that may be a new one
+    event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (high + dt * (x_1 - n_1) > deep)
+    event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (max(x_0 + ahead_0, n_0 + ahead_1) + dt * (f_0 - f_1) > front)
+    event |= (x_1 < 0.0) & (n_1 > 0.0) & (dt * (n_1 - x_1) - low > max(over, offset))
+    # a change of sign; or both ends on one side, but so close that the path between them may reach over
+    close = min(abs(x_0), abs(n_0)) < reach
+    return event | (counted & ((x_0 * n_0 < 0.0) | (close & (stiff | (x_1 * n_1 < 0.0)))))
 
 
 @numba.njit(**OPTIONS)
 def _is_rare(setting, w, l):
     """What `_step` asks of all lanes together, of one."""
-    l_f = setting[AXLE]
-    x_0, x_1, x_3 = w[_X * L + l], w[(_X + 1) * L + l], w[(_X + 3) * L + l]
-    n_0, n_1, n_3 = w[_N * L + l], w[(_N + 1) * L + l], w[(_N + 3) * L + l]
-    turns = x_0 * n_0 < 0.0 or x_1 * n_1 < 0.0 or (x_1 + l_f * x_3) * (n_1 + l_f * n_3) < 0.0
-    back = w[(_S + BACK) * L + l] == math.inf and n_0 < setting[OFFSET]
-    rise = (n_0 - x_0) * (1.0 / setting[DT])
-    close = min(abs(x_0), abs(n_0)) < setting[DT] * (abs(x_1 - rise) + abs(n_1 - rise))
-    return turns or back or close or not abs(n_0) <= setting[BOUND]
+    l_f, dt = setting[AXLE], setting[DT]
+    x_1, n_1 = w[(_X + 1) * L + l], w[(_N + 1) * L + l]
+    f_0, f_1 = x_1 + l_f * w[(_X + 3) * L + l], n_1 + l_f * w[(_N + 3) * L + l]
+    return _event(
+        w[_X * L + l], x_1, f_0, w[_N * L + l], n_1, f_1, l_f * w[(_X + 2) * L + l], l_f * w[(_N + 2) * L + l],
+        dt, 1.0 / dt, setting[OFFSET], setting[BOUND], w[_COUNTED * L + l] > 0.0, w[_STIFF * L + l] > 0.0,
+        w[(_S + BACK) * L + l], w[(_S + DEEP) * L + l], w[(_S + FRONT) * L + l], w[(_S + OVER) * L + l],
+    )  # fmt: skip
+
+
+@numba.njit(**OPTIONS)
+def _look_closer(scene, setting, state, i, l, k, w, work):
+    """What happens between the ends of a whole step; False if that takes `sample.drive`."""
+    x_0, n_0, h = w[_X * L + l], w[_N * L + l], setting[DT]
+    counted, signed = w[_COUNTED * L + l] > 0.0, x_0 * n_0 < 0.0
+    if w[_STIFF * L + l] > 0.0 or not abs(n_0) <= setting[BOUND]:
+        return False
+    x_1, n_1, l_f = w[(_X + 1) * L + l], w[(_N + 1) * L + l], setting[AXLE]
+    if counted and not signed and x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < h * (abs(x_1) + abs(n_1)):
+        return False
+    back = w[(_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0
+    if back or (counted and signed):
+        for n in range(4):
+            state[i, X + n] = w[(_X + n) * L + l]
+            work[W_AFTER + n] = w[(_N + n) * L + l]
+        area, d, t = w[_SIGNED * L + l], w[_D * L + l], scene[i, START] + k * h
+        work[W_AFTER + 4] = area
+        if back:
+            s, _ = time_at(scene, setting, i, state, t, h, setting[OFFSET], d, 0.0, 0.0, 0.0, work)
+            w[(_S + BACK) * L + l] = t + s
+        if counted and signed:
+            _, before = time_at(scene, setting, i, state, t, h, 0.0, d, 0.0, 0.0, 0.0, work)
+            w[_SIGNED * L + l] = abs(before) + abs(area - before)
+    if counted:
+        f_0, f_1 = x_1 + l_f * w[(_X + 3) * L + l], n_1 + l_f * w[(_N + 3) * L + l]
+        g_0, g_1 = x_0 + l_f * w[(_X + 2) * L + l], n_0 + l_f * w[(_N + 2) * L + l]
+        w[(_S + DEEP) * L + l] = max(w[(_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
+        w[(_S + FRONT) * L + l] = max(w[(_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
+    w[(_S + OVER) * L + l] = max(w[(_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
+    return True
 
 
 @numba.njit(**OPTIONS)
@@ -251,15 +310,15 @@ def _past(left, right, position, from_left, w, row):
     j = int(math.floor(position + 1e-9))
     part = position - j
     if position < -1e-9 or (part <= 1e-9 and from_left and j == 0):
-        for l in range(L):
+        for l in range(left.shape[1]):
             w[row * L + l] = w[_BEFORE * L + l]
     elif part <= 1e-9:
         source = left[j % size] if from_left else right[j % size]
-        for l in range(L):
+        for l in range(left.shape[1]):
             w[row * L + l] = source[l]
     else:
         start, end = right[j % size], left[(j + 1) % size]
-        for l in range(L):
+        for l in range(left.shape[1]):
             w[row * L + l] = start[l] + part * (end[l] - start[l])
 
 
@@ -267,7 +326,7 @@ def _past(left, right, position, from_left, w, row):
 def _score(setting, w, single):
     """Scores of a step in every lane; `single` lanes have theirs but for acceleration, jerk and rate."""
     dt, l_f, per_window, per_step = setting[DT], setting[AXLE], 1.0 / (setting[WINDOW] * setting[DT]), 1.0 / setting[DT]
-    for l in range(L):
+    for l in range(single.shape[0]):
         alone = single[l]
         n_0, d, u = w[_N * L + l], w[_D * L + l], w[_U * L + l]
         counted = w[_COUNTED * L + l] * (1.0 - alone)
@@ -287,8 +346,8 @@ def _score(setting, w, single):
         w[(_S + DELTA) * L + l] = max(w[(_S + DELTA) * L + l], abs(d))
         w[(_S + RATE) * L + l] = max(w[(_S + RATE) * L + l], change * per_step)
         w[_U * L + l] = d
-        for n in range(4):
-            w[(_X + n) * L + l] = w[(_N + n) * L + l]
+        w[_X * L + l], w[(_X + 1) * L + l] = n_0, w[(_N + 1) * L + l]
+        w[(_X + 2) * L + l], w[(_X + 3) * L + l] = w[(_N + 2) * L + l], w[(_N + 3) * L + l]
 
 
 @numba.njit(**OPTIONS)
@@ -301,7 +360,7 @@ def _leave(w, g, l, rows, out):
     for j in range(rows):
         g[j * L + l] = 0.0
     w[_U * L + l] = w[_D * L + l] = w[_FU * L + l] = w[_COUNTED * L + l] = w[_ALIVE * L + l] = 0.0
-    w[_C0 * L + l] = w[_DC * L + l] = w[_RIGHT * L + l] = w[_LEFT * L + l] = 0.0
+    w[_C0 * L + l] = w[_DC * L + l] = w[_R1 * L + l] = w[_RIGHT * L + l] = w[_LEFT * L + l] = 0.0
     w[(_S + BACK) * L + l] = 0.0
 
 
@@ -321,9 +380,9 @@ def _past_of_last(scene, setting, state, i, l, k, left, right, w):
     _, _, at_left, at_right = rings(setting)
     for n in range(left.shape[0]):
         state[i, at_left + n], state[i, at_right + n] = left[n, l], right[n, l]
+    before, a_right, a_left = scene[i, A_BEFORE], w[_RIGHT * L + l], w[_LEFT * L + l]
     h, _ = length(scene, setting, i, k)
-    arrival = k + (h / setting[DT] if h < setting[DT] else 1.0)
-    w[_PAST_LEFT * L + l] = earlier(setting, state, i, scene[i, A_BEFORE], arrival - setting[WINDOW], True)
+    w[_PAST_LEFT * L + l] = before_end(setting, state, i, before, k, h, a_right, a_left)
 
 
 @numba.njit(**OPTIONS)
@@ -335,36 +394,51 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
     most = 0
     for l in range(count):
         most = max(most, int(scene[first + l, STEPS]))
-    _load(scene, exact, block, w)
+    _load(scene, setting, exact, block, w)
     for design in range(law.shape[0]):
         _begin(scene, setting, law, times, design, block, w, g)
+        for l in range(L):
+            single[l] = 0.0
+        next_cut = 0  # the first sample at which a lane passes its T or comes to its last step
         for k in range(most):
-            if _command(setting, times, design, k, w, g):
+            if _command(setting, times, design, k, w, g, left.shape[1]):
                 _replace_wrong(w, failed[design, first:], count)
+            quiet = k < next_cut
+            if not quiet:
+                next_cut = most
+                for l in range(count):
+                    i = first + l
+                    _, counted = length(scene, setting, i, k)
+                    w[_COUNTED * L + l] = w[_ALIVE * L + l] if counted > 0.0 else 0.0
+                    full, end = int(scene[i, FULL]), int(scene[i, STEPS]) - 1
+                    if k < end:
+                        next_cut = min(next_cut, full if k < full else (k + 1 if k == full else end))
             rare = _step(setting, k, w)
-            for l in range(L):
-                single[l] = 0.0
-            for l in range(count):
-                i = first + l
-                if w[_ALIVE * L + l] == 0.0:
-                    continue
-                h, counted = length(scene, setting, i, k)
-                w[_COUNTED * L + l] = 1.0 if counted > 0.0 else 0.0
-                # a last step, or one that T cuts, is not whole
-                if h < setting[DT] or 0.0 < counted < h or (rare and _is_rare(setting, w, l)):
-                    single[l] = 1.0
-                    if not _alone(scene, setting, state, paths, i, l, k, w, work):
-                        diverged[design, i] = True
-                        _leave(w, g, l, rows, score[design, i])
+            if rare or not quiet:
+                for l in range(count):
+                    i = first + l
+                    h, counted = length(scene, setting, i, k)
+                    # a last step, or one that T cuts, is not whole
+                    cut = h < setting[DT] or 0.0 < counted < h
+                    if w[_ALIVE * L + l] == 0.0 or not (cut or (rare and _is_rare(setting, w, l))):
+                        continue
+                    if cut or not _look_closer(scene, setting, state, i, l, k, w, work):
+                        single[l] = 1.0
+                        if not _alone(scene, setting, state, paths, i, l, k, w, work):
+                            diverged[design, i] = True
+                            _leave(w, g, l, rows, score[design, i])
             for l in range(L):
                 right[k % size, l] = w[_RIGHT * L + l]
                 left[(k + 1) % size, l] = w[_LEFT * L + l]
             _past(left, right, k - setting[WINDOW], False, w, _PAST_RIGHT)
             _past(left, right, k + 1 - setting[WINDOW], True, w, _PAST_LEFT)
-            for l in range(count):
-                if single[l] * w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                    _past_of_last(scene, setting, state, first + l, l, k, left, right, w)
+            if not quiet:
+                for l in range(count):
+                    if single[l] * w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                        _past_of_last(scene, setting, state, first + l, l, k, left, right, w)
             _score(setting, w, single)
-            for l in range(count):
-                if w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                    _leave(w, g, l, rows, score[design, first + l])
+            if rare or not quiet:
+                for l in range(count):
+                    single[l] = 0.0
+                    if w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                        _leave(w, g, l, rows, score[design, first + l])

@@ -66,7 +66,7 @@ _C: Final = np.ascontiguousarray(DOP853.C[:_STAGES])
 _SERIES_REACH: Final = 2.0
 """Longest step of a series, in units of the fastest time constant: more terms would cancel."""
 
-_SUBSTEP: Final = 0.25
+_SUBSTEP: Final = 0.2
 """Longest substep of the Runge-Kutta method, in the same units."""
 
 _MOST_TERMS: Final = 80
@@ -93,7 +93,7 @@ def speed(scene, setting, i, t):
             c, d = c * cos_1 - d * sin_1, d * cos_1 + c * sin_1
             v += scene[i, SCENE + j] * c
             rate -= scene[i, SCENE + j] * (j + 1) * w * d
-    return v, (rate if t < T else 0.0)
+    return v, rate
 
 
 @numba.njit(**OPTIONS)
@@ -140,13 +140,14 @@ def heading(scene, setting, i, t_0, t_1):
 
 
 @numba.njit(**OPTIONS)
-def accelerations(scene, setting, i, t, r, p, psi, w, delta):
-    """Accelerations e_y'' and e_psi'', and a_y, at time t with the lane yaw rate r."""
+def accelerations(scene, setting, i, t, r, p, psi, w, delta, inside=True):
+    """Accelerations e_y'' and e_psi'', and a_y, at time t with the lane yaw rate r; `inside` a piece before T or not."""
     if setting[PROFILE] + setting[SATURATING] == 0.0:
         lateral = scene[i, A_11] * p + scene[i, A_12] * psi + scene[i, A_13] * w + scene[i, B_1] * delta + scene[i, E_1] * r
         yaw = scene[i, A_31] * p + scene[i, A_32] * psi + scene[i, A_33] * w + scene[i, B_3] * delta + scene[i, E_3] * r
         return lateral, yaw, lateral + scene[i, SPEED] * r
     v, dv = speed(scene, setting, i, t)
+    dv = dv if inside else 0.0
     if setting[SATURATING] > 0.0:
         return nonlinear_rhs(
             p, psi, w, delta, r, v, dv,
@@ -169,32 +170,28 @@ def _series(scene, i, state, h, offset, slope, decay, lag, r, r_slope, work, out
     y, p, psi, w = state[i, X], state[i, X + 1], state[i, X + 2], state[i, X + 3]
     sum_y, sum_p, sum_psi, sum_w, area = y, p, psi, w, h * y
     steer, lane, fading = offset + decay, r, decay
+    # the lateral terms lose their meaning below the rounding of what they are added to
+    small = _NOTHING * (abs(p) + abs(w) + h * (abs(b_1 * steer) + abs(e_1 * lane))) + _TINY
+    fades = -1.0 / lag if decay != 0.0 else 0.0
     for k in range(1, _MOST_TERMS):
         f = h * _INVERSE[k]
-        p_next = f * (a_11 * p + a_12 * psi + a_13 * w + b_1 * steer + e_1 * lane)
-        w_next = f * (a_31 * p + a_32 * psi + a_33 * w + b_3 * steer + e_3 * lane)
+        # written as a tree: what follows from the term before enters last
+        p_next = f * ((a_13 * w + (b_1 * steer + e_1 * lane)) + (a_11 * p + a_12 * psi))
+        w_next = f * ((a_32 * psi + (b_3 * steer + e_3 * lane)) + (a_31 * p + a_33 * w))
         y, psi = f * p, f * w
         p, w = p_next, w_next
         sum_y += y
         sum_p += p
         sum_psi += psi
         sum_w += w
-        area += y * h * _INVERSE[k + 1]
-        steer, lane = 0.0, 0.0
-        if decay != 0.0:
-            fading *= -f / lag
-            steer = fading
+        area += y * (h * _INVERSE[k + 1])
+        fading *= f * fades
+        steer, lane = fading, 0.0
         if k == 1:
             steer += h * slope
             lane = h * r_slope
-        # nothing left in the state, nor in the inputs that could bring more
-        elif (
-            abs(p) <= _NOTHING * abs(sum_p) + _TINY
-            and abs(w) <= _NOTHING * abs(sum_w) + _TINY
-            and abs(psi) <= _NOTHING * abs(sum_psi) + _TINY
-            and abs(y) <= _NOTHING * abs(sum_y) + _TINY
-            and abs(fading) <= _NOTHING * abs(decay)
-        ):
+        # nothing is left in the state, nor in the inputs, that could bring more; the size of the terms tells
+        elif abs(p) + abs(w) + abs(psi) + abs(y) + abs(b_1 * fading) <= small:
             break
     work[out], work[out + 1], work[out + 2], work[out + 3], work[out + 4] = sum_y, sum_p, sum_psi, sum_w, area
 
@@ -202,6 +199,8 @@ def _series(scene, i, state, h, offset, slope, decay, lag, r, r_slope, work, out
 @numba.njit(**OPTIONS)
 def _runge_kutta(scene, setting, i, state, t, h, offset, slope, decay, s_0, work, out):
     """One substep from t to t + h; s_0 is its start since the piece's start."""
+    # no piece reaches over T, where the rate of the speed jumps; a stage may stand on T itself
+    inside = t + 0.5 * h < scene[i, T_END]
     for stage in range(_STAGES):
         y, p, psi, w = state[i, X], state[i, X + 1], state[i, X + 2], state[i, X + 3]
         for j in range(stage):
@@ -217,7 +216,7 @@ def _runge_kutta(scene, setting, i, state, t, h, offset, slope, decay, s_0, work
             delta += decay * math.exp(-s / setting[LAG])
         at = t + _C[stage] * h
         v, _ = speed(scene, setting, i, at)
-        lateral, yaw, _ = accelerations(scene, setting, i, at, v * curvature(scene, i, at), p, psi, w, delta)
+        lateral, yaw, _ = accelerations(scene, setting, i, at, v * curvature(scene, i, at), p, psi, w, delta, inside)
         K = W_K + 5 * stage
         work[K], work[K + 1], work[K + 2], work[K + 3], work[K + 4] = p, lateral, w, yaw, y
     for n in range(5):

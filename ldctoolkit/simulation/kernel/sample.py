@@ -42,6 +42,7 @@ from ldctoolkit.simulation.kernel.data import (
     RATE_MAX,
     REST,
     RING,
+    SATURATING,
     SCORE,
     SCORES,
     SLOT,
@@ -62,6 +63,9 @@ from ldctoolkit.simulation.kernel.data import (
 from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, move, speed, substeps
 
 _NEWTON_PASSES = 60
+_SPUN = 1.5
+"""|e_psi| [rad] at which saturating tyres have lost the vehicle: its equations end at a right angle to the lane."""
+
 _SAME = 1e-9
 """Parts of a sample that are rounding."""
 
@@ -82,11 +86,29 @@ def hermite_peak(f_0, m_0, f_1, m_1, h):
 
 
 @numba.njit(**OPTIONS)
-def _time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, work):
+def _guess(f_0, m_0, f_1, m_1, mean):
+    """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
+    q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
+    a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
+    u = f_0 / (f_0 - f_1)
+    for _ in range(5):
+        value = f_0 + u * (m_0 + u * (b + u * (a + u * q)))
+        following = u - value / (m_0 + u * (2.0 * b + u * (3.0 * a + u * 4.0 * q)))
+        if not 0.0 < following < 1.0:
+            return u
+        if abs(following - u) < 1e-9:
+            return following
+        u = following
+    return u
+
+
+@numba.njit(**OPTIONS)
+def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, work):
     """When e_y is at a level within a substep that was moved over; the integral of e_y up to then."""
+    above, below = state[i, X] - level, work[W_AFTER] - level
     low, high = 0.0, h
-    above = state[i, X] - level
-    s = h * above / (state[i, X] - work[W_AFTER])
+    mean = work[W_AFTER + 4] / h - level
+    s = h * _guess(above, h * state[i, X + 1], below, h * work[W_AFTER + 1], mean)
     for _ in range(_NEWTON_PASSES):
         move(scene, setting, i, state, t, s, offset, slope, decay, s_0, work, W_END)
         value = work[W_END] - level
@@ -95,10 +117,11 @@ def _time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, w
         else:
             low = s
         following = s - value / work[W_END + 1]
-        if not low < following < high:
+        if not low <= following <= high:
             following = 0.5 * (low + high)
-        if value == 0.0 or abs(following - s) <= 1e-15 * h:
-            break
+        # Newton squares the error: after a change of this size it is about rounding
+        if value == 0.0 or abs(following - s) <= 1e-6 * h:
+            return following, work[W_END + 4] + (0.5 * value + level) * (following - s)
         s = following
     return s, work[W_END + 4]
 
@@ -115,11 +138,11 @@ def _smooth(scene, setting, state, i, t, h, offset, slope, decay, counted, work)
         e_0, e_1, area = state[i, X], work[W_AFTER], work[W_AFTER + 4]
         if state[i, SCORE + BACK] == math.inf and e_0 >= setting[OFFSET] > e_1:
             level = setting[OFFSET]
-            s, _ = _time_at(scene, setting, i, state, at, part, level, offset, slope, decay, s_0, work)
+            s, _ = time_at(scene, setting, i, state, at, part, level, offset, slope, decay, s_0, work)
             state[i, SCORE + BACK] = at + s
         if counted:
             if e_0 * e_1 < 0.0:
-                _, before = _time_at(scene, setting, i, state, at, part, 0.0, offset, slope, decay, s_0, work)
+                _, before = time_at(scene, setting, i, state, at, part, 0.0, offset, slope, decay, s_0, work)
                 state[i, SCORE + AREA] += abs(before) + abs(area - before)
             else:
                 state[i, SCORE + AREA] += abs(area)
@@ -133,7 +156,7 @@ def _smooth(scene, setting, state, i, t, h, offset, slope, decay, counted, work)
         cross, square = 2.0 * offset * decay * (1.0 - fallen), 0.5 * decay * decay * (1.0 - fallen * fallen)
         state[i, SCORE + EFFORT] += lag * (cross + square)
     state[i, SCORE + TRAVEL] += abs(end - state[i, WHEEL])
-    state[i, SCORE + DELTA] = max(state[i, SCORE + DELTA], abs(end))
+    state[i, SCORE + DELTA] = max(state[i, SCORE + DELTA], abs(offset + decay), abs(end))
     state[i, WHEEL] = end
 
 
@@ -182,6 +205,16 @@ def earlier(setting, state, i, before, position, from_left):
         return state[i, right + j % size]
     start, end = state[i, right + j % size], state[i, left + (j + 1) % size]
     return start + part * (end - start)
+
+
+@numba.njit(**OPTIONS)
+def before_end(setting, state, i, before, k, h, a_right, a_left):
+    """Lateral acceleration a window before the end of step k, whose ends have these."""
+    length_in_samples = h / setting[DT] if h < setting[DT] else 1.0
+    past = k + length_in_samples - setting[WINDOW]
+    if past > k:  # inside this very step, which may be shorter than the others
+        return a_right + (past - k) / length_in_samples * (a_left - a_right)
+    return earlier(setting, state, i, before, past, True)
 
 
 @numba.njit(**OPTIONS)
@@ -268,7 +301,8 @@ def drive(scene, setting, state, paths, i, k, stale, fresh, work):
             piece = switch if s < switch < stop else stop
             _steer(scene, setting, state, i, t + s, piece - s, stale if s < switch else fresh, counted, work)
             s = piece
-        if not abs(state[i, X]) <= setting[BOUND]:  # also true for NaN
+        spun = setting[SATURATING] > 0.0 and not abs(state[i, X + 2]) < _SPUN
+        if spun or not abs(state[i, X]) <= setting[BOUND]:  # also true for NaN
             for n in range(SCORES):
                 state[i, SCORE + n] = work[W_SCORE + n]
             state[i, WHEEL] = wheel
@@ -302,9 +336,9 @@ def advance(scene, setting, state, paths, i, k, command, work):
     state[i, right + k % size] = a_right
     state[i, left + (k + 1) % size] = a_left
     h, _ = length(scene, setting, i, k)
-    arrival = k + (h / dt if h < dt else 1.0)
     jerk = abs(a_right - earlier(setting, state, i, before, k - window, False))
-    jerk = max(jerk, abs(a_left - earlier(setting, state, i, before, arrival - window, True)))
+    passed = before_end(setting, state, i, before, k, h, a_right, a_left)
+    jerk = max(jerk, abs(a_left - passed))
     state[i, SCORE + JERK] = max(state[i, SCORE + JERK], jerk / (window * dt))
     state[i, SCORE + A_Y] = max(state[i, SCORE + A_Y], max(abs(a_right), abs(a_left)))
     state[i, SCORE + RATE] = max(state[i, SCORE + RATE], abs(state[i, WHEEL] - wheel_before) / dt)
