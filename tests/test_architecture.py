@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -14,7 +16,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 # bottom to top: a module may import from below, and from its own room
 LEVELS = (
     ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
-    ("ldctoolkit.departures",),
+    ("ldctoolkit.departures", "ldctoolkit.plant_options"),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),
     ("ldctoolkit.scenarios",),
@@ -25,6 +27,12 @@ LEVELS = (
     ("ldctoolkit.registry",),
     ("ldctoolkit.law_checks",),
     ("ldctoolkit.metrics",),
+    (
+        "ldctoolkit.simulation._philox",
+        "ldctoolkit.simulation._residual_kernels",
+        "ldctoolkit.simulation.random_streams",
+    ),
+    ("ldctoolkit.simulation.kernel",),
     ("ldctoolkit.simulation",),
     ("ldctoolkit",),
     ("ldctoolkit.launcher", "ldctoolkit.__main__"),
@@ -55,10 +63,14 @@ def level(module: str) -> int:
     return best
 
 
-def imported(path: Path, known: set[str]) -> set[str]:
-    """The project's modules that a file imports, wherever in the file the import stands."""
+def imported(path: Path, known: set[str], *, typing: bool = True) -> set[str]:
+    """The project's modules that a file imports, wherever in the file; for the type checker alone only on request."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    unseen = {id(node) for block in ast.walk(tree) if _for_typing(block) for node in ast.walk(block)}
+    for node in ast.walk(tree):
+        if not typing and id(node) in unseen:
+            continue
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -66,6 +78,10 @@ def imported(path: Path, known: set[str]) -> set[str]:
             base = node.module or ""
             names.update(f"{base}.{a.name}" if f"{base}.{a.name}" in known else base for a in node.names)
     return {name for name in names if name.partition(".")[0] in PACKAGES}
+
+
+def _for_typing(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
 def test_imports_point_down() -> None:
@@ -81,8 +97,9 @@ def test_imports_point_down() -> None:
 
 
 def test_no_circular_imports() -> None:
+    """None at run time, however late the import."""
     found = modules()
-    graph = {module: imported(path, set(found)) for module, path in found.items()}
+    graph = {module: imported(path, set(found), typing=False) for module, path in found.items()}
     done: set[str] = set()
 
     def visit(module: str, trail: tuple[str, ...]) -> None:
@@ -97,6 +114,15 @@ def test_no_circular_imports() -> None:
 
     for module in graph:
         visit(module, ())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
+    """A call of the command line should not wait for a compiler that it does not need."""
+    heavy = {"numba", "scipy", "control", "casadi", "polars", "matplotlib", "osqp", "sklearn"}
+    code = f"import sys, {package}; print(*sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
 
 
 def test_the_zoo_uses_public_names_only() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,10 @@ from ldctoolkit.control import LinearLaw
 from ldctoolkit.simulation.kalman import filter_gain
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.random_streams import RandomStream, normals
-from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.vehicle import discretize
+
+if TYPE_CHECKING:
+    from ldctoolkit.simulation.takeover import Takeover
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
