@@ -156,12 +156,13 @@ class Ranking:
         if not np.isfinite(case.S).all():
             raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
         left, right = (scenarios.side == side for side in (LEFT, RIGHT))
-        S = case.S.mean(axis=1)
+        S = _mean(case.S, left | right)
         order = np.argsort(S, kind="stable")
         sorted_S = S[order]
         means = bootstrap_means(case.S[order], scenarios.side, samples=bootstrap, seed=seed)
         S_low, S_high = percentile_interval(means, confidence)
-        difference = (case.S[order] - case.S[order[0]]).mean(axis=1)
+        best = case.S[order[0]]
+        difference = np.array([(case.S[i] - best).mean() for i in order])
         means -= means[:, :1].copy()
         difference_low, difference_high = percentile_interval(means, confidence)
         # exact for a design whose scores equal the best's: rounding of the product must not untie it
@@ -169,11 +170,11 @@ class Ranking:
         difference_low[same] = np.minimum(difference_low[same], 0.0)
 
         def share(values: BoolArray) -> FloatArray:
-            result: FloatArray = values[order].mean(axis=1)
+            result: FloatArray = values.mean(axis=1)[order]
             return result
 
         def count(status: EventStatus) -> IntArray:
-            result: IntArray = (every[order] == status).sum(axis=1).astype(np.int64)
+            result: IntArray = (every == status).sum(axis=1)[order].astype(np.int64)
             return result
 
         return cls(
@@ -182,14 +183,14 @@ class Ranking:
             index=order.astype(np.int64),
             rank=np.searchsorted(sorted_S, sorted_S, side="left").astype(np.int64) + 1,
             S=sorted_S,
-            S_left=_mean(case.S[order], left),
-            S_right=_mean(case.S[order], right),
+            S_left=_mean(case.S, left)[order],
+            S_right=_mean(case.S, right)[order],
             S_low=S_low,
             S_high=S_high,
-            S_uncorrected=case.S_uncorrected[order].mean(axis=1),
-            reduction=_reduction(case, order, left | right),
-            reduction_left=_reduction(case, order, left),
-            reduction_right=_reduction(case, order, right),
+            S_uncorrected=_mean(case.S_uncorrected, left | right)[order],
+            reduction=_reduction(case, left | right)[order],
+            reduction_left=_reduction(case, left)[order],
+            reduction_right=_reduction(case, right)[order],
             difference=difference,
             difference_low=difference_low,
             difference_high=difference_high,
@@ -200,7 +201,7 @@ class Ranking:
             diverged=count(EventStatus.DIVERGED),
             timed_out=count(EventStatus.TIMED_OUT),
             invalid=count(EventStatus.INVALID),
-            failed_solves=case.failed_solves[order].sum(axis=1).astype(np.int64),
+            failed_solves=case.failed_solves.sum(axis=1)[order].astype(np.int64),
             release=ReleaseFigures.of(case, results.designs, scenarios.d_y, order=order.tolist(), D_y=D_y),
             D_y=D_y,
             bootstrap=bootstrap,
@@ -245,13 +246,12 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
     if not rows.any():
         return np.full(values.shape[0], np.nan)
-    # contiguous rows: the sum of a design does not depend on how many designs stand beside it
-    means: FloatArray = np.ascontiguousarray(values[:, rows]).mean(axis=1)
-    return means
+    # design by design: no copy of everything, and a sum that does not depend on how many designs stand beside it
+    return np.array([row[rows].mean() for row in values])
 
 
-def _reduction(case: CaseResults, order: IntArray, rows: BoolArray) -> FloatArray:
-    S, before = _mean(case.S[order], rows), _mean(case.S_uncorrected[order], rows)
+def _reduction(case: CaseResults, rows: BoolArray) -> FloatArray:
+    S, before = _mean(case.S, rows), _mean(case.S_uncorrected, rows)
     out = np.where(np.isnan(before), np.nan, 0.0)  # nothing to reduce
     return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)
 

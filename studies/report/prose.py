@@ -156,7 +156,8 @@ _HORIZON = (
 )
 _COMFORT = (
     "S puts no price on steering or comfort, and laws have different limits of their own: a design that steers harder "
-    "scores better as long as the plant stays stable. What it costs stands under <a href='#limits'>what a release asks for</a>."
+    "scores better as long as the plant stays stable. What it costs stands under "
+    "<a href='#limits'>what a release asks for</a>."
 )
 _CHANCE = (
     "Intervals hold the chance in drawing departures from the scenario model. They do not hold the uncertainty of the "
