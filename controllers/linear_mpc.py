@@ -130,7 +130,7 @@ def _apply(M: FloatArray, x: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class MPCState:
-    """Solvers of one run, one per scenario that ever needed one; each keeps its own last solution as warm start.
+    """Solvers of one run by place in the batch, for scenarios that ever needed one; each starts from its last solution.
 
     They belong to the run that `MPCLaw.init` started: a state that is passed twice goes on from the later solution.
     """
@@ -181,6 +181,13 @@ class MPCLaw(SteeringLaw):
     def init(self, n: int) -> MPCState:
         """No solver yet."""
         return MPCState({})
+
+    def take(self, rows: npt.NDArray[np.int64], state: MPCState) -> tuple[MPCLaw, MPCState]:
+        """Only some scenarios, each with the solver that it has."""
+        names = ("x_ss", "delta_ss", "plan", "impulse")
+        law = dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names})
+        kept = {place: state.solvers[i] for place, i in enumerate(rows.tolist()) if i in state.solvers}
+        return law, MPCState(kept)
 
     def unconstrained(self, x: FloatArray, yaw_rate: FloatArray) -> FloatArray:
         """Optimal commands over the horizon if there were no limits, (n, N) [rad]."""

@@ -13,7 +13,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from controllers.riccati import regulator
+from controllers.riccati import feedback
 from ldctoolkit import Controller, LinearLaw, Plant, gain
 
 
@@ -52,7 +52,7 @@ class LQR(Controller):
 
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule the gain and the feedforward over the scenarios' speeds."""
-        K = regulator(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta).K
+        K = feedback(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta)
         steady = plant.steady_state()
         return LinearLaw(
             F=-K,

@@ -1,28 +1,21 @@
 """Discrete-time LQR gains as smooth functions of speed, from python-control's Riccati solver.
 
-The gain K(v) and the cost P(v) are analytic in the speed, so a Chebyshev interpolant in log v through `control.dlqr` at
-a few dozen speeds is exact to rounding at every other speed, and the Riccati equation need not be solved once a
-scenario. The range of speeds is fixed: what a scenario gets cannot depend on which others are in its set.
+The Riccati equation is solved at a few dozen speeds and not once a scenario: `ldctoolkit.scheduled`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import math
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, LdcError, Plant
-from ldctoolkit.errors import InputError
+from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, Plant, scheduled
 
 FloatArray = npt.NDArray[np.float64]
+Weights = tuple[float, float, float, float]
 
-SPEED_RANGE = (1.0, 90.0)
-"""Speeds [m/s] for which gains are scheduled."""
-
-_TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
+__all__ = ["SPEED_RANGE", "Regulator", "feedback", "regulator"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +32,7 @@ class Regulator:
     P: FloatArray
 
 
-def regulator(plant: Plant, q: tuple[float, float, float, float], r: float) -> Regulator:
+def regulator(plant: Plant, q: Weights, r: float) -> Regulator:
     """LQR gain and cost at every scenario's speed.
 
     Parameters
@@ -62,41 +55,39 @@ def regulator(plant: Plant, q: tuple[float, float, float, float], r: float) -> R
     LdcError
         If the Riccati equation has no stabilising solution somewhere in the range.
     """
-    low, high = SPEED_RANGE
-    outside = (plant.v < low) | (plant.v > high)
-    if outside.any():
-        i = int(np.argmax(outside))
-        raise InputError(f"speed at the trigger: {plant.v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g}")
-    coefficients = _coefficients(plant.model, plant.dt, q, r)
-    z = 2.0 * np.log(plant.v / low) / math.log(high / low) - 1.0
-    values = np.asarray(np.polynomial.chebyshev.chebval(z, coefficients).T, dtype=np.float64)
-    return Regulator(K=np.ascontiguousarray(values[:, :4]), P=values[:, 4:].reshape(-1, 4, 4).copy())
+    values = _scheduled(plant, q, r, slice(None))
+    return Regulator(K=values[:, :4].copy(), P=values[:, 4:].reshape(-1, 4, 4).copy())
 
 
-@functools.lru_cache(maxsize=256)
-def _coefficients(model: BicycleModel, dt: float, q: tuple[float, float, float, float], r: float) -> FloatArray:
-    """Chebyshev coefficients of (K, P) over log v, (nodes, 20)."""
-    for nodes in (48, 96, 192):
-        z = np.cos(np.pi * (2 * np.arange(nodes) + 1) / (2 * nodes))
-        values = _solve(model, SPEED_RANGE[0] * (SPEED_RANGE[1] / SPEED_RANGE[0]) ** ((z + 1) / 2), dt, q, r)
-        basis = np.polynomial.chebyshev.chebvander(z, nodes - 1)
-        coefficients: FloatArray = 2.0 / nodes * np.einsum("ik,ij->kj", basis, values)  # discrete orthogonality
-        coefficients[0] /= 2.0
-        scale = np.abs(coefficients).max(axis=0)
-        if np.all(np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)):
-            return coefficients
-    raise LdcError(f"LQR gains for q = {q}, r = {r} change too sharply with speed to be scheduled at dt = {dt:g} s")
+def feedback(plant: Plant, q: Weights, r: float) -> FloatArray:
+    """Only the gain K (n, 4) of `regulator`, with the same arguments, the same bits and the same errors."""
+    return _scheduled(plant, q, r, slice(4))
 
 
-def _solve(model: BicycleModel, v: FloatArray, dt: float, q: tuple[float, float, float, float], r: float) -> FloatArray:
-    import control
+def _scheduled(plant: Plant, q: Weights, r: float, columns: slice) -> FloatArray:
+    what = f"LQR gains for q = {q}, r = {r}, dt = {plant.dt:g} s"
+    return scheduled(_Riccati(plant.model, plant.dt, q, r), plant.v, what, columns=columns)
 
-    step = model.discretize(v, dt)
-    rows = []
-    for i in range(v.size):
-        try:
-            K, P, _ = control.dlqr(step.A[i], step.B[i][:, None], np.diag(q), np.array([[r]]))
-        except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
-            raise LdcError(f"no LQR at {v[i]:.3g} m/s for q = {q}, r = {r}, dt = {dt:g} s: {error}") from error
-        rows.append(np.concatenate([K[0], P.ravel()]))
-    return np.array(rows)
+
+@dataclasses.dataclass(frozen=True)
+class _Riccati:
+    """(K, P) at given speeds, side by side."""
+
+    model: BicycleModel
+    dt: float
+    q: Weights
+    r: float
+
+    def __call__(self, v: FloatArray) -> FloatArray:
+        import control
+
+        step = self.model.discretize(v, self.dt)
+        rows = []
+        for i in range(v.size):
+            try:
+                K, P, _ = control.dlqr(step.A[i], step.B[i][:, None], np.diag(self.q), np.array([[self.r]]))
+            except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+                what = f"q = {self.q}, r = {self.r}, dt = {self.dt:g} s"
+                raise LdcError(f"no LQR at {v[i]:.3g} m/s for {what}: {error}") from error
+            rows.append(np.concatenate([K[0], P.ravel()]))
+        return np.array(rows)

@@ -11,9 +11,11 @@ from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenari
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Outcome, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
 
 __all__ = [
+    "SPEED_RANGE",
     "BicycleModel",
     "BoundedGaussianMixture",
     "Controller",
@@ -46,6 +48,7 @@ __all__ = [
     "rebuild_signals",
     "reduce_signals",
     "register",
+    "scheduled",
     "simulate",
     "write_departures",
 ]

@@ -25,7 +25,9 @@ SPEED_RANGE: Final = (1.0, 90.0)
 _TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
 
 
-def scheduled(solve: Callable[[FloatArray], FloatArray], v: FloatArray, what: str) -> FloatArray:
+def scheduled(
+    solve: Callable[[FloatArray], FloatArray], v: FloatArray, what: str, *, columns: slice = slice(None)
+) -> FloatArray:
     """Values of a smooth function of speed, from an interpolant that is made once.
 
     Parameters
@@ -37,10 +39,13 @@ def scheduled(solve: Callable[[FloatArray], FloatArray], v: FloatArray, what: st
         Speeds within `SPEED_RANGE`.
     what : str
         What is scheduled, in the plural, for messages.
+    columns : slice
+        Which of the k values are wanted, all by default; the others cost nothing.
 
     Returns
     -------
     (n, k)
+        Or as many columns as are wanted.
 
     Raises
     ------
@@ -63,8 +68,12 @@ def scheduled(solve: Callable[[FloatArray], FloatArray], v: FloatArray, what: st
         i = int(np.argmax(outside))
         raise InputError(f"speed at the trigger: {v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g}")
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
-    values = np.polynomial.chebyshev.chebval(z, _coefficients(solve, what))
-    return np.ascontiguousarray(values.T, dtype=np.float64)
+    from ldctoolkit.vehicle._clenshaw import clenshaw
+
+    coefficients = np.ascontiguousarray(_coefficients(solve, what)[:, columns])
+    values = np.empty((z.size, coefficients.shape[1]))
+    clenshaw(z, coefficients, values)
+    return values
 
 
 @functools.lru_cache(maxsize=256)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, ClassVar
 
 import control
 import numpy as np
@@ -13,7 +14,18 @@ import scipy.sparse as sp
 
 import controllers.linear_mpc as module
 from controllers import LQR, LinearMPC
-from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, Preview, Scenarios, simulate
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    Preview,
+    Scenarios,
+    SteeringLaw,
+    simulate,
+)
+from ldctoolkit.metrics import COMPANION_UNITS
 
 DT = 0.05
 
@@ -269,3 +281,84 @@ def test_skipping_the_solver_changes_nothing_that_matters() -> None:
     skipped = simulate(LinearMPC(), scenarios).S
     solved = simulate(LinearMPC(always_solve=True), scenarios).S
     np.testing.assert_allclose(solved, skipped, rtol=2e-5)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Whole(Controller):
+    """A design whose law never drops a scenario; it notes how many it is asked about."""
+
+    inner: LinearMPC
+    sizes: list[int]
+    drops: bool = False
+    name: ClassVar[str] = "whole"
+    title: ClassVar[str] = "Whole"
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        return _WholeLaw(self.inner.prepare(plant), self.sizes, self.drops)
+
+
+@dataclasses.dataclass(frozen=True)
+class _WholeLaw(SteeringLaw):
+    law: SteeringLaw
+    sizes: list[int]
+    drops: bool
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> Any:
+        return self.law.init(n)
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        self.sizes.append(t.size)
+        return self.law.step(t, x, preview, delta_prev, state)
+
+    def take(self, rows, state):  # type: ignore[no-untyped-def]
+        if not self.drops:
+            return None
+        law, kept = self.law.take(rows, state)
+        return _WholeLaw(law, self.sizes, True), kept
+
+
+def test_dropping_ended_scenarios_changes_no_bit() -> None:
+    """Each solver stays with its scenario: a warm start from another one's solution would show within OSQP's 1e-6."""
+    rng = np.random.default_rng(8)
+    n = 24
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(0.8, 4, n),
+        d_y=rng.uniform(0.3, 0.9, n),
+        v_mean=rng.uniform(10, 30, n),
+        c_0=rng.normal(0, 1e-3, n),
+    )
+    design = LinearMPC(horizon=8, delta_max=0.02, rate_max=0.08, r_delta=10.0)
+    usual = simulate(design, scenarios, y_s=0.05, settle=0.5)
+    kept, dropped = ([], [])  # type: tuple[list[int], list[int]]
+    whole = simulate(_Whole(design, kept), scenarios, y_s=0.05, settle=0.5)
+    cut = simulate(_Whole(design, dropped, drops=True), scenarios, y_s=0.05, settle=0.5)
+    assert set(kept) == {n}
+    assert len(set(dropped)) > 5
+    for out in (whole, cut):
+        np.testing.assert_array_equal(out.S, usual.S)
+        for name in COMPANION_UNITS:
+            np.testing.assert_array_equal(getattr(out.companions, name), getattr(usual.companions, name))
+        np.testing.assert_array_equal(out.status, usual.status)
+        np.testing.assert_array_equal(out.failed_solves, usual.failed_solves)
+
+
+def test_a_solver_stays_with_its_scenario() -> None:
+    plant, x, preview, prev = situations(12, 10, seed=4)
+    law = LinearMPC(horizon=10, delta_max=0.03, rate_max=0.1, r_delta=5.0).prepare(plant)
+    prev = np.clip(prev, -0.03, 0.03)
+    _, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
+    rows = np.array([1, 2, 5, 7, 11])
+    assert set(state.solvers) > set(rows.tolist()) - {0}
+    some, kept = law.take(rows, state)
+    assert all(kept.solvers[place] is state.solvers[i] for place, i in enumerate(rows.tolist()) if i in state.solvers)
+    assert len(kept.solvers) == len(set(state.solvers) & set(rows.tolist()))
+    some_preview = Preview(preview.yaw_rate[rows], preview.heading[rows])
+    delta, _, _ = some.step(np.zeros(5), 0.9 * x[rows], some_preview, prev[rows], kept)
+    # the same from a run that never dropped
+    _, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
+    whole, _, _ = law.step(np.zeros(12), 0.9 * x, preview, prev, state)
+    np.testing.assert_array_equal(delta, whole[rows])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR
-from controllers.riccati import SPEED_RANGE, regulator
+from controllers.riccati import SPEED_RANGE, feedback, regulator
 from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
 from ldctoolkit.errors import InputError
 
@@ -77,3 +77,9 @@ def test_speeds_outside_the_schedule_are_named() -> None:
 def test_gains_out_of_bounds_are_named(gains: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         LQR(**gains)
+
+
+def test_the_gain_alone_has_the_bits_of_gain_and_cost() -> None:
+    plant = Plant.build(BicycleModel(), np.random.default_rng(3).uniform(5, 40, 70), 0.05)
+    weights = (2.0, 0.1, 3.0, 0.2)
+    np.testing.assert_array_equal(feedback(plant, weights, 40.0), regulator(plant, weights, 40.0).K)
