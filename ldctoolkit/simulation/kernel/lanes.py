@@ -65,7 +65,7 @@ from ldctoolkit.simulation.kernel.data import (
     X,
     X_0,
 )
-from ldctoolkit.simulation.kernel.plant import OPTIONS, substeps
+from ldctoolkit.simulation.kernel.plant import OPTIONS, move, substeps
 from ldctoolkit.simulation.kernel.sample import before_end, drive, hermite_peak, length, rings, time_at
 
 LANES: Final = 8
@@ -84,7 +84,8 @@ _COUNTED = _S + SCORES  # 1 before T
 _ALIVE = _COUNTED + 1
 _R0 = _ALIVE + 1
 _R1 = _R0 + 1
-_PAST_RIGHT = _R1 + 1
+_FLAG = _R1 + 1  # 1 where a step needs a closer look
+_PAST_RIGHT = _FLAG + 1
 _PAST_LEFT = _PAST_RIGHT + 1
 # ... and the scenario
 _T = _PAST_LEFT + 1
@@ -163,8 +164,8 @@ def _command(setting, times, design, k, w, g, width):
     t_k = k * setting[DT]
     for l in range(width):
         d = w[_FU * L + l] * w[_U * L + l]
-        for n in range(4):
-            d += w[(_F + n) * L + l] * w[(_X + n) * L + l]
+        d += w[_F * L + l] * w[_X * L + l] + w[(_F + 1) * L + l] * w[(_X + 1) * L + l]
+        d += w[(_F + 2) * L + l] * w[(_X + 2) * L + l] + w[(_F + 3) * L + l] * w[(_X + 3) * L + l]
         w[_D * L + l] = d
     for j in range(times.shape[1]):
         ahead = times[design, j]
@@ -213,11 +214,13 @@ def _step(setting, k, w):
         w[_LEFT * L + l] = q_1 * n_1 + q_2 * n_2 + q_3 * n_3 + q_d + q_r * r_1
         w[_N * L + l], w[(_N + 1) * L + l], w[(_N + 2) * L + l], w[(_N + 3) * L + l] = n_0, n_1, n_2, n_3
         w[_SIGNED * L + l] = area
-        rare |= _event(
+        event = _event(
             x_0, x_1, x_1 + l_f * x_3, n_0, n_1, n_1 + l_f * n_3, l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
             w[_COUNTED * L + l] > 0.0, w[_STIFF * L + l] > 0.0,
             w[(_S + BACK) * L + l], w[(_S + DEEP) * L + l], w[(_S + FRONT) * L + l], w[(_S + OVER) * L + l],
         )  # fmt: skip
+        w[_FLAG * L + l] = 1.0 if event else 0.0
+        rare |= event
     return rare
 
 
@@ -241,47 +244,84 @@ def _event(
 
 
 @numba.njit(**OPTIONS)
-def _is_rare(setting, w, l):
-    """What `_step` asks of all lanes together, of one."""
-    l_f, dt = setting[AXLE], setting[DT]
-    x_1, n_1 = w[(_X + 1) * L + l], w[(_N + 1) * L + l]
-    f_0, f_1 = x_1 + l_f * w[(_X + 3) * L + l], n_1 + l_f * w[(_N + 3) * L + l]
-    return _event(
-        w[_X * L + l], x_1, f_0, w[_N * L + l], n_1, f_1, l_f * w[(_X + 2) * L + l], l_f * w[(_N + 2) * L + l],
-        dt, 1.0 / dt, setting[OFFSET], setting[BOUND], w[_COUNTED * L + l] > 0.0, w[_STIFF * L + l] > 0.0,
-        w[(_S + BACK) * L + l], w[(_S + DEEP) * L + l], w[(_S + FRONT) * L + l], w[(_S + OVER) * L + l],
-    )  # fmt: skip
+def _extremes(setting, state, i, l, h, counted, w, work):
+    """Depth and overshoot between the state and what it was moved to."""
+    x_0, x_1, n_0, n_1 = state[i, X], state[i, X + 1], work[W_AFTER], work[W_AFTER + 1]
+    if counted:
+        l_f = setting[AXLE]
+        g_0, f_0 = x_0 + l_f * state[i, X + 2], x_1 + l_f * state[i, X + 3]
+        g_1, f_1 = n_0 + l_f * work[W_AFTER + 2], n_1 + l_f * work[W_AFTER + 3]
+        w[(_S + DEEP) * L + l] = max(w[(_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
+        w[(_S + FRONT) * L + l] = max(w[(_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
+    w[(_S + OVER) * L + l] = max(w[(_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
+
+
+@numba.njit(**OPTIONS)
+def _area(scene, setting, state, i, l, t, h, counted, w, work):
+    """Integral of |e_y| between the state and what it was moved to; the time back inside on the way."""
+    x_0, n_0, area, d = state[i, X], work[W_AFTER], work[W_AFTER + 4], w[_D * L + l]
+    if w[(_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0:
+        s, _ = time_at(scene, setting, i, state, t, h, setting[OFFSET], d, 0.0, 0.0, 0.0, work)
+        w[(_S + BACK) * L + l] = t + s
+    if counted and x_0 * n_0 < 0.0:
+        _, before = time_at(scene, setting, i, state, t, h, 0.0, d, 0.0, 0.0, 0.0, work)
+        return abs(before) + abs(area - before)
+    return abs(area)
 
 
 @numba.njit(**OPTIONS)
 def _look_closer(scene, setting, state, i, l, k, w, work):
     """What happens between the ends of a whole step; False if that takes `sample.drive`."""
-    x_0, n_0, h = w[_X * L + l], w[_N * L + l], setting[DT]
-    counted, signed = w[_COUNTED * L + l] > 0.0, x_0 * n_0 < 0.0
+    x_0, n_0, h, counted = w[_X * L + l], w[_N * L + l], setting[DT], w[_COUNTED * L + l] > 0.0
     if w[_STIFF * L + l] > 0.0 or not abs(n_0) <= setting[BOUND]:
         return False
-    x_1, n_1, l_f = w[(_X + 1) * L + l], w[(_N + 1) * L + l], setting[AXLE]
-    if counted and not signed and x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < h * (abs(x_1) + abs(n_1)):
+    x_1, n_1 = w[(_X + 1) * L + l], w[(_N + 1) * L + l]
+    if counted and x_0 * n_0 >= 0.0 and x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < h * (abs(x_1) + abs(n_1)):
         return False
-    back = w[(_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0
-    if back or (counted and signed):
+    for n in range(4):
+        state[i, X + n] = w[(_X + n) * L + l]
+        work[W_AFTER + n] = w[(_N + n) * L + l]
+    work[W_AFTER + 4] = w[_SIGNED * L + l]
+    w[_SIGNED * L + l] = _area(scene, setting, state, i, l, scene[i, START] + k * h, h, counted, w, work)
+    _extremes(setting, state, i, l, h, counted, w, work)
+    return True
+
+
+@numba.njit(**OPTIONS)
+def _cut(scene, setting, state, i, l, k, h, before_T, w, work):
+    """A step that T cuts, or a last one that is not whole; False if that takes `sample.drive`."""
+    if w[_STIFF * L + l] > 0.0:
+        return False
+    t, d = scene[i, START] + k * setting[DT], w[_D * L + l]
+    area = 0.0
+    for n in range(4):
+        state[i, X + n] = w[(_X + n) * L + l]
+    for piece in range(2):
+        counted = piece == 0
+        s, part = (0.0, before_T) if counted else (before_T, h - before_T)
+        if part <= 0.0:
+            continue
+        move(scene, setting, i, state, t + s, part, d, 0.0, 0.0, 0.0, work, W_AFTER)
+        n_0, n_1 = work[W_AFTER], work[W_AFTER + 1]
+        x_0, x_1 = state[i, X], state[i, X + 1]
+        touches = x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < part * (abs(x_1) + abs(n_1))
+        if not abs(n_0) <= setting[BOUND] or (counted and x_0 * n_0 >= 0.0 and touches):
+            return False
+        value = _area(scene, setting, state, i, l, t + s, part, counted, w, work)
+        area += value if counted else 0.0
+        _extremes(setting, state, i, l, part, counted, w, work)
         for n in range(4):
-            state[i, X + n] = w[(_X + n) * L + l]
-            work[W_AFTER + n] = w[(_N + n) * L + l]
-        area, d, t = w[_SIGNED * L + l], w[_D * L + l], scene[i, START] + k * h
-        work[W_AFTER + 4] = area
-        if back:
-            s, _ = time_at(scene, setting, i, state, t, h, setting[OFFSET], d, 0.0, 0.0, 0.0, work)
-            w[(_S + BACK) * L + l] = t + s
-        if counted and signed:
-            _, before = time_at(scene, setting, i, state, t, h, 0.0, d, 0.0, 0.0, 0.0, work)
-            w[_SIGNED * L + l] = abs(before) + abs(area - before)
-    if counted:
-        f_0, f_1 = x_1 + l_f * w[(_X + 3) * L + l], n_1 + l_f * w[(_N + 3) * L + l]
-        g_0, g_1 = x_0 + l_f * w[(_X + 2) * L + l], n_0 + l_f * w[(_N + 2) * L + l]
-        w[(_S + DEEP) * L + l] = max(w[(_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
-        w[(_S + FRONT) * L + l] = max(w[(_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
-    w[(_S + OVER) * L + l] = max(w[(_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
+            state[i, X + n] = work[W_AFTER + n]
+    change = abs(d - w[_U * L + l])
+    w[(_S + AREA) * L + l] += area
+    w[(_S + EFFORT) * L + l] += h * (d * d)
+    w[(_S + TRAVEL) * L + l] += change
+    for n in range(4):
+        w[(_N + n) * L + l] = state[i, X + n]
+    r = w[_C0 * L + l] + w[_DC * L + l] * min((t + h) * w[_PER_T * L + l], 1.0)
+    q = w[_Q * L + l] * state[i, X + 1] + w[(_Q + 1) * L + l] * state[i, X + 2]
+    q += w[(_Q + 2) * L + l] * state[i, X + 3]
+    w[_LEFT * L + l] = q + w[(_Q + 3) * L + l] * d + w[(_Q + 4) * L + l] * r
     return True
 
 
@@ -304,22 +344,34 @@ def _alone(scene, setting, state, paths, i, l, k, w, work):
 
 
 @numba.njit(**OPTIONS)
-def _past(left, right, position, from_left, w, row):
-    """Lateral acceleration of all lanes at an earlier position, as `sample.earlier`."""
-    size = left.shape[0]
-    j = int(math.floor(position + 1e-9))
+def _past(setting, left, right, k, w):
+    """Put both limits of a_y into their rings; what they were a window earlier, as `sample.earlier`."""
+    size, width = left.shape
+    here, there = right[k % size], left[(k + 1) % size]
+    for l in range(width):
+        here[l], there[l] = w[_RIGHT * L + l], w[_LEFT * L + l]
+    position = k - setting[WINDOW]
+    j = math.floor(position + 1e-9)
     part = position - j
-    if position < -1e-9 or (part <= 1e-9 and from_left and j == 0):
-        for l in range(left.shape[1]):
-            w[row * L + l] = w[_BEFORE * L + l]
-    elif part <= 1e-9:
-        source = left[j % size] if from_left else right[j % size]
-        for l in range(left.shape[1]):
-            w[row * L + l] = source[l]
+    if position < -1e-9:
+        for l in range(width):
+            w[_PAST_RIGHT * L + l] = w[_BEFORE * L + l]
     else:
         start, end = right[j % size], left[(j + 1) % size]
-        for l in range(left.shape[1]):
-            w[row * L + l] = start[l] + part * (end[l] - start[l])
+        share = part if part > 1e-9 else 0.0
+        for l in range(width):
+            w[_PAST_RIGHT * L + l] = start[l] + share * (end[l] - start[l])
+    # one sample later, just before it
+    if position + 1.0 < -1e-9 or (part <= 1e-9 and j == -1):
+        for l in range(width):
+            w[_PAST_LEFT * L + l] = w[_BEFORE * L + l]
+    else:
+        start, end = right[(j + 1) % size], left[(j + 2) % size]
+        if part <= 1e-9:
+            start, end = left[(j + 1) % size], left[(j + 1) % size]
+        share = part if part > 1e-9 else 0.0
+        for l in range(width):
+            w[_PAST_LEFT * L + l] = start[l] + share * (end[l] - start[l])
 
 
 @numba.njit(**OPTIONS)
@@ -417,21 +469,20 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
             if rare or not quiet:
                 for l in range(count):
                     i = first + l
-                    h, counted = length(scene, setting, i, k)
-                    # a last step, or one that T cuts, is not whole
-                    cut = h < setting[DT] or 0.0 < counted < h
-                    if w[_ALIVE * L + l] == 0.0 or not (cut or (rare and _is_rare(setting, w, l))):
+                    if w[_ALIVE * L + l] == 0.0 or (quiet and w[_FLAG * L + l] == 0.0):
                         continue
-                    if cut or not _look_closer(scene, setting, state, i, l, k, w, work):
+                    h, before_T = length(scene, setting, i, k)
+                    if h < setting[DT] or 0.0 < before_T < h:
                         single[l] = 1.0
-                        if not _alone(scene, setting, state, paths, i, l, k, w, work):
-                            diverged[design, i] = True
-                            _leave(w, g, l, rows, score[design, i])
-            for l in range(L):
-                right[k % size, l] = w[_RIGHT * L + l]
-                left[(k + 1) % size, l] = w[_LEFT * L + l]
-            _past(left, right, k - setting[WINDOW], False, w, _PAST_RIGHT)
-            _past(left, right, k + 1 - setting[WINDOW], True, w, _PAST_LEFT)
+                        if _cut(scene, setting, state, i, l, k, h, before_T, w, work):
+                            continue
+                    elif w[_FLAG * L + l] == 0.0 or _look_closer(scene, setting, state, i, l, k, w, work):
+                        continue
+                    single[l] = 1.0
+                    if not _alone(scene, setting, state, paths, i, l, k, w, work):
+                        diverged[design, i] = True
+                        _leave(w, g, l, rows, score[design, i])
+            _past(setting, left, right, k, w)
             if not quiet:
                 for l in range(count):
                     if single[l] * w[_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
