@@ -36,7 +36,17 @@ def check_study(folder: Path, designs: int) -> None:
     (none,) = (row for row in rows if row["law"] == "none")
     assert float(none["reduction"]) == 0.0
     report = (folder / "report.html").read_text(encoding="utf-8")
-    for section in ("answer", "ranking", "landscape", "sides", "paths", "convergence", "failures", "settings"):
+    for section in (
+        "answer",
+        "ranking",
+        "limits",
+        "landscape",
+        "sides",
+        "paths",
+        "convergence",
+        "failures",
+        "settings",
+    ):
         assert f'id="{section}"' in report
 
 

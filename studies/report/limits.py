@@ -13,7 +13,7 @@ from studies.release import ReleaseFigures
 from studies.report.inputs import ReportInput
 from studies.report.prose import design_text
 from studies.report.summary import CaseTable, Row, is_baseline
-from studies.report.text import compact, number, percent, symbols
+from studies.report.text import compact, number, percent, plural, symbols
 
 MOST_COLUMNS = 6
 """Designs side by side; more do not fit a screen."""
@@ -141,6 +141,7 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
                     acts=True,
                 ),
                 line("Departures with a failed solve", lambda r, _: f"{r.solver_failed:,}", acts=True),
+                line("Departures that diverged", lambda r, _: f"{r.diverged:,}", acts=True),
                 line("Time of the law per command [µs]", lambda _, k: _law_time(figures.law_time[k]), acts=True),
             ),
         ),
@@ -200,6 +201,10 @@ def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> I
         number(figures.jerk_peak_max[0], 1),
         _way_back(report, figures),
     )
+    if best.diverged:
+        yield Markup(
+            "In {} its path left \u00b120\u00a0m: as it stands, the design is not stable on this plant."
+        ).format(plural(best.diverged, "departure"))
 
 
 def _beyond(dtle: float) -> str:

@@ -230,11 +230,13 @@ def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTa
         members.setdefault(design.law, []).append(design)
     swept = {law: [axis.name for axis in swept_axes(designs)] for law, designs in members.items()}
     rows = tuple(_row(results, case, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs))
+    # residuals make a recorded path deeper than its parameter d_y says
+    deeper = [float(share) for design, share in zip(ranking.designs, ranking.deeper, strict=True) if design.is_baseline]
     return CaseTable(
         case=case.case,
         rows=rows,
         uncorrected=float(ranking.S_uncorrected[0]),
-        uncorrected_deeper=share_deeper(results.scenarios.d_y, ranking.D_y),
+        uncorrected_deeper=deeper[0] if deeper else share_deeper(results.scenarios.d_y, ranking.D_y),
         D_y=ranking.D_y,
         confidence=ranking.confidence,
         bootstrap=ranking.bootstrap,

@@ -176,7 +176,7 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, dr
         for law in ("lqr", "preview_proportional", "none")
     ]
     lines = {row[0]: row[1:] for row in table[1:] if len(row) == 4}
-    assert len(lines) == 18
+    assert len(lines) == 19
 
     def line(start: str) -> list[str]:
         (found,) = (cells for name, cells in lines.items() if name.startswith(start))
@@ -422,6 +422,7 @@ def test_failures_are_listed(make: ModuleType, with_failures: StudyResults) -> N
             assert [int(cell) for cell in row[2:6:2]] == [50, 50]
         assert sum(int(row[3]) for row in table[1:]) == case.failed_solves.sum()
     assert "did not run as designed" in page.words("answer")
+    assert "In 50 departures its path left ±20 m" in page.words("limits")
     assert "more (interval" in page.words("answer")  # S is worse than no control here
     assert "No failures" not in page.text["failures"]
 
