@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -11,55 +12,41 @@ import control
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.interpolate import CubicHermiteSpline
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Preview,
-    Scenarios,
-    SteeringLaw,
-    simulate,
-)
+from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Preview, Scenarios, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import BOUND
 
 
-@pytest.fixture(scope="module")
-def road() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("road_frame", Path(__file__).with_name("road_frame.py"))
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
     spec.loader.exec_module(module)
     return module
 
 
-def make_scenarios(n: int, seed: int = 0) -> Scenarios:
-    rng = np.random.default_rng(seed)
-    v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(6)
-    return Scenarios.from_arrays(
-        side=np.where(rng.random(n) < 0.5, 1, -1),
-        T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
-        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2),
-        v_mean=v,
-        a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
-        c_0=rng.normal(0, 0.5, n) / v**2,
-        dc=rng.normal(0, 0.3, n) / v**2,
-    )
+laws = load("laws")
+make_scenarios, Constant, Stepped = laws.make_scenarios, laws.Constant, laws.Stepped
 
 
-@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
-def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention: str) -> None:
+@pytest.fixture(scope="module")
+def road() -> ModuleType:
+    return load("road_frame")
+
+
+@pytest.mark.parametrize(("convention", "settle"), [("consistent", 0.0), ("as_printed", 0.0), ("consistent", 1.3)])
+def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention: str, settle: float) -> None:
     """Left and right, driven in ISO road coordinates by scipy: path to 1e-9, S to 1e-12 (1e-8 with a sign change)."""
     K_y, K_psi, T_lp, y_s, dt = -0.03, -0.25, 1.3, 0.1, 0.05
     sign = -1.0 if convention == "consistent" else 1.0
     scenarios = make_scenarios(14, seed=4)
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=T_lp, convention=convention)
-    out = simulate(law, scenarios, y_s=y_s, dt=dt, trajectories=True)
+    out = simulate(law, scenarios, y_s=y_s, dt=dt, settle=settle, trajectories=True)
     assert out.trajectories is not None
     assert out.triggered.sum() >= 10
 
@@ -79,8 +66,9 @@ def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention
             assert out.S[i] == out.S_uncorrected[i]
             continue
         assert out.t_s[i] == pytest.approx(t_s, abs=1e-12)
-        end = np.flatnonzero(~np.isnan(out.trajectories.t[i]))[-1]
-        assert out.trajectories.t[i, end] == scenarios.T[i]
+        (end,) = np.flatnonzero(out.trajectories.t[i] == scenarios.T[i])
+        if settle == 0.0:
+            assert np.isnan(out.trajectories.t[i, end + 1 :]).all()
         np.testing.assert_allclose(side * out.trajectories.x[i, end], state, atol=1e-9)
         path = out.trajectories.x[i, : end + 1, 0]
         crossing = bool((path[:-1] * path[1:] < 0).any())
@@ -93,7 +81,8 @@ def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention
 def test_S_with_sign_changes_equals_the_road_frame(road: ModuleType) -> None:
     """A stiff law that swings through the lane's centre several times."""
     scenarios = Scenarios.from_arrays(T=[6.0, 8.0], d_y=[0.6, 0.9], v_mean=[25.0, 14.0], c_0=[1e-3, -1e-3])
-    out = simulate(PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), scenarios, y_s=0.2, trajectories=True)
+    law = PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0)
+    out = simulate(law, scenarios, y_s=0.2, settle=0.0, trajectories=True)
     assert out.trajectories is not None
     for i in range(2):
         S, *_ = road.drive(
@@ -140,11 +129,9 @@ def test_numbers_do_not_depend_on_order_or_split(law: Controller) -> None:
     scenarios = make_scenarios(120, seed=3)
     whole = simulate(law, scenarios, y_s=0.1)
     order = np.random.default_rng(0).permutation(scenarios.n)
-    shuffled = simulate(law, scenarios.take(order), y_s=0.1)
-    np.testing.assert_array_equal(shuffled.S, whole.S[order])
-    np.testing.assert_array_equal(shuffled.status, whole.status[order])
-    parts = [simulate(law, scenarios.take(rows), y_s=0.1).S for rows in np.array_split(np.arange(scenarios.n), 7)]
-    np.testing.assert_array_equal(np.concatenate(parts), whole.S)
+    laws.assert_same_bits(simulate(law, scenarios.take(order), y_s=0.1), whole, order)
+    for rows in np.array_split(np.arange(scenarios.n), 7):
+        laws.assert_same_bits(simulate(law, scenarios.take(rows), y_s=0.1), whole, rows)
 
 
 def test_windows_differ_by_what_was_before_the_trigger() -> None:
@@ -183,109 +170,22 @@ def test_initial_yaw_rate_is_an_option() -> None:
     np.testing.assert_array_equal(path.x[started, 0, :3], zero.x[started, 0, :3])
 
 
-@dataclasses.dataclass(frozen=True)
-class _Constant(Controller):
-    """A law made of fixed arrays, for tests."""
-
-    name = "constant"
-    title = "Constant"
-    F: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    f_u: float = 0.0
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        none = np.zeros((plant.n, 0))
-        return LinearLaw(np.tile(self.F, (plant.n, 1)), np.zeros(0), none, none, np.full(plant.n, self.f_u))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Stepped(Controller):
-    """Any linear law run through the general loop, with chosen faults."""
-
-    name = "stepped"
-    title = "Stepped"
-    inner: Controller = dataclasses.field(default_factory=LQR)
-    nan_at: int = -1
-    wrong_shape: bool = False
-    kick: float = 0.0
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        law = self.inner.prepare(plant)
-        assert isinstance(law, LinearLaw)
-        return _SteppedLaw(law, self.nan_at, self.wrong_shape, self.kick)
-
-
-@dataclasses.dataclass(frozen=True)
-class _SteppedLaw(SteeringLaw):
-    law: LinearLaw
-    nan_at: int
-    wrong_shape: bool
-    kick: float
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return self.law.preview_times
-
-    def init(self, n: int) -> int:
-        return 0
-
-    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
-        delta = np.einsum("ni,ni->n", self.law.F, x) + self.law.f_u * delta_prev
-        delta = delta + (self.law.G_yaw_rate * preview.yaw_rate + self.law.G_heading * preview.heading).sum(axis=1)
-        if state == self.nan_at:
-            delta[0] = np.nan
-        if state == 20 and self.kick:
-            delta[:] = self.kick
-        if self.wrong_shape:
-            delta = delta[:-1]
-        return delta, state + 1, np.zeros(x.shape[0], dtype=np.int8)
-
-
-@dataclasses.dataclass(frozen=True)
-class _InTheRoadFrame(Controller):
-    """A law that is shown the road frame of a right departure: everything lateral with its sign turned."""
-
-    name = "in_the_road_frame"
-    title = "In the road frame"
-    inner: Controller = dataclasses.field(default_factory=LQR)
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        law = self.inner.prepare(plant)
-        return _InTheRoadFrameLaw(_SteppedLaw(law, -1, False, 0.0) if isinstance(law, LinearLaw) else law)
-
-
-@dataclasses.dataclass(frozen=True)
-class _InTheRoadFrameLaw(SteeringLaw):
-    law: SteeringLaw
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return self.law.preview_times
-
-    def init(self, n: int) -> object:
-        return self.law.init(n)
-
-    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
-        mirrored = Preview(-preview.yaw_rate, -preview.heading)
-        delta, state, status = self.law.step(t, -x, mirrored, -delta_prev, state)
-        return -delta, state, status
-
-
 @pytest.mark.parametrize("law", ALL_LAWS, ids=lambda law: law.name)
 def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
     """A right departure seen by the law in the road's own frame, and its mirrored left one."""
     left = dataclasses.replace(make_scenarios(60, seed=1), side=np.ones(60, dtype=np.int64))
     right = dataclasses.replace(left, side=-left.side)
-    seen = law if isinstance(law, NoControl) else _InTheRoadFrame(law)
+    seen = law if isinstance(law, NoControl) else laws.InTheRoadFrame(law)
     S_left, S_right = simulate(law, left, y_s=0.1), simulate(seen, right, y_s=0.1)
     assert S_left.triggered.sum() > 30
     np.testing.assert_allclose(S_right.S, S_left.S, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("inner", [LQR(), PreviewProportional(), _Constant((-0.02, 0.0, -0.3, 0.0), 0.4)])
+@pytest.mark.parametrize("inner", [LQR(), PreviewProportional(), Constant((-0.02, 0.0, -0.3, 0.0), 0.4)])
 def test_linear_and_general_loop_agree(inner: Controller) -> None:
     scenarios = make_scenarios(80, seed=6)
     linear = simulate(inner, scenarios, y_s=0.1, trajectories=True)
-    general = simulate(_Stepped(inner), scenarios, y_s=0.1, trajectories=True)
+    general = simulate(Stepped(inner), scenarios, y_s=0.1, trajectories=True)
     np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)
     assert linear.trajectories is not None
     assert general.trajectories is not None
@@ -294,23 +194,19 @@ def test_linear_and_general_loop_agree(inner: Controller) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-10, err_msg=name)
 
 
-def test_a_law_that_returns_nan_is_counted_and_holds_its_last_command() -> None:
-    scenarios = make_scenarios(30, seed=8)
-    out = simulate(_Stepped(LQR(), nan_at=2), scenarios, y_s=0.05)
-    assert out.failed_solves.sum() == 1
-    assert out.count(EventStatus.SOLVER_FAILED) == 1
-    assert np.isfinite(out.S).all()
-    linear = simulate(_Constant((np.nan, 0.0, 0.0, 0.0)), scenarios, y_s=0.05)
-    assert (linear.status[linear.triggered] == EventStatus.SOLVER_FAILED).all()
-    assert np.isfinite(linear.S).all()
+def highest(t: np.ndarray, value: np.ndarray, rate: np.ndarray) -> float:
+    """Largest value of scipy's Hermite cubics through samples."""
+    curve = CubicHermiteSpline(t, value, rate)
+    return float(max(value.max(), curve(curve.derivative().roots(extrapolate=False)).max(initial=-np.inf)))
 
 
-UNSTABLE = _Constant((0.5, 0.0, 2.0, 0.0))
+UNSTABLE = Constant((0.5, 0.0, 2.0, 0.0))
 
 
-def test_an_unstable_law_is_scored_at_the_bound_and_counted() -> None:
+@pytest.mark.parametrize("settle", [0.0, 3.0])
+def test_an_unstable_law_is_scored_at_the_bound_and_counted(settle: float) -> None:
     scenarios = make_scenarios(60, seed=9)
-    out = simulate(UNSTABLE, scenarios, y_s=0.05, trajectories=True)
+    out = simulate(UNSTABLE, scenarios, y_s=0.05, settle=settle, trajectories=True)
     diverged = out.status == EventStatus.DIVERGED
     assert diverged.sum() > 5
     assert np.isfinite(out.S).all()
@@ -321,15 +217,18 @@ def test_an_unstable_law_is_scored_at_the_bound_and_counted() -> None:
         last = np.flatnonzero(~np.isnan(path))[-1]
         assert np.abs(path[: last + 1]).max() <= BOUND
         t = out.trajectories.t[i, : last + 1]
+        if t[-1] >= scenarios.T[i]:
+            continue  # after the departure: nothing of it is scored
         inside = np.trapezoid(np.abs(path[: last + 1]), t)
         before = out.S_uncorrected[i] - simulate(NoControl(), scenarios.take([i]), y_s=0.05, window="control").S[0]
         expected = before + inside + BOUND * (scenarios.T[i] - t[-1])
         # the trapezoid rule on an exponential that grows tenfold in half a second
         assert out.S[i] == pytest.approx(expected, rel=0.02)
-        assert np.isnan(out.trajectories.delta[i, last:]).all()
+        assert np.isfinite(out.trajectories.delta[i, : last + 1]).all()
+        assert np.isnan(out.trajectories.delta[i, last + 1 :]).all()
     # a neighbour that diverges changes nothing for the others
-    alone = simulate(UNSTABLE, scenarios.take(np.flatnonzero(~diverged)), y_s=0.05)
-    np.testing.assert_array_equal(alone.S, out.S[~diverged])
+    others = np.flatnonzero(~diverged)
+    laws.assert_same_bits(simulate(UNSTABLE, scenarios.take(others), y_s=0.05, settle=settle), out, others)
 
 
 @pytest.mark.parametrize("size", [1e6, 1e17, 1e300])
@@ -338,7 +237,8 @@ def test_the_score_before_a_divergence_is_kept(size: float) -> None:
     scenarios = Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0)
     sane = simulate(LQR(), Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), y_s=0.1, trajectories=True)
     for sign in (1.0, -1.0):
-        out = simulate(_Stepped(LQR(), kick=sign * size), scenarios, y_s=0.1)
+        kick = sign * size
+        out = simulate(Stepped(LQR(), lambda delta, k, kick=kick: np.where(k == 20, kick, delta)), scenarios, y_s=0.1)
         assert out.count(EventStatus.DIVERGED) == 1
         assert sane.trajectories is not None
         path, t = sane.trajectories.x[0, :21, 0], sane.trajectories.t[0, :21]
@@ -348,23 +248,32 @@ def test_the_score_before_a_divergence_is_kept(size: float) -> None:
         before = sane.S_uncorrected[0] - simulate(LQR(), scenarios, y_s=0.1, window="control").S_uncorrected[0]
         assert out.S[0] == pytest.approx(before + area + BOUND * (4.0 - t[-1]), rel=1e-6)
         # the edge is deepest where it left, or where it was before leaving inwards
-        deepest = BOUND - 0.85 if sign > 0 else path.max() - 0.85
+        deepest = BOUND - 0.85 if sign > 0 else highest(t, path, rate) - 0.85
         assert out.deepest[0] == pytest.approx(deepest, abs=1e-12)
 
 
-def test_deepest_is_the_deepest_sample() -> None:
+def test_deepest_is_that_of_the_cubic_through_the_samples_up_to_the_end() -> None:
+    """No sample is deeper, and what comes after T is not looked at; scipy's Hermite cubics are the reference."""
     scenarios = make_scenarios(40, seed=12)
-    out = simulate(PreviewProportional(), scenarios, y_s=0.1, trajectories=True)
-    assert out.trajectories is not None
+    # it steers late and hard: the edge goes on outwards, some of them beyond T
+    out = simulate(PreviewProportional(K_y=-0.002, K_psi=-0.02), scenarios, y_s=0.1, trajectories=True)
+    paths, between, later = out.trajectories, 0, 0
+    assert paths is not None
     for i in np.flatnonzero(out.triggered):
-        assert out.deepest[i] == pytest.approx(np.nanmax(out.trajectories.x[i, :, 0]) - 0.85, abs=1e-12)
+        counted = paths.t[i] <= scenarios.T[i]
+        t, edge = paths.t[i, counted], paths.x[i, counted, 0] - 0.85
+        assert out.deepest[i] == pytest.approx(highest(t, edge, paths.x[i, counted, 1]), abs=1e-12)
+        between += out.deepest[i] > edge.max() + 1e-9
+        later += np.nanmax(paths.x[i, :, 0]) - 0.85 > out.deepest[i]
+    assert between > 5
+    assert later > 5
     np.testing.assert_array_equal(out.deepest[~out.triggered], scenarios.d_y[~out.triggered])
 
 
 def test_the_command_before_the_first_holds_the_recorded_path() -> None:
     """Steady steering angle for the yaw rate of the recorded path, from the bicycle model's textbook formula."""
     scenarios = Scenarios.from_arrays(T=[2.0, 5.0], d_y=[0.4, 0.5], v_mean=[20.0, 28.0], c_0=[2e-3, -1e-3])
-    hold = _Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
+    hold = Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
     for option in ("path", "zero"):
         out = simulate(hold, scenarios, y_s=0.0, trajectories=True, initial_yaw_rate=option)  # type: ignore[arg-type]
         assert out.trajectories is not None
@@ -378,8 +287,10 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
 def test_a_command_that_is_never_driven_is_not_counted() -> None:
     """T is a whole number of samples after the trigger: there is no last part step, and no command for it."""
     scenarios = Scenarios.from_arrays(T=1.0, d_y=0.3, v_mean=20.0)
-    assert simulate(_Stepped(LQR(), nan_at=20), scenarios, y_s=0.0).failed_solves[0] == 0
-    assert simulate(_Stepped(LQR(), nan_at=19), scenarios, y_s=0.0).failed_solves[0] == 1
+    for settle, first_unused in ((0.0, 20), (0.1, 22), (0.12, 23)):
+        for sample, count in ((first_unused, 0), (first_unused - 1, 1)):
+            law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
+            assert simulate(law, scenarios, y_s=0.0, settle=settle).failed_solves[0] == count
 
 
 def test_mean_reduction_is_that_of_the_means() -> None:
@@ -416,7 +327,8 @@ def test_S_is_exact_at_low_speed_and_long_steps(road: ModuleType, v: float, dt: 
     """The lateral mode dies within one step here: nothing that interpolates over the step would do."""
     scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3])
     K_y = -0.9 / v
-    out = simulate(PreviewProportional(K_y=K_y, K_psi=-0.5, T_lp=0.0), scenarios, y_s=0.1, dt=dt, trajectories=True)
+    law = PreviewProportional(K_y=K_y, K_psi=-0.5, T_lp=0.0)
+    out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
     assert out.trajectories is not None
     crossings = 0
     for i in range(2):
@@ -433,7 +345,7 @@ def test_S_is_exact_at_low_speed_and_long_steps(road: ModuleType, v: float, dt: 
 def test_shapes_and_arguments_are_checked() -> None:
     scenarios = make_scenarios(5)
     with pytest.raises(LdcError, match="'stepped': step returned shapes"):
-        simulate(_Stepped(LQR(), wrong_shape=True), scenarios, y_s=0.0)
+        simulate(Stepped(LQR(), lambda delta, k: delta[:-1]), scenarios, y_s=0.0)
 
     @dataclasses.dataclass(frozen=True)
     class Wrong(Controller):
@@ -445,8 +357,9 @@ def test_shapes_and_arguments_are_checked() -> None:
 
     with pytest.raises(LdcError, match="'wrong': F has shape"):
         simulate(Wrong(), scenarios, y_s=0.0)
-    for bad in ({"y_s": -0.1}, {"y_s": np.nan}, {"dt": 0.0}):
-        with pytest.raises(InputError, match=r"(y_s|dt): .*allowed"):
+    bad_values = ({"y_s": -0.1}, {"y_s": np.nan}, {"dt": 0.0}, {"settle": -0.1}, {"settle": 61.0}, {"settle": np.nan})
+    for bad in bad_values:
+        with pytest.raises(InputError, match=r"(y_s|dt|settle): .*allowed"):
             simulate(LQR(), scenarios, **bad)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"window: 'departures'; did you mean 'departure'"):
         simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]

@@ -1,0 +1,148 @@
+"""Scenarios and laws that several test modules of the closed loop share."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from controllers import LQR
+from ldctoolkit import Controller, EventStatus, LinearLaw, Outcome, Plant, Preview, Scenarios, SteeringLaw
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.simulation import Run
+
+
+def make_scenarios(n: int, seed: int = 0) -> Scenarios:
+    rng = np.random.default_rng(seed)
+    v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(6)
+    return Scenarios.from_arrays(
+        side=np.where(rng.random(n) < 0.5, 1, -1),
+        T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
+        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2),
+        v_mean=v,
+        a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
+        c_0=rng.normal(0, 0.5, n) / v**2,
+        dc=rng.normal(0, 0.3, n) / v**2,
+    )
+
+
+def with_residuals(scenarios: Scenarios) -> Scenarios:
+    rng = np.random.default_rng(77)
+    n = scenarios.n
+    return dataclasses.replace(scenarios, sigma_y=rng.uniform(0, 0.05, n), sigma_v=rng.uniform(0, 0.3, n))
+
+
+def values(out: Outcome | Run) -> dict[str, np.ndarray]:
+    """Everything that a result holds for each scenario, in the order that it has."""
+    scores = ("S", "S_uncorrected", "t_s") if isinstance(out, Outcome) else ("area",)
+    found = {name: getattr(out, name) for name in (*scores, "status", "failed_solves")}
+    return found | {name: getattr(out.companions, name) for name in COMPANION_UNITS}
+
+
+def assert_same_bits(out: Any, expected: Any, rows: Any = slice(None)) -> None:
+    """`out` holds the rows of `expected`, bit for bit; NaN equals NaN."""
+    ours, theirs = values(out), values(expected)
+    for name, value in theirs.items():
+        if value is None:
+            assert ours[name] is None
+            continue
+        np.testing.assert_array_equal(ours[name], value[rows], err_msg=name)
+        assert np.array_equal(np.signbit(ours[name]), np.signbit(value[rows])), name
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant(Controller):
+    """A linear law that is the same at every speed."""
+
+    name: ClassVar[str] = "constant"
+    title: ClassVar[str] = "Constant"
+    F: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    f_u: float = 0.0
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        none = np.zeros((plant.n, 0))
+        return LinearLaw(np.tile(self.F, (plant.n, 1)), np.zeros(0), none, none, np.full(plant.n, self.f_u))
+
+
+Fault = Callable[[np.ndarray, int], np.ndarray]
+"""(commands (n,), number of the sample) -> commands (n,)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Stepped(Controller):
+    """Any linear law run through the general loop, with a fault."""
+
+    name: ClassVar[str] = "stepped"
+    title: ClassVar[str] = "Stepped"
+    inner: Controller = dataclasses.field(default_factory=LQR)
+    fault: Fault | None = None
+    drops: bool = False
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        law = self.inner.prepare(plant)
+        assert isinstance(law, LinearLaw)
+        return SteppedLaw(law, self.fault, self.drops)
+
+
+@dataclasses.dataclass(frozen=True)
+class SteppedLaw(SteeringLaw):
+    law: LinearLaw
+    fault: Fault | None = None
+    drops: bool = False
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> int:
+        return 0
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        # sums written out, so that a scenario's bits do not depend on how many there are
+        delta = self.law.f_u * delta_prev
+        for j in range(4):
+            delta = delta + self.law.F[:, j] * x[:, j]
+        for j in range(preview.yaw_rate.shape[1]):
+            delta = delta + self.law.G_yaw_rate[:, j] * preview.yaw_rate[:, j]
+            delta = delta + self.law.G_heading[:, j] * preview.heading[:, j]
+        if self.fault is not None:
+            delta = self.fault(delta, state)
+        return delta, state + 1, np.full(t.size, EventStatus.OK, dtype=np.int8)
+
+    def take(self, rows, state):  # type: ignore[no-untyped-def]
+        if not self.drops:
+            return None
+        cut = {name: getattr(self.law, name)[rows] for name in ("F", "G_yaw_rate", "G_heading", "f_u")}
+        return dataclasses.replace(self, law=dataclasses.replace(self.law, **cut)), state
+
+
+@dataclasses.dataclass(frozen=True)
+class InTheRoadFrame(Controller):
+    """A law that is shown the road frame of a right departure: everything lateral with its sign turned."""
+
+    name: ClassVar[str] = "in_the_road_frame"
+    title: ClassVar[str] = "In the road frame"
+    inner: Controller = dataclasses.field(default_factory=LQR)
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        law = self.inner.prepare(plant)
+        return InTheRoadFrameLaw(SteppedLaw(law) if isinstance(law, LinearLaw) else law)
+
+
+@dataclasses.dataclass(frozen=True)
+class InTheRoadFrameLaw(SteeringLaw):
+    law: SteeringLaw
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> object:
+        return self.law.init(n)
+
+    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        mirrored = Preview(-preview.yaw_rate, -preview.heading)
+        delta, state, status = self.law.step(t, -x, mirrored, -delta_prev, state)
+        return -delta, state, status
