@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
+import tomllib
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ldctoolkit import Scenarios, controller_class, register, registry, simulate
+from ldctoolkit import Scenarios, SteeringLaw, controller_class, register, registry, simulate
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.plant_options import PlantOptions
+from studies import Study
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -24,6 +29,52 @@ def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (code,) = blocks("README.md", "python")
     exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
     assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("page", "lines"), [("docs/simulation.md", 7), ("docs/plant-options.md", 1), ("docs/metrics.md", 4)]
+)
+def test_the_pages_python_runs(page: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """All blocks of a page in one go; each prints what it says."""
+    scope = {"__name__": "page"}
+    for code in blocks(page, "python"):
+        exec(compile(code, page, "exec"), scope)
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) == lines
+    assert "nan" not in printed
+
+
+def test_the_toml_of_the_plant_options_is_its_python() -> None:
+    (code, *_), (text,) = blocks("docs/plant-options.md", "python"), blocks("docs/plant-options.md", "toml")
+    scope: dict[str, object] = {"__name__": "page"}
+    exec(compile(code.partition("scenarios =")[0], "plant-options.md", "exec"), scope)
+    study = Study.from_dict({"name": "page", "design": [{"law": "none"}], **tomllib.loads(text)})
+    assert isinstance(scope["options"], PlantOptions)
+    assert study.plant == scope["options"]
+
+
+@pytest.mark.parametrize("page", ["docs/simulation.md", "docs/metrics.md", "docs/plant-options.md"])
+def test_pages_link_to_pages_that_exist(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([\w/.-]+)\)", text):
+        assert (ROOT / page).parent.joinpath(link).exists(), link
+
+
+def test_metrics_names_every_companion() -> None:
+    text = (ROOT / "docs/metrics.md").read_text(encoding="utf-8")
+    for name, unit in COMPANION_UNITS.items():
+        row = re.search(rf"^\| `{name}` \| ([^|]+) \|", text, flags=re.M)
+        assert row, name
+        assert row[1].strip() == unit.replace("^2", "²").replace("^3", "³"), name
+
+
+def test_plant_options_names_every_field() -> None:
+    text = (ROOT / "docs/plant-options.md").read_text(encoding="utf-8")
+    for field in dataclasses.fields(PlantOptions):
+        assert f"## `{field.name}`" in text, field.name
+        if field.name != "speed":
+            for inner in dataclasses.fields(field.default_factory()):  # type: ignore[misc, arg-type]
+                assert f"`{inner.name}`" in text, inner.name
 
 
 @pytest.fixture
@@ -58,6 +109,34 @@ def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleTyp
     general = simulate(guide.LimitedOffset(K_i=0.0, delta_max=1.0), SCENARIOS)
     np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)  # same sums, another order
     assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()
+
+
+def test_the_guides_law_is_cut_down_without_a_change(guide: types.ModuleType) -> None:
+    """Two short departures end long before the third; the law's own `take` then drops them."""
+    scenarios = Scenarios.from_arrays(T=[1.0, 1.2, 6.0], d_y=0.5, v_mean=[25.0, 18.0, 22.0], c_0=[1e-3, 0.0, -1e-3])
+    taken = []
+
+    class Whole(guide.LimitedOffsetLaw):
+        take = SteeringLaw.take
+
+    class Counted(guide.LimitedOffsetLaw):
+        def take(self, rows, state):
+            taken.append(rows.tolist())
+            return super().take(rows, state)
+
+    def run(law: type) -> object:
+        class Design(guide.LimitedOffset):
+            def prepare(self, plant):
+                made = super().prepare(plant)
+                return law(made.design, made.dt, made.steady)
+
+        return simulate(dataclasses.dataclass(frozen=True)(Design)(), scenarios)
+
+    whole, cut = run(Whole), run(Counted)
+    assert taken == [[0, 1], [0]]  # the longest stands first
+    np.testing.assert_array_equal(whole.S, cut.S)
+    for name in COMPANION_UNITS:
+        np.testing.assert_array_equal(getattr(whole.companions, name), getattr(cut.companions, name))
 
 
 def test_readme_names_pages_that_exist() -> None:
