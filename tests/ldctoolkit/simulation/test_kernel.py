@@ -1,0 +1,346 @@
+"""The compiled loops against each other and against the plain reference; the same bits however the work is cut up."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Scenarios, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.simulation import Takeover, drive, drive_many
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+laws = load("laws")
+make_scenarios, Constant, Stepped, assert_same_bits = (
+    laws.make_scenarios, laws.Constant, laws.Stepped, laws.assert_same_bits,
+)  # fmt: skip
+
+ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
+"""The ideal plant in effect; the compiled loop takes its scenarios one by one and piece by piece."""
+
+CLOSED = {
+    "preview": PreviewProportional(),
+    "LQR": LQR(),
+    "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
+    "swings far": PreviewProportional(K_y=-0.12, K_psi=-0.02, T_lp=0.3),
+    "late": PreviewProportional(K_y=-0.002, K_psi=-0.02),
+    "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
+    "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
+    "spins": Constant((0.0, 0.0, 3.0, 0.5)),
+}
+SLOW = Scenarios.from_arrays(T=[3.0, 6.0, 9.0, 1.3], d_y=[0.3, 0.5, 0.9, 0.6], v_mean=[1.0, 1.5, 3.0, 4.0], c_0=1e-3)
+
+
+def close(out: Any, expected: Any, abs_S: float = 1e-12, abs_rest: float = 1e-9) -> None:
+    """Two routes to the same numbers, up to rounding."""
+    np.testing.assert_array_equal(out.status, expected.status)
+    # of scenarios that diverge, rounding has grown by twenty metres over a micrometre
+    fine = out.status != EventStatus.DIVERGED
+    np.testing.assert_allclose(out.S[fine], expected.S[fine], rtol=1e-12, atol=abs_S)
+    np.testing.assert_allclose(out.S, expected.S, rtol=1e-7, atol=1e-9)
+    for name in COMPANION_UNITS:
+        ours, theirs = getattr(out.companions, name), getattr(expected.companions, name)
+        np.testing.assert_allclose(ours[fine], theirs[fine], rtol=1e-9, atol=abs_rest, err_msg=name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("law", CLOSED)
+@pytest.mark.parametrize(("dt", "settle"), [(0.05, 3.0), (0.05, 0.0), (0.01, 0.01), (0.3, 1.0), (0.5, 0.7)])
+def test_side_by_side_equals_one_by_one(law: str, dt: float, settle: float) -> None:
+    """Whole steps of the discretised plant, and Taylor series piece by piece with every crossing located."""
+    for scenarios, y_s in ((make_scenarios(150, seed=2), 0.05), (SLOW, 0.0)):
+        given = {"y_s": y_s, "dt": dt, "settle": settle}
+        side_by_side = simulate(CLOSED[law], scenarios, **given)
+        close(simulate(CLOSED[law], scenarios, options=ONE_BY_ONE, **given), side_by_side)
+
+
+@pytest.mark.parametrize("law", CLOSED)
+def test_side_by_side_equals_the_general_loop(law: str) -> None:
+    scenarios = make_scenarios(150, seed=6)
+    for drops in (False, True):
+        general = simulate(Stepped(CLOSED[law], drops=drops), scenarios, y_s=0.05)
+        close(general, simulate(CLOSED[law], scenarios, y_s=0.05))
+
+
+def test_dropping_ended_scenarios_changes_no_bit() -> None:
+    scenarios = make_scenarios(200, seed=7)
+    for options in (PlantOptions(), PlantOptions(sensors=Sensors(delay=0.1, kalman=KalmanFilter()))):
+        for inner in (CLOSED["LQR"], CLOSED["unstable"]):
+            kept, dropped = (
+                simulate(Stepped(inner, drops=drops), scenarios, y_s=0.05, settle=0.4, options=options)
+                for drops in (False, True)
+            )
+            assert_same_bits(dropped, kept)
+
+
+@pytest.fixture(scope="module")
+def reference() -> ModuleType:
+    return load("reference")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["swings", "swings far", "late", "memory"])
+def test_side_by_side_equals_the_reference(reference: ModuleType, law: str) -> None:
+    """Companions too, with swings, crossings back inside and depths that only come after T."""
+    design = CLOSED[law]
+    scenarios = make_scenarios(30, seed=21).take(np.arange(0, 30, 4))
+    out = simulate(design, scenarios, y_s=0.05, settle=1.2)
+    whole = np.flatnonzero(out.status == EventStatus.OK)
+    assert whole.size >= 5
+    for i in whole:
+        side = int(scenarios.side[i])
+        path = reference.Path(
+            side=side, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=scenarios.a_mean[i],
+            c_0=side * scenarios.c_0[i], dc=side * scenarios.dc[i],
+        )  # fmt: skip
+        made = design.prepare(Plant.build(BicycleModel(), [20.0], 0.05))
+        assert isinstance(made, LinearLaw)
+
+        def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, made: LinearLaw = made) -> float:
+            ahead = sum(g * heading(s) for s, g in zip(made.preview_times, made.G_heading[0], strict=True))
+            return float(made.F[0] @ x + made.f_u[0] * before + ahead)
+
+        expected = reference.drive(path, formula, y_s=0.05, settle=1.2)
+        assert out.S[i] == pytest.approx(expected.S, abs=1e-9)
+        for name, value in expected.companions.items():
+            # depths come from a cubic through the samples
+            tolerance = 1e-4 if name in ("deepest", "dtle", "overshoot") else 1e-8
+            assert getattr(out.companions, name)[i] == pytest.approx(value, abs=tolerance), name
+
+
+# the same bits
+
+OPTIONS = {
+    "ideal": PlantOptions(),
+    "mismatch": PlantOptions(mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.7, 1.1))),
+    "camera": PlantOptions(sensors=Sensors(e_y_noise=0.03, delay=0.1, period=0.1, kalman=KalmanFilter())),
+    "all": PlantOptions(
+        speed="profile",
+        actuator=Actuator(delta_max=0.05, rate_max=0.4, lag=0.05, delay=0.03),
+        mismatch=Mismatch(m=(0.8, 1.3)),
+        tyres=Tyres(model="magic_formula"),
+        sensors=Sensors(e_y_noise=0.02, e_psi_step=1e-3, curvature_noise=1e-4),
+        residuals=Residuals(y=True, v=True),
+    ),
+}
+DESIGNS = {"linear": CLOSED["memory"], "general": Stepped(CLOSED["memory"], drops=True), "none": NoControl()}
+
+
+def takeover(scenarios: Scenarios, options: PlantOptions, settle: float = 0.5, y_s: float = 0.02) -> Takeover:
+    return Takeover.build(scenarios, BicycleModel(), y_s=y_s, dt=0.05, options=options, seed=5, settle=settle)
+
+
+@pytest.mark.parametrize("design", ["linear", "general"])
+@pytest.mark.parametrize("options", OPTIONS)
+def test_threads_change_no_bit(options: str, design: str) -> None:
+    """More scenarios than a thread takes at a time, and a last stretch that is shorter."""
+    over = takeover(laws.with_residuals(make_scenarios(1210, seed=3)), OPTIONS[options], settle=0.1)
+    assert over.m > 1100
+    one, *others = (drive(DESIGNS[design], over, threads=threads) for threads in (1, 2, 3))
+    for other in others:
+        assert_same_bits(other, one)
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("options", OPTIONS)
+def test_order_and_company_change_no_bit(options: str, design: str) -> None:
+    scenarios = laws.with_residuals(make_scenarios(90, seed=4))
+    rng = np.random.default_rng(1)
+
+    def run(rows: np.ndarray) -> Any:
+        return drive(DESIGNS[design], takeover(scenarios.take(rows), OPTIONS[options], y_s=0.15)).outcome("departure")
+
+    whole = run(np.arange(90))
+    assert 60 < whole.triggered.sum() < 90
+    some = rng.choice(90, 31, replace=False)
+    for rows in (rng.permutation(90), some, np.arange(89), *np.array_split(np.arange(90), 11), np.array([17])):
+        assert_same_bits(run(rows), whole, rows)
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("n", [0, 1, 7, 8, 9])
+def test_few_scenarios(options: str, n: int) -> None:
+    """Around the number that goes side by side; with trajectories as without."""
+    scenarios = laws.with_residuals(make_scenarios(20, seed=5))
+    for design in DESIGNS.values():
+        whole = drive(design, takeover(scenarios, OPTIONS[options], y_s=0.0))
+        assert whole.takeover.m == 20
+        part = takeover(scenarios.take(np.arange(n)), OPTIONS[options], y_s=0.0)
+        assert_same_bits(
+            drive(design, part).outcome("control"), whole.outcome("control"), np.arange(n)
+        )  # y_s = 0: the window starts at 0
+        assert_same_bits(drive(design, part, trajectories=True), drive(design, part))
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_many_designs_have_the_bits_of_each(options: str) -> None:
+    designs: list[Controller] = [
+        LQR(), LQR(q_y=3.0), PreviewProportional(), NoControl(), CLOSED["unstable"], CLOSED["memory"],
+        PreviewProportional(K_y=-0.01, T_lp=0.4), DESIGNS["general"], LQR(r_delta=20.0), LinearMPC(horizon=5),
+    ]  # fmt: skip
+    for y_s in (0.02, 9.0):
+        over = takeover(laws.with_residuals(make_scenarios(37, seed=6)), OPTIONS[options], y_s=y_s, settle=0.2)
+        runs = list(drive_many(iter(designs), over, threads=2))
+        assert len(runs) == len(designs)
+        for design, run in zip(designs, runs, strict=True):
+            assert_same_bits(run, drive(design, over))
+            assert_same_bits(run.outcome("departure"), drive(design, over, threads=1).outcome("departure"))
+    assert list(drive_many([], over)) == []
+
+
+def test_more_designs_than_go_through_in_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    over = takeover(make_scenarios(20, seed=6), PlantOptions())
+    designs = [PreviewProportional(K_y=-0.001 * k) for k in range(1, 8)]
+    together = list(drive_many(designs, over))
+    monkeypatch.setattr("ldctoolkit.simulation.closed_loop._TOGETHER", 3 * over.m * 11)
+    for ours, theirs in zip(drive_many(designs, over), together, strict=True):
+        assert_same_bits(ours, theirs)
+
+
+# edges
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("settle", [0.0, 0.01, 3.0])
+def test_nobody_triggers(options: str, design: str, settle: float) -> None:
+    scenarios = laws.with_residuals(make_scenarios(9, seed=7))
+    out = drive(DESIGNS[design], takeover(scenarios, OPTIONS[options], y_s=50.0, settle=settle)).outcome("departure")
+    assert out.count(EventStatus.NEVER_TRIGGERED) == 9
+    assert not out.triggered.any()
+    np.testing.assert_array_equal(out.S, out.S_uncorrected)
+    np.testing.assert_array_equal(out.companions.t_back, scenarios.T)
+    for name in ("overshoot", "a_y_peak", "jerk_peak", "delta_peak", "delta_rate_peak", "effort", "travel"):
+        np.testing.assert_array_equal(getattr(out.companions, name), 0.0)
+    assert out.mean_reduction == 0.0
+
+
+@pytest.mark.parametrize("design", ["linear", "general"])
+@pytest.mark.parametrize("options", ["ideal", "all"])
+def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, design: str) -> None:
+    scenarios = laws.with_residuals(make_scenarios(40, seed=8))
+    late = CLOSED["late"] if design == "linear" else Stepped(CLOSED["late"])
+    none, short, whole_sample, long = (
+        simulate(late, scenarios, y_s=0.02, options=OPTIONS[options], seed=5, settle=settle, trajectories=True)
+        for settle in (0.0, 0.01, 0.05, 3.0)
+    )
+    assert (long.status == EventStatus.OK).all()
+    assert_same_bits(short, whole_sample)  # one sample either way
+    for out, more in ((none, 0.0), (short, 0.05), (long, 3.0)):
+        assert out.trajectories is not None
+        ends = np.nanmax(out.trajectories.t[out.triggered], axis=1)
+        np.testing.assert_allclose(ends, scenarios.T[out.triggered] + more, rtol=0, atol=1e-12)
+        for name in ("S", "t_s", "status"):
+            np.testing.assert_array_equal(getattr(out, name), getattr(none, name))
+        for name in ("deepest", "dtle"):  # up to T only
+            np.testing.assert_array_equal(getattr(out.companions, name), getattr(none.companions, name))
+        for name in ("delta_peak", "effort", "travel", "overshoot"):
+            assert (getattr(out.companions, name) >= getattr(none.companions, name)).all()
+    assert np.isinf(none.companions.t_back).sum() > np.isinf(long.companions.t_back).sum()
+
+
+def test_the_trigger_at_the_very_start() -> None:
+    """y_s = 0 triggers everybody at t = 0: nothing was scored before."""
+    scenarios = make_scenarios(30, seed=9)
+    for design in (DESIGNS["linear"], DESIGNS["general"]):
+        departure, control = (simulate(design, scenarios, y_s=0.0, window=w) for w in ("departure", "control"))
+        assert (departure.t_s == 0.0).all()
+        assert_same_bits(departure, control)
+
+
+# trajectories
+
+
+@pytest.mark.parametrize("design", ["linear", "general"])
+@pytest.mark.parametrize("options", ["ideal", "all"])
+def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
+    scenarios = laws.with_residuals(make_scenarios(50, seed=10))
+    over = takeover(scenarios, OPTIONS[options], y_s=0.2)
+    bare = drive(DESIGNS[design], over)
+    every = drive(DESIGNS[design], over, trajectories=True)
+    assert bare.trajectories is None
+    assert every.trajectories is not None
+    np.testing.assert_array_equal(every.trajectories.rows, np.arange(50))
+    never = np.flatnonzero(np.isinf(over.t_s))
+    assert never.size > 2
+    started = np.flatnonzero(np.isfinite(over.t_s))
+    chosen = np.array([started[20], never[1], started[3], started[-1], never[0], started[0]])
+    for rows in (chosen, chosen.tolist(), chosen[:1], [], chosen.astype(np.uint8), never):
+        run = drive(DESIGNS[design], over, trajectories=rows, threads=2)
+        assert_same_bits(run, bare)
+        paths = run.trajectories
+        assert paths is not None
+        np.testing.assert_array_equal(paths.rows, rows)
+        length = paths.t.shape[1]
+        for name in ("t", "x", "delta"):
+            ours, theirs = getattr(paths, name), getattr(every.trajectories, name)[paths.rows]
+            np.testing.assert_array_equal(ours, theirs[:, :length])
+            assert np.isnan(theirs[:, length:]).all()
+            assert np.isnan(ours[np.isin(paths.rows, never)]).all()
+            # an entry is there in all its columns or in none
+            missing = np.isnan(ours) if ours.ndim == 2 else np.isnan(ours).any(axis=2)
+            np.testing.assert_array_equal(missing, np.isnan(paths.t))
+        first = np.where(np.isin(paths.rows, never), np.nan, over.t_s[paths.rows])
+        np.testing.assert_array_equal(paths.t[:, 0], first)
+    one = drive(DESIGNS[design], over, trajectories=4).trajectories
+    assert one is not None
+    np.testing.assert_array_equal(one.rows, [4])
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([1, 20], "trajectories: no scenario 20; allowed: 0 to 19"),
+        ([-1], "trajectories: no scenario -1; allowed: 0 to 19"),
+        ([3, 4, 3], "trajectories: a row number is given twice; allowed: each once"),
+        ([0.0, 1.0], "trajectories: allowed: true, false, or a list of row numbers of scenarios"),
+        ([[0, 1]], "trajectories: allowed: true, false, or a list of row numbers of scenarios"),
+        ([True, False], "trajectories: allowed: true, false, or a list of row numbers of scenarios"),
+        ("all", "trajectories: allowed: true, false, or a list of row numbers of scenarios"),
+    ],
+)
+def test_rows_that_cannot_be_chosen_are_named(design: str, rows: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"^{message}$"):
+        simulate(DESIGNS[design], make_scenarios(20), trajectories=rows)
+
+
+def test_the_end_of_the_departure_is_an_entry_once() -> None:
+    """Whether T is a sample or not; times rise from the trigger to the horizon's end."""
+    scenarios = Scenarios.from_arrays(T=[1.0, 1.03, 2.0, 0.02], d_y=[0.4, 0.4, 0.4, 0.001], v_mean=20.0)
+    for settle in (0.0, 0.05, 0.3):
+        for design in (DESIGNS["linear"], DESIGNS["general"]):
+            paths = simulate(design, scenarios, y_s=0.0, settle=settle, trajectories=True).trajectories
+            assert paths is not None
+            for i, T in enumerate(scenarios.T):
+                t = paths.t[i, ~np.isnan(paths.t[i])]
+                assert (np.diff(t) > 1e-6).all()
+                assert (t == T).sum() == 1
+                samples = np.arange(t.size) * 0.05
+                expected = np.unique(np.round(np.append(samples[samples < T + settle - 1e-9], [T, T + settle]), 9))
+                np.testing.assert_allclose(t, expected, rtol=0, atol=1e-9)
+
+
+def test_threads_must_be_a_number_of_threads() -> None:
+    """Fewer than one is one."""
+    over = takeover(make_scenarios(20), PlantOptions())
+    assert_same_bits(drive(LQR(), over, threads=0), drive(LQR(), over, threads=1))
