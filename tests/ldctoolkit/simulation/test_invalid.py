@@ -1,0 +1,342 @@
+"""Scenarios that cannot be driven, laws that fail, paths that leave: a status each, counted, never a silent mean."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, LinearLaw, Outcome, Plant, Scenarios, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.simulation import BOUND, Takeover, drive_many
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+laws = load("laws")
+Constant, Stepped, assert_same_bits = laws.Constant, laws.Stepped, laws.assert_same_bits
+
+N = 40
+OPTIONS = {
+    "ideal": PlantOptions(),
+    "profile": PlantOptions(speed="profile"),
+    "magic formula": PlantOptions(tyres=Tyres(model="magic_formula")),
+    "filter": PlantOptions(sensors=Sensors(e_y_noise=0.02, delay=0.1, period=0.1, kalman=KalmanFilter())),
+    "residuals": PlantOptions(residuals=Residuals(y=True, v=True), speed="profile"),
+    "all": PlantOptions(
+        speed="profile",
+        actuator=Actuator(delta_max=0.05, rate_max=0.4, lag=0.05, delay=0.03),
+        mismatch=Mismatch(m=(0.8, 1.3)),
+        tyres=Tyres(model="magic_formula"),
+        sensors=Sensors(e_y_noise=0.02, e_psi_step=1e-3, curvature_noise=1e-4, delay=0.1, kalman=KalmanFilter()),
+        residuals=Residuals(y=True, v=True),
+    ),
+}
+SOUND = laws.with_residuals(laws.make_scenarios(N, seed=31))
+DESIGNS: dict[str, Controller] = {
+    "linear": PreviewProportional(),
+    "general": Stepped(PreviewProportional(), drops=True),
+    "solver": LinearMPC(horizon=4),
+    "none": NoControl(),
+}
+BAD_VALUES = [
+    {"T": 0.0}, {"T": -1.0}, {"T": np.nan}, {"T": np.inf}, {"T": -np.inf}, {"v_mean": -20.0}, {"v_mean": 0.0},
+    {"v_mean": 0.99}, {"v_mean": np.nan}, {"v_mean": np.inf}, {"v_mean": 5.0, "a_mean": 4.0, "T": 2.01},
+    {"a_mean": np.nan}, {"a_mean": -np.inf}, {"d_y": np.nan}, {"d_y": np.inf}, {"c_0": np.nan}, {"c_0": -np.inf},
+    {"dc": np.nan}, {"sigma_y": np.nan}, {"sigma_v": np.inf},
+    dict.fromkeys(("T", "d_y", "v_mean", "a_mean", "c_0", "dc", "sigma_y", "sigma_v"), np.nan),
+]  # fmt: skip
+
+
+def spoiled(scenarios: Scenarios, rows: dict[int, dict[str, float]]) -> Scenarios:
+    """Past the checks of `Scenarios.from_arrays`, as a damaged file or someone's own generator would."""
+    columns = {field.name: getattr(scenarios, field.name).copy() for field in dataclasses.fields(scenarios)}
+    for row, changes in rows.items():
+        for name, value in changes.items():
+            columns[name][row] = value
+    return dataclasses.replace(scenarios, **columns)
+
+
+def run(design: Controller, scenarios: Scenarios, options: PlantOptions, **more: Any) -> Outcome:
+    given = {"y_s": 0.1, "seed": 3, "settle": 0.3} | more
+    return simulate(design, scenarios, options=options, **given)
+
+
+def assert_counted(out: Outcome, invalid: np.ndarray) -> None:
+    """Every row has one status; the rows `invalid` are so, without a number, and no mean hides them."""
+    assert sum(out.count(status) for status in EventStatus) == out.status.size
+    np.testing.assert_array_equal(out.status == EventStatus.INVALID, invalid)
+    assert out.count(EventStatus.INVALID) == invalid.sum()
+    np.testing.assert_array_equal(np.isnan(out.S), invalid)
+    np.testing.assert_array_equal(np.isnan(out.S_uncorrected), invalid)
+    assert not out.triggered[invalid].any()
+    assert (out.failed_solves[invalid] == 0).all()
+    assert np.isposinf(out.t_s[invalid]).all()
+    for name in COMPANION_UNITS:
+        np.testing.assert_array_equal(np.isnan(getattr(out.companions, name)), invalid, err_msg=name)
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("options", OPTIONS)
+def test_what_cannot_be_driven_is_counted_and_disturbs_nobody(options: str, design: str) -> None:
+    places = np.random.default_rng(0).choice(N, len(BAD_VALUES), replace=False)
+    bad = np.isin(np.arange(N), places)
+    scenarios = spoiled(SOUND, {int(row): changes for row, changes in zip(places, BAD_VALUES, strict=True)})
+    sound = run(DESIGNS[design], SOUND, OPTIONS[options])
+    assert sound.count(EventStatus.INVALID) == 0
+    for window in ("departure", "control"):
+        sound = run(DESIGNS[design], SOUND, OPTIONS[options], window=window)
+        out = run(DESIGNS[design], scenarios, OPTIONS[options], window=window)
+        assert_counted(out, bad)
+        rows = np.flatnonzero(~bad)
+        kept = laws.values(out)
+        for name, value in laws.values(sound).items():
+            np.testing.assert_array_equal(kept[name][rows], value[rows], err_msg=name)
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_no_mean_is_silent_about_what_cannot_be_driven(design: str) -> None:
+    one = spoiled(SOUND, {7: {"T": 0.0}})
+    out = run(DESIGNS[design], one, PlantOptions())
+    assert np.isnan(out.mean_reduction)
+    assert np.isnan(out.reduction[7])
+    assert np.isfinite(np.delete(out.reduction, 7)).all()
+
+
+@pytest.mark.parametrize("changes", BAD_VALUES, ids=lambda changes: ",".join(f"{k}={v}" for k, v in changes.items()))
+def test_one_that_cannot_be_driven_alone(changes: dict[str, float]) -> None:
+    scenarios = spoiled(SOUND.take([0]), {0: changes})
+    for options in OPTIONS.values():
+        for design in DESIGNS.values():
+            out = run(design, scenarios, options, trajectories=True)
+            assert_counted(out, np.ones(1, dtype=bool))
+            assert np.isnan(out.mean_reduction)
+            if out.trajectories is not None:
+                assert np.isnan(out.trajectories.x).all()
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_none_can_be_driven(design: str) -> None:
+    scenarios = spoiled(SOUND, {i: {"v_mean": np.nan} for i in range(N)})
+    for options in OPTIONS.values():
+        out = run(DESIGNS[design], scenarios, options)
+        assert_counted(out, np.ones(N, dtype=bool))
+        assert np.isnan(out.mean_reduction)
+
+
+def test_a_speed_residual_that_makes_it_too_slow() -> None:
+    """The fitted line stays above 1 m/s; the line with its residual does not."""
+    options = PlantOptions(speed="profile", residuals=Residuals(v=True))
+    scenarios = Scenarios.from_arrays(T=3.0, d_y=0.3, v_mean=np.full(30, 2.0), sigma_v=0.6)
+    out = run(PreviewProportional(), scenarios, options)
+    invalid = out.status == EventStatus.INVALID
+    assert 0 < invalid.sum() < 30
+    assert_counted(out, invalid)
+    assert run(PreviewProportional(), scenarios, PlantOptions()).count(EventStatus.INVALID) == 0
+
+
+def test_a_speed_without_a_gain_is_named_and_not_invalid() -> None:
+    """It can be driven, only not by that design."""
+    fast = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=[20.0, 95.0])
+    with pytest.raises(InputError, match="95 m/s; allowed for scheduled gains"):
+        run(LQR(), fast, PlantOptions())
+    assert_counted(run(PreviewProportional(), fast, PlantOptions()), np.zeros(2, dtype=bool))
+
+
+def test_a_step_longer_than_the_departure() -> None:
+    scenarios = laws.make_scenarios(30, seed=2)
+    for options in OPTIONS.values():
+        if options.sensors.delay:
+            continue  # no multiple of this dt
+        for name in ("linear", "general", "none"):
+            for settle in (0.0, 3.0):
+                out = run(DESIGNS[name], scenarios, options, dt=20.0, settle=settle)
+                assert_counted(out, np.zeros(30, dtype=bool))
+                assert np.isfinite(out.mean_reduction)
+
+
+# laws that fail
+
+
+@dataclasses.dataclass(frozen=True)
+class SomeGains(Controller):
+    """A linear law whose gains are not finite for the rows given."""
+
+    name = "some_gains"
+    title = "Some gains"
+    value: float = float("nan")
+    field: str = "F"
+    speed: float = 20.0
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        law = PreviewProportional().prepare(plant)
+        assert isinstance(law, LinearLaw)
+        array = getattr(law, self.field).copy()
+        array[plant.v > self.speed] = self.value
+        return dataclasses.replace(law, **{self.field: array})
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_linear_law_with_gains_that_are_not_finite(value: float, options: str) -> None:
+    usual = run(PreviewProportional(), SOUND, OPTIONS[options])
+    for field in ("F", "f_u", "G_heading", "G_yaw_rate"):
+        out = run(SomeGains(value, field), SOUND, OPTIONS[options])
+        assert_counted(out, np.zeros(N, dtype=bool))
+        assert np.isfinite(out.mean_reduction)
+        failed, left = out.status == EventStatus.SOLVER_FAILED, out.status == EventStatus.DIVERGED
+        assert failed.sum() > 5
+        np.testing.assert_array_equal(failed, (out.failed_solves > 0) & ~left)
+        fine = np.flatnonzero((out.failed_solves == 0) & (out.status != EventStatus.DIVERGED))
+        assert fine.size > 5
+        for name, kept in laws.values(usual).items():
+            np.testing.assert_array_equal(laws.values(out)[name][fine], kept[fine], err_msg=name)
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_law_that_never_gives_a_number_holds_the_first_angle(value: float, options: str) -> None:
+    """Linear and general alike: the wheel stays where the recorded path had it, and every command is counted."""
+    hold = run(Constant(f_u=1.0), SOUND, OPTIONS[options])
+    never = Stepped(PreviewProportional(), lambda delta, k: np.full_like(delta, value))
+    for design in (never, Constant((value,) * 4, value)):
+        out = run(design, SOUND, OPTIONS[options])
+        assert_counted(out, np.zeros(N, dtype=bool))
+        # the general loop's plant is the same up to rounding
+        np.testing.assert_allclose(out.S, hold.S, rtol=1e-12)
+        for name in COMPANION_UNITS:
+            ours, theirs = getattr(out.companions, name), getattr(hold.companions, name)
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12, err_msg=name)
+        driven = out.triggered & (hold.status != EventStatus.DIVERGED)
+        assert (out.status[driven] == EventStatus.SOLVER_FAILED).all()
+        steps = np.ceil((SOUND.T[driven] - out.t_s[driven]) / 0.05 - 1e-9) + 6
+        np.testing.assert_array_equal(out.failed_solves[driven], steps)
+
+
+def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
+    """Row 0 at sample 2: against the same law made to repeat its command there."""
+    scenarios = laws.make_scenarios(30, seed=8)
+
+    def at(value: float, row: int, sample: int) -> Any:
+        def fault(delta: np.ndarray, k: int) -> np.ndarray:
+            changed = delta.copy()
+            if k == sample:
+                changed[row] = value
+            return changed
+
+        return fault
+
+    usual = run(Stepped(LQR()), scenarios, PlantOptions(), y_s=0.05)
+    for value in (np.nan, np.inf, -np.inf):
+        out = run(Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05)
+        assert_counted(out, np.zeros(30, dtype=bool))
+        assert out.failed_solves.sum() == 1
+        assert out.count(EventStatus.SOLVER_FAILED) == 1
+        (row,) = np.flatnonzero(out.failed_solves)
+        others = np.delete(np.arange(30), row)
+        kept = laws.values(out)
+        for name, value_then in laws.values(usual).items():
+            np.testing.assert_array_equal(kept[name][others], value_then[others], err_msg=name)
+        paths = run(
+            Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05, trajectories=[row]
+        ).trajectories
+        assert paths is not None
+        assert paths.delta[0, 2] == paths.delta[0, 1] != paths.delta[0, 3]
+
+
+def test_the_last_command_of_all_counts_too() -> None:
+    scenarios = Scenarios.from_arrays(T=1.03, d_y=0.3, v_mean=20.0)
+    for settle, last in ((0.0, 20), (0.3, 26)):
+        usual = run(Stepped(LQR()), scenarios, PlantOptions(), y_s=0.0, settle=settle)
+        for sample, failures in ((last, 1), (last + 1, 0)):
+            law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
+            out = run(law, scenarios, PlantOptions(), y_s=0.0, settle=settle)
+            assert out.failed_solves[0] == failures
+            assert out.status[0] == (EventStatus.SOLVER_FAILED if failures else EventStatus.OK)
+            assert out.S[0] == pytest.approx(usual.S[0], rel=1e-3)
+        assert usual.count(EventStatus.OK) == 1
+
+
+def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
+    class OwnError(Exception):
+        pass
+
+    def fault(delta: np.ndarray, k: int) -> np.ndarray:
+        if k == 3:
+            raise OwnError("the law's own words")
+        return delta
+
+    over = Takeover.build(SOUND, BicycleModel(), y_s=0.1, dt=0.05)
+    before = list(drive_many([LQR(), Stepped(LQR())], over))
+    runs = drive_many([LQR(), Stepped(LQR(), fault), LQR()], over)
+    assert_same_bits(next(runs), before[0])
+    with pytest.raises(OwnError, match="the law's own words"):
+        next(runs)
+    for ours, theirs in zip(drive_many([LQR(), Stepped(LQR())], over), before, strict=True):
+        assert_same_bits(ours, theirs)
+    assert not issubclass(OwnError, LdcError)
+
+
+# paths that leave
+
+
+@pytest.mark.parametrize("options", ["ideal", "profile", "magic formula", "filter", "all"])
+@pytest.mark.parametrize("design", ["linear", "general"])
+def test_leaving_before_the_end_is_scored_and_after_it_is_not(options: str, design: str) -> None:
+    unstable: Controller = Constant((0.03, 0.0, 0.2, 0.0))
+    law = unstable if design == "linear" else Stepped(unstable, drops=True)
+    scenarios = laws.make_scenarios(60, seed=9)
+    short, long = (run(law, scenarios, OPTIONS[options], y_s=0.05, settle=settle) for settle in (0.0, 3.0))
+    for out in (short, long):
+        assert_counted(out, np.zeros(60, dtype=bool))
+        assert np.isfinite(out.mean_reduction)
+        for name in set(COMPANION_UNITS) - {"t_back"}:
+            assert np.isfinite(getattr(out.companions, name)).all(), name
+    before, at_last = short.status == EventStatus.DIVERGED, long.status == EventStatus.DIVERGED
+    after = at_last & ~before
+    assert before.sum() > 5
+    assert after.sum() > 5
+    assert (at_last | ~before).all()
+    np.testing.assert_array_equal(long.S, short.S)
+    np.testing.assert_array_equal(long.deepest, short.deepest)
+    out_there = np.maximum(long.deepest, long.companions.overshoot + 0.0)
+    assert (out_there[before] == BOUND - 0.85).all()
+    # it left inwards after T, or stayed as deep as it was at T
+    assert (long.deepest[after] < BOUND - 0.85).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"c_0": 1e300}, {"c_0": -1e300}, {"dc": 1e308}, {"c_0": 1e5}, {"d_y": 1e300}, {"d_y": 1e160}, {"a_mean": 1e-320}],
+    ids=str,
+)
+def test_absurd_numbers_that_are_numbers(changes: dict[str, float]) -> None:
+    """Finite and fast enough: driven, whatever comes out of it is counted, and the neighbours keep their bits."""
+    scenarios = spoiled(SOUND, {3: changes})
+    for options in ("ideal", "profile", "magic formula", "filter"):
+        for design in ("linear", "general"):
+            with np.errstate(all="ignore"):
+                out = run(DESIGNS[design], scenarios, OPTIONS[options])
+                usual = run(DESIGNS[design], SOUND, OPTIONS[options])
+            assert sum(out.count(status) for status in EventStatus) == N
+            kept, rows = laws.values(out), np.delete(np.arange(N), 3)
+            for name, value in laws.values(usual).items():
+                np.testing.assert_array_equal(kept[name][rows], value[rows], err_msg=name)
+            assert np.isfinite(out.S[3]) or np.isnan(out.mean_reduction) or np.isinf(out.mean_reduction)
