@@ -19,6 +19,7 @@ from ldctoolkit import (
     Preview,
     RecordedPath,
     Scenarios,
+    SteeringLaw,
     controller_class,
     controller_names,
     register,
@@ -91,6 +92,38 @@ def test_same_input_same_output_and_inputs_untouched(kind: type[Controller]) -> 
     for field in dataclasses.fields(scenarios):
         np.testing.assert_array_equal(getattr(scenarios, field.name), getattr(before, field.name))
     assert np.isfinite(first.S).all()
+
+
+def test_a_law_that_can_be_cut_down_commands_the_same(kind: type[Controller]) -> None:
+    """`take` between two steps, twice in a row: what remains sees no difference."""
+    n = 9
+    rng = np.random.default_rng(5)
+    plant = Plant.build(BicycleModel(), rng.uniform(8, 35, n), 0.05)
+    law = kind().prepare(plant)
+    if isinstance(law, LinearLaw | RecordedPath):
+        return  # the compiled loops take them scenario by scenario
+    p = law.preview_times.size
+
+    def given(rows: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, Preview, np.ndarray]:
+        rng = np.random.default_rng(k)
+        x = rng.normal(size=(n, 4)) * [0.8, 0.4, 0.03, 0.1]
+        yaw_rate, heading, previous = rng.normal(0, 0.03, (n, p)), rng.normal(0, 0.03, (n, p)), rng.normal(0, 0.05, n)
+        return np.full(rows.size, 0.05 * k), x[rows], Preview(yaw_rate[rows], heading[rows]), previous[rows]
+
+    everything = np.arange(n)
+    whole, part, rows = law.init(n), law.init(n), everything
+    some: SteeringLaw = law
+    for k, kept in enumerate(([0, 1, 3, 4, 6, 8], [1, 2, 5], [0])):
+        delta, whole, status = law.step(*given(everything, k), whole)
+        ours, part, ours_status = some.step(*given(rows, k), part)
+        np.testing.assert_array_equal(ours, delta[rows])
+        np.testing.assert_array_equal(ours_status, status[rows])
+        taken = some.take(np.array(kept), part)
+        if taken is None:
+            return  # it cannot: scenarios that have ended are shown to it as zeros
+        some, part = taken
+        rows = rows[kept]
+        assert isinstance(some, SteeringLaw)
 
 
 def test_names_are_checked() -> None:
