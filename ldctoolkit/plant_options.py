@@ -292,6 +292,15 @@ class Residuals:
         return not (self.y or self.v)
 
 
+_PARTS: Final = {
+    "actuator": Actuator,
+    "mismatch": Mismatch,
+    "tyres": Tyres,
+    "sensors": Sensors,
+    "residuals": Residuals,
+}
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlantOptions:
     """Everything that may differ from the ideal plant.
@@ -329,12 +338,9 @@ class PlantOptions:
     def __post_init__(self) -> None:
         if self.speed not in get_args(Speed):
             raise InputError(f"speed: {self.speed!r}; {nearest(str(self.speed), get_args(Speed))}")
-        for field in dataclasses.fields(self)[1:]:
-            kind = type(field.default_factory())  # type: ignore[misc]
-            if not isinstance(getattr(self, field.name), kind):
-                raise InputError(
-                    f"{field.name}: {getattr(self, field.name)!r}; allowed: an instance of {kind.__name__}"
-                )
+        for name, kind in _PARTS.items():
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: an instance of {kind.__name__}")
         if self.tyres.ideal and self.mismatch.mu != (1.0, 1.0):
             raise InputError(
                 f"mismatch.mu: {self.mismatch.mu!r}; linear tyres have no friction coefficient; "

@@ -81,5 +81,5 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
     -------
     (n,) [1]
     """
-    ratio = np.divide(S, S_uncorrected, out=np.ones_like(S), where=S_uncorrected > 0)
+    ratio = np.divide(S, S_uncorrected, out=np.ones_like(S), where=~(S_uncorrected <= 0))
     return 1.0 - ratio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal, get_args
 
 import numpy as np
@@ -94,8 +95,10 @@ class Outcome:
 
     @property
     def mean_reduction(self) -> float:
-        """1 - mean S / mean S_uncorrected over all scenarios, as the paper reports it."""
+        """1 - mean S / mean S_uncorrected over all scenarios, as the paper reports it; NaN where one is not valid."""
         total = float(np.sum(self.S_uncorrected))
+        if math.isnan(total):
+            return math.nan
         return 1.0 - float(np.sum(self.S)) / total if total > 0 else 0.0
 
     def count(self, status: EventStatus) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import threading
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -45,6 +46,7 @@ class Tables:
     over: Takeover
     setting: FloatArray
     scene: FloatArray
+    spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
 
     @classmethod
     def of(cls, over: Takeover) -> Self:
@@ -73,6 +75,13 @@ class Tables:
         state = np.zeros((self.over.m, data.STATE + lengths[0] + 2 * lengths[1] + 2 * lengths[2]))
         state[:, data.SLOT] = -1.0
         return state
+
+    def spare_state(self) -> FloatArray:
+        """Rows that one thread's calls may use again and again: nothing in them is read before it is written."""
+        if not hasattr(self.spare, "state"):
+            self.spare.state = self.state()
+        rows: FloatArray = self.spare.state
+        return rows
 
     def paths(self, chosen: IntArray, state: FloatArray) -> FloatArray:
         """Room for the paths of the scenarios `chosen` (c,), by their place among the m: (c, entries, columns)."""

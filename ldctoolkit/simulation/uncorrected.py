@@ -251,7 +251,9 @@ class UncorrectedPath:
         # 4 d_y s (1 - s) + l_f arctan(q), q = 4 d_y/d_x (1 - 2 s), is highest where q (1 + q^2) = 8 l_f d_y/d_x^2
         q = 2.0 / np.sqrt(3.0) * np.sinh(np.arcsinh(12.0 * np.sqrt(3.0) * l_f * p.d_y / d_x**2) / 3.0)
         share = np.clip(0.5 - l_f / (d_x * (1.0 + q**2)), 0.0, dep.position(p, end) / d_x)
-        return 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(4.0 * p.d_y / d_x * (1.0 - 2.0 * share))
+        slope = 4.0 * p.d_y / d_x * (1.0 - 2.0 * share)
+        highest: FloatArray = 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(slope)
+        return highest
 
     @_quiet
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:

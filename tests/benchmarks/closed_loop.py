@@ -1,15 +1,23 @@
-"""Closed-loop benchmark: the batch loop against plain per-scenario references, as ratios from one run.
+"""Closed-loop benchmark: the compiled loops against plain references, as ratios from one run.
 
-References, written here in full: the same linear law driven scenario by scenario with `control.forced_response` between
-samples; and the MPC driven scenario by scenario with one sparse, updated, warm-started OSQP each. Gains over speed are
-computed once and kept for both sides. Print with `make bench`.
+References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
+same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
+discrete-time system; and the MPC scenario by scenario with one sparse, updated, warm-started OSQP each. Times are the
+best of several runs, and a design's own preparation is in both of a pair. Printed with `make bench` as the table that
+`docs/benchmarks.md` keeps; `--memory` measures the memory of 1,000 designs and is called by the script itself.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.metadata
 import platform
+import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import control
 import numpy as np
@@ -18,9 +26,13 @@ import scipy.sparse as sp
 
 from controllers import LQR, LinearMPC, PreviewProportional
 from controllers.riccati import regulator
-from ldctoolkit import Controller, LinearLaw, Scenarios, simulate
-from ldctoolkit.simulation import Takeover
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, SteeringLaw
+from ldctoolkit.mixture.sources import usable_cores
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
+from ldctoolkit.simulation import Takeover, drive, drive_many
 from ldctoolkit.vehicle import BicycleModel
+
+SCENARIOS, DESIGNS = 10_000, 1_000
 
 
 def scenarios(n: int) -> Scenarios:
@@ -46,23 +58,171 @@ def seconds(run: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def forced_response_loop(design: Controller, over: Takeover, rows: range) -> None:
-    """One `control.forced_response` per scenario and sample, with the lane's yaw rate as a straight line."""
+def linear_law(design: Controller, over: Takeover) -> LinearLaw:
     law = design.prepare(over.plant)
     if not isinstance(law, LinearLaw):
         raise TypeError(design.name)
-    A, B, E = over.plant.model.matrices(over.plant.v)
-    dt = over.plant.dt
+    return law
+
+
+def numpy_loop(design: Controller, over: Takeover, *, companions: bool) -> np.ndarray:
+    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy.
+
+    Struct of arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A
+    step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
+    """
+    law = linear_law(design, over)
+    dt, plant, p = over.dt, over.plant, over.triggered
+    edge, l_f, v = over.model.parameters.edge_offset, over.model.parameters.l_f, plant.v
+
+    def columns(step):
+        matrix = [[np.ascontiguousarray(step.A[:, i, j]) for j in (1, 2, 3)] for i in range(4)]
+        vectors = [[np.ascontiguousarray(a[:, i]) for i in range(4)] for a in (step.B, step.E_0, step.E_1, step.area_x)]
+        return (*vectors, matrix, step.area_delta.copy(), step.area_r_0.copy(), step.area_r_1.copy())
+
+    whole, last = columns(plant.step), columns(over.model.discretize(v, over.rest))
+    A, B, E = over.model.matrices(v)
+    a_1, a_2, a_3 = (np.ascontiguousarray(A[:, 1, j]) for j in (1, 2, 3))
+    b_1, e_1 = np.ascontiguousarray(B[:, 1]), np.ascontiguousarray(E[:, 1]) + v
+    F = [np.ascontiguousarray(law.F[:, i]) for i in range(4)]
+    uses_rate, uses_turn = bool(np.any(law.G_yaw_rate)), bool(np.any(law.G_heading))
+    m = over.m
+    x = [over.x_0[:, i].copy() for i in range(4)]
+    u, S = over.delta_0.copy(), np.zeros(m)
+    steps = over.full_steps + (over.settle if companions else 0)
+    if companions:
+        deep, front, over_line = x[0].copy(), x[0] + l_f * x[2], -x[0]
+        back, peak, jerk, angle, rate, effort, travel = (np.zeros(m) for _ in range(7))
+        size = round(0.5 / dt)
+        before = a_1 * x[1] + a_2 * x[2] + a_3 * x[3] + b_1 * u + e_1 * v * (p.c_0 + p.dc * over.start / p.T)
+        past = [[before.copy(), before.copy()] for _ in range(size)]
+
+    def lane(t, n):
+        return v[:n] * (p.c_0[:n] + p.dc[:n] * np.minimum(t / p.T[:n], 1.0))
+
+    def turned(t, n):
+        inside = np.minimum(t, p.T[:n])
+        return p.c_0[:n] * t + p.dc[:n] * (0.5 * inside**2 / p.T[:n] + (t - inside))
+
+    def advance(n, t, h, table, counted, k):
+        nonlocal x, u
+        b, e_0, e_h, area, matrix, area_delta, area_0, area_h = table
+        y = [column[:n] for column in x]
+        r_0, r_1 = lane(t, n), lane(t + h, n)
+        d = F[0][:n] * y[0] + F[1][:n] * y[1] + F[2][:n] * y[2] + F[3][:n] * y[3]
+        for j, ahead in enumerate(law.preview_times):
+            if uses_rate:
+                d += law.G_yaw_rate[:n, j] * lane(t + ahead, n)
+            if uses_turn:
+                d += law.G_heading[:n, j] * (v[:n] * (turned(t + ahead, n) - turned(t, n)))
+        new = [
+            matrix[i][0][:n] * y[1] + matrix[i][1][:n] * y[2] + matrix[i][2][:n] * y[3]
+            + b[i][:n] * d + e_0[i][:n] * r_0 + e_h[i][:n] * r_1
+            for i in range(4)
+        ]  # fmt: skip
+        new[0] += y[0]
+        if np.any(counted):
+            signed = area[0][:n] * y[0] + area[1][:n] * y[1] + area[2][:n] * y[2] + area[3][:n] * y[3]
+            signed += area_delta[:n] * d + area_0[:n] * r_0 + area_h[:n] * r_1
+            part = np.abs(signed)
+            rows = np.flatnonzero(y[0] * new[0] < 0)
+            if rows.size:
+                share = y[0][rows] / (y[0][rows] - new[0][rows])
+                hs = h if np.ndim(h) == 0 else h[rows]
+                part[rows] = 0.5 * hs * (share * np.abs(y[0][rows]) + (1 - share) * np.abs(new[0][rows]))
+            S[:n] += np.where(counted, part, 0.0)
+        if companions:
+            a_right = a_1[:n] * y[1] + a_2[:n] * y[2] + a_3[:n] * y[3] + b_1[:n] * d + e_1[:n] * r_0
+            a_left = a_1[:n] * new[1] + a_2[:n] * new[2] + a_3[:n] * new[3] + b_1[:n] * d + e_1[:n] * r_1
+            np.maximum(deep[:n], np.where(counted, new[0], -np.inf), out=deep[:n])
+            np.maximum(front[:n], np.where(counted, new[0] + l_f * new[2], -np.inf), out=front[:n])
+            np.maximum(over_line[:n], -new[0], out=over_line[:n])
+            came = (back[:n] == 0) & (y[0] >= edge) & (new[0] < edge)
+            back[:n] = np.where(came, t + h * (y[0] - edge) / (y[0] - new[0]), back[:n])
+            np.maximum(peak[:n], np.maximum(np.abs(a_right), np.abs(a_left)), out=peak[:n])
+            old = past[k % size]
+            change = np.maximum(np.abs(a_right - old[0][:n]), np.abs(a_left - past[(k + 1) % size][1][:n]))
+            np.maximum(jerk[:n], change / 0.5, out=jerk[:n])
+            old[0][:n], past[(k + 1) % size][1][:n] = a_right, a_left
+            np.maximum(angle[:n], np.abs(d), out=angle[:n])
+            turn = np.abs(d - u[:n])
+            np.maximum(rate[:n], turn / dt, out=rate[:n])
+            effort[:n] += d * d * h
+            travel[:n] += turn
+        for column, value in zip(x, new, strict=True):
+            column[:n] = value
+        u[:n] = d
+
+    counts = np.searchsorted(-steps, -np.arange(int(steps[0])), side="left")
+    for k, n in enumerate(counts):
+        counted = k < over.full_steps[:n]
+        advance(int(n), over.start[:n] + k * dt, dt, whole, counted, k)
+    if not companions:  # the horizon's last, shorter step would come here too
+        advance(m, over.start + over.full_steps * dt, over.rest, last, np.ones(m, dtype=bool), 0)
+    return S
+
+
+def forced_response_loop(design: Controller, over: Takeover, rows: range) -> None:
+    """One `control.forced_response` call a scenario, on the closed loop sampled with dt, from the trigger to T."""
+    law = linear_law(design, over)
+    dt, step = over.dt, over.plant.step
     for i in rows:
-        system = control.ss(A[i], np.column_stack([B[i], E[i]]), np.eye(4), np.zeros((4, 2)))
-        x = over.x_0[i]
-        for k in range(int(over.full_steps[i])):
-            t = np.full(over.m, over.start[i] + k * dt)
-            ahead = over.preview(t, law.preview_times)
-            delta = law.F[i] @ x + law.G_yaw_rate[i] @ ahead.yaw_rate[i] + law.G_heading[i] @ ahead.heading[i]
-            r = [over.yaw_rate(t)[i], over.yaw_rate(t + dt)[i]]
-            response = control.forced_response(system, [0.0, dt], np.array([[delta, delta], r]), x)
-            x = response.states[:, -1]
+        gains = np.concatenate([law.G_yaw_rate[i], law.G_heading[i]])
+        closed = step.A[i] + np.outer(step.B[i], law.F[i])
+        inputs = np.column_stack([np.outer(step.B[i], gains), step.E_0[i], step.E_1[i]])
+        t = over.start[i] + dt * np.arange(int(over.full_steps[i]) + 1)
+        v, p, T = over.plant.v[i], over.triggered, over.triggered.T[i]
+
+        def r(at, v=v, p=p, T=T, i=i):
+            return v * (p.c_0[i] + p.dc[i] * np.minimum(at / T, 1.0))
+
+        def turned(at, v=v, p=p, T=T, i=i):
+            inside = np.minimum(at, T)
+            return v * (p.c_0[i] * at + p.dc[i] * (0.5 * inside**2 / T + at - inside))
+
+        rates = [r(t + ahead) for ahead in law.preview_times]
+        turns = [turned(t + ahead) - turned(t) for ahead in law.preview_times]
+        system = control.ss(closed, inputs, np.eye(4), np.zeros((4, inputs.shape[1])), dt)
+        if t.size > 1:
+            control.forced_response(system, None, np.array([*rates, *turns, r(t), r(t + dt)]), over.x_0[i])
+
+
+@dataclasses.dataclass(frozen=True)
+class Stepped(Controller):
+    """A linear law as any other law: through `SteeringLaw.step`."""
+
+    name = "stepped"
+    title = "Stepped"
+    inner: Controller = dataclasses.field(default_factory=LQR)
+
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        law = self.inner.prepare(plant)
+        if not isinstance(law, LinearLaw):
+            raise TypeError(self.inner.name)
+        return SteppedLaw(law)
+
+
+@dataclasses.dataclass(frozen=True)
+class SteppedLaw(SteeringLaw):
+    law: LinearLaw
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t, x, preview, delta_prev, state):
+        law = self.law
+        delta = (law.F * x).sum(axis=1) + (law.G_yaw_rate * preview.yaw_rate).sum(axis=1)
+        delta += (law.G_heading * preview.heading).sum(axis=1) + law.f_u * delta_prev
+        return delta, state, np.zeros(delta.size, dtype=np.int8)
+
+    def take(self, rows, state):
+        law = self.law
+        cut = LinearLaw(law.F[rows], law.preview_times, law.G_yaw_rate[rows], law.G_heading[rows], law.f_u[rows])
+        return SteppedLaw(cut), state
 
 
 def raw_osqp_loop(design: LinearMPC, over: Takeover) -> None:
@@ -107,24 +267,123 @@ def raw_osqp_loop(design: LinearMPC, over: Takeover) -> None:
             x = A @ x + B * previous + E_0 * r[0] + E_1 * r[1]
 
 
+REAL = PlantOptions(
+    speed="profile",
+    actuator=Actuator(delta_max=0.5, rate_max=0.4, lag=0.1, delay=0.12),
+    mismatch=Mismatch(m=(0.9, 1.3), C_af=(0.8, 1.1), C_ar=(0.8, 1.1), mu=(0.4, 1.0)),
+    tyres=Tyres(model="magic_formula"),
+    sensors=Sensors(e_y_noise=0.03, e_psi_noise=0.003, delay=0.1, period=0.1, kalman=KalmanFilter()),
+)
+OPTIONS = {
+    "actuator: lag, rate limit, delay": PlantOptions(actuator=REAL.actuator),
+    "camera with noise and Kalman filter": PlantOptions(sensors=REAL.sensors),
+    "speed profile": PlantOptions(speed="profile"),
+    "saturating tyres": PlantOptions(tyres=REAL.tyres),
+    "all of these and mismatch": REAL,
+}
+
+
+def measure_memory() -> None:
+    """Run 1,000 designs on 10,000 scenarios, keep every per-scenario number, and print seconds and peak memory."""
+    over = Takeover.build(scenarios(SCENARIOS), BicycleModel(), y_s=0.1, dt=0.05)
+    list(drive_many([PreviewProportional()], over))
+    gains = np.linspace(-0.05, -0.001, DESIGNS)
+    start = time.perf_counter()
+    kept = []
+    for run in drive_many((PreviewProportional(K_y=float(K_y)) for K_y in gains), over):
+        outcome = run.outcome("departure")
+        companions = [getattr(outcome.companions, f.name) for f in dataclasses.fields(outcome.companions)]
+        kept.append((outcome.S, outcome.status, outcome.failed_solves, np.array(companions, dtype=np.float32)))
+    elapsed = time.perf_counter() - start
+    if len(kept) != DESIGNS or not np.isfinite(sum(S.sum() for S, *_ in kept)):
+        raise RuntimeError("the designs were not all driven")
+    print(elapsed, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+
+
+def header() -> None:
+    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "control", "osqp", "scipy")}
+    shown = ", ".join(f"{name} {version}" for name, version in versions.items())
+    print(f"{_processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}.")
+    print()
+    print("| case | ours [ms] | reference [ms] | ratio |")
+    print("| --- | ---: | ---: | ---: |")
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return f"{line.partition(':')[2].strip()}, {platform.machine()}"
+    return platform.machine()
+
+
+def row(case: str, ours: float, theirs: float) -> None:
+    print(f"| {case} | {1e3 * ours:.2f} | {1e3 * theirs:.1f} | {theirs / ours:.1f} |", flush=True)
+
+
 def main() -> None:
-    print(f"Python {platform.python_version()}, NumPy {np.__version__}, {platform.machine()}")
-    print(f"{'case':<44}{'ours [ms]':>12}{'reference [ms]':>17}{'ratio':>9}")
-    few = Takeover.build(scenarios(60), BicycleModel(), y_s=0.1, dt=0.05)
-    many = scenarios(2000)
-    share = len(many) / len(few.scenarios)
+    if sys.argv[1:] == ["--memory"]:
+        measure_memory()
+        return
+    header()
+    many, model = scenarios(SCENARIOS), BicycleModel()
+    event = Takeover.build(many, model, y_s=0.1, dt=0.05, settle=0.0)
+    whole = Takeover.build(many, model, y_s=0.1, dt=0.05)
     for design in (PreviewProportional(), LQR()):
-        ours = seconds(lambda design=design: simulate(design, many, y_s=0.1), 3)
-        theirs = share * seconds(lambda design=design: forced_response_loop(design, few, range(few.m)), 1)
-        line = f"{design.name}, 2,000 scenarios, vs forced_response"
-        print(f"{line:<44}{1e3 * ours:>12.1f}{1e3 * theirs:>17.1f}{theirs / ours:>9.1f}")
+        name = f"{design.name}, {SCENARIOS:,} scenarios"
+        for over in (event, whole):
+            drive(design, over)
+        ours = seconds(lambda design=design: drive(design, event), 20)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, companions=False), 3)
+        row(f"{name}, to T, all companions, vs NumPy loop with S alone", ours, theirs)
+        few = range(0, event.m, 50)
+        theirs = (
+            event.m / len(few) * seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
+        )
+        row(f"{name}, to T, vs control.forced_response", ours, theirs)
+        ours = seconds(lambda design=design: drive(design, whole), 20)
+        theirs = seconds(lambda design=design: numpy_loop(design, whole, companions=True), 3)
+        row(f"{name}, to T + 3 s, vs NumPy loop with all companions", ours, theirs)
+        together = [design] * 20
+        ours = seconds(lambda together=together: list(drive_many(together, whole)), 3) / len(together)
+        row(f"{name}, to T + 3 s, 20 designs in one call, vs the same", ours, theirs)
     design = LinearMPC()
     subset = many.take(slice(0, 300))
-    ours = seconds(lambda: simulate(design, subset, y_s=0.1), 2)
-    over = Takeover.build(subset.take(slice(0, 60)), BicycleModel(), y_s=0.1, dt=0.05)
-    theirs = 5 * seconds(lambda: raw_osqp_loop(design, over), 1)
-    line = "linear_mpc, 300 scenarios, vs raw OSQP loop"
-    print(f"{line:<44}{1e3 * ours:>12.1f}{1e3 * theirs:>17.1f}{theirs / ours:>9.1f}")
+    over = Takeover.build(subset, model, y_s=0.1, dt=0.05, settle=0.0)
+    ours = seconds(lambda: drive(design, over), 2)
+    few_over = Takeover.build(subset.take(slice(0, 60)), model, y_s=0.1, dt=0.05, settle=0.0)
+    theirs = 5 * seconds(lambda: raw_osqp_loop(design, few_over), 1)
+    row("linear_mpc, 300 scenarios, to T, vs raw OSQP loop", ours, theirs)
+
+    print(
+        "\nWhat other loops and plants cost, LQR, 10,000 scenarios, to T + 3 s; the ratio is to the ideal plant in lanes:\n"
+    )
+    print("| case | ms | times the ideal |")
+    print("| --- | ---: | ---: |")
+    ideal = seconds(lambda: drive(LQR(), whole), 10)
+    print(f"| ideal plant | {1e3 * ideal:.2f} | 1.0 |")
+    cost = seconds(lambda: drive(Stepped(), whole), 2)
+    print(f"| ideal plant, the law called step by step | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
+    for name, options in OPTIONS.items():
+        real = Takeover.build(many, model, y_s=0.1, dt=0.05, options=options)
+        run = drive(LQR(), real)
+        cost = seconds(lambda real=real: drive(LQR(), real), 2)
+        lost = int((run.status == EventStatus.DIVERGED).sum())
+        print(
+            f"| {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |" + (f" <!-- {lost} diverged -->" if lost else ""),
+            flush=True,
+        )
+    for name, build in (("ideal plant", None), ("all options", REAL)):
+        cost = seconds(lambda build=build: Takeover.build(many, model, y_s=0.1, dt=0.05, options=build).tables, 2)
+        print(f"| takeover, once for all designs: {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
+
+    answer = subprocess.run([sys.executable, __file__, "--memory"], capture_output=True, text=True, check=True)
+    elapsed, peak = map(float, answer.stdout.split())
+    print(
+        f"\n{DESIGNS:,} designs (preview_proportional) on {SCENARIOS:,} scenarios to T + 3 s, every per-scenario number "
+        f"kept: {elapsed:.1f} s, peak memory of the process {peak:.0f} MiB."
+    )
 
 
 if __name__ == "__main__":

@@ -65,7 +65,16 @@ STATE: Final = SCORE + SCORES
 """Then, in this order: a ring of commands, a ring of frames (2 each), two rings of lateral accelerations."""
 
 # a thread's scratch
-W_X, W_AFTER, W_END, W_SCORE, W_LIMITS, W_SEEN, W_FRAME, W_K = 0, 4, 9, 14, 14 + SCORES, 16 + SCORES, 20 + SCORES, 22 + SCORES
+W_X, W_AFTER, W_END, W_SCORE, W_LIMITS, W_SEEN, W_FRAME, W_K = (
+    0,
+    4,
+    9,
+    14,
+    14 + SCORES,
+    16 + SCORES,
+    20 + SCORES,
+    22 + SCORES,
+)
 WORK: Final = W_K + 60
 
 # columns of a path's entry

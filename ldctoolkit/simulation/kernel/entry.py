@@ -7,7 +7,7 @@ A compiled entry is kept on disk between runs. What it calls lies in other files
 look at: a digest of all of them is part of each entry, so that a changed file is compiled anew.
 """
 
-# mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
+# mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call, call-arg"
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ldctoolkit.simulation import _philox
-from ldctoolkit.simulation.kernel import data, lanes, plant, sample, senses
+from ldctoolkit.simulation.kernel import data, lane_events, lane_table, lanes, plant, sample, senses
 from ldctoolkit.simulation.kernel.data import (
     A_BEFORE,
     ALIVE,
@@ -45,15 +45,15 @@ from ldctoolkit.simulation.kernel.data import (
     W_SEEN,
     WHEEL,
     WORK,
-    X,
     X_0,
+    X,
 )
-from ldctoolkit.simulation.kernel.lanes import LANES, ROWS, drive_block
+from ldctoolkit.simulation.kernel.lane_table import LANES, ROWS
+from ldctoolkit.simulation.kernel.lanes import drive_block
 from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, speed
 from ldctoolkit.simulation.kernel.sample import advance, record, rings
 from ldctoolkit.simulation.kernel.senses import lane_ahead, linear_command, see
 from ldctoolkit.vehicle import _nonlinear_compiled
-
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,16 +61,16 @@ FloatArray = npt.NDArray[np.float64]
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256()
-    for module in (data, lanes, plant, sample, senses, _philox, _nonlinear_compiled):
+    for module in (data, lane_events, lane_table, lanes, plant, sample, senses, _philox, _nonlinear_compiled):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
 
 
 @intrinsic
-def _bare(typing, array):
+def _bare(typing, array):  # noqa: ARG001
     """The same numbers, not counted; the caller of the entry keeps them alive."""
 
-    def build(context, builder, signature, arguments):
+    def build(context, builder, signature, arguments):  # noqa: ARG001
         counted = context.make_array(array)(context, builder, arguments[0])
         bare = context.make_array(array)(context, builder)
         for name in ("data", "nitems", "itemsize", "shape", "strides"):
@@ -203,9 +203,8 @@ def _entries(digest: int) -> Any:
         size, rows = int(setting[RING]), 2 * times.shape[1]
         lane = work[WORK:].reshape(-1, LANES)
         w, g = lane[:ROWS].ravel(), lane[ROWS : ROWS + rows].ravel()
-        single, rings_at = lane[ROWS + rows], ROWS + rows + 1
-        left, right = lane[rings_at : rings_at + size], lane[rings_at + size : rings_at + 2 * size]
-        tables = (w, g, left, right, single, work)
+        ring = lane[ROWS + rows : ROWS + rows + 1 + 2 * size].ravel()
+        tables = (w, g, ring, work)
         for block in range(first, last):
             drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables)
 

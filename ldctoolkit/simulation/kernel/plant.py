@@ -3,7 +3,7 @@
 On a smooth piece the steering angle is offset + slope s + decay exp(-s/lag), s the time since its start. The linear
 plant at a frozen speed has a Taylor series whose terms follow from one another; summed until they vanish it is exact to
 rounding. A speed that changes, or saturating tyres, take fixed substeps of the method of Dormand and Prince (E. Hairer,
-S. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, section II.5), a quarter of the fastest time
+S. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, section II.5), a fifth of the fastest time
 constant long.
 """
 
@@ -36,9 +36,9 @@ from ldctoolkit.simulation.kernel.data import (
     E_3,
     FASTEST,
     I_Z,
-    LAG,
     L_F,
     L_R,
+    LAG,
     MASS,
     MODES,
     MU,
@@ -130,7 +130,9 @@ def heading(scene, setting, i, t_0, t_1):
     if setting[PROFILE] == 0.0:
         v = scene[i, SPEED]
         in_0, in_1 = min(t_0, T), min(t_1, T)
-        turn = c_0 * (t_1 - t_0) + dc * (0.5 * (in_1 * in_1 - in_0 * in_0) / T + (max(t_1 - T, 0.0) - max(t_0 - T, 0.0)))
+        turn = c_0 * (t_1 - t_0) + dc * (
+            0.5 * (in_1 * in_1 - in_0 * in_0) / T + (max(t_1 - T, 0.0) - max(t_0 - T, 0.0))
+        )
         return v * turn, v * (t_1 - t_0)
     turn_0, way_0 = _turned(scene, setting, i, min(t_0, T))
     turn_1, way_1 = _turned(scene, setting, i, min(t_1, T))
@@ -141,9 +143,11 @@ def heading(scene, setting, i, t_0, t_1):
 
 @numba.njit(**OPTIONS)
 def accelerations(scene, setting, i, t, r, p, psi, w, delta, inside=True):
-    """Accelerations e_y'' and e_psi'', and a_y, at time t with the lane yaw rate r; `inside` a piece before T or not."""
+    """Accelerations e_y'' and e_psi'', and a_y, at time t and lane yaw rate r; `inside` where that is before T."""
     if setting[PROFILE] + setting[SATURATING] == 0.0:
-        lateral = scene[i, A_11] * p + scene[i, A_12] * psi + scene[i, A_13] * w + scene[i, B_1] * delta + scene[i, E_1] * r
+        lateral = (
+            scene[i, A_11] * p + scene[i, A_12] * psi + scene[i, A_13] * w + scene[i, B_1] * delta + scene[i, E_1] * r
+        )
         yaw = scene[i, A_31] * p + scene[i, A_32] * psi + scene[i, A_33] * w + scene[i, B_3] * delta + scene[i, E_3] * r
         return lateral, yaw, lateral + scene[i, SPEED] * r
     v, dv = speed(scene, setting, i, t)
@@ -151,7 +155,8 @@ def accelerations(scene, setting, i, t, r, p, psi, w, delta, inside=True):
     if setting[SATURATING] > 0.0:
         return nonlinear_rhs(
             p, psi, w, delta, r, v, dv,
-            scene[i, C_AF], scene[i, C_AR], scene[i, L_F], scene[i, L_R], scene[i, MASS], scene[i, I_Z], scene[i, MU], setting[SHAPE],
+            scene[i, C_AF], scene[i, C_AR], scene[i, L_F], scene[i, L_R], scene[i, MASS], scene[i, I_Z],
+            scene[i, MU], setting[SHAPE],
         )  # fmt: skip
     v_y = p - v * psi
     omega = w + r

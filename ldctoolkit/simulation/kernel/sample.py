@@ -91,12 +91,12 @@ def _guess(f_0, m_0, f_1, m_1, mean):
     q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
     a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
     u = f_0 / (f_0 - f_1)
-    for _ in range(5):
+    for _ in range(4):
         value = f_0 + u * (m_0 + u * (b + u * (a + u * q)))
         following = u - value / (m_0 + u * (2.0 * b + u * (3.0 * a + u * 4.0 * q)))
         if not 0.0 < following < 1.0:
             return u
-        if abs(following - u) < 1e-9:
+        if abs(following - u) < 1e-3:
             return following
         u = following
     return u
@@ -120,7 +120,7 @@ def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, wo
         if not low <= following <= high:
             following = 0.5 * (low + high)
         # Newton squares the error: after a change of this size it is about rounding
-        if value == 0.0 or abs(following - s) <= 1e-6 * h:
+        if value == 0.0 or abs(following - s) <= 1e-5 * h:
             return following, work[W_END + 4] + (0.5 * value + level) * (following - s)
         s = following
     return s, work[W_END + 4]
@@ -197,7 +197,7 @@ def earlier(setting, state, i, before, position, from_left):
         return before
     _, _, left, right = rings(setting)
     size = int(setting[RING])
-    j = int(math.floor(position + _SAME))
+    j = math.floor(position + _SAME)
     part = position - j
     if part <= _SAME:
         if from_left:

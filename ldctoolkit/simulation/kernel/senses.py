@@ -56,7 +56,7 @@ _FRAME_ZERO = 1 << 20
 
 
 @numba.njit(**OPTIONS)
-def _measured(scene, setting, i, true, noise, bias, step):
+def _measured(scene, i, true, noise, bias, step):
     """Bias in the road's frame, noise, quantisation."""
     value = true + scene[i, SIDE] * bias + noise
     return step * np.rint(value / step) if step > 0.0 else value
@@ -76,8 +76,8 @@ def _frame(scene, setting, state, i, j, work):
     else:
         at = SCENE + int(setting[MODES]) + 2 * (-j - 1)
         y, psi = scene[i, at], scene[i, at + 1]
-    work[W_FRAME] = _measured(scene, setting, i, y, setting[NOISE_Y] * a, setting[BIAS_Y], setting[STEP_Y])
-    work[W_FRAME + 1] = _measured(scene, setting, i, psi, setting[NOISE_PSI] * b, setting[BIAS_PSI], setting[STEP_PSI])
+    work[W_FRAME] = _measured(scene, i, y, setting[NOISE_Y] * a, setting[BIAS_Y], setting[STEP_Y])
+    work[W_FRAME + 1] = _measured(scene, i, psi, setting[NOISE_PSI] * b, setting[BIAS_PSI], setting[STEP_PSI])
 
 
 @numba.njit(**OPTIONS)

@@ -1,0 +1,116 @@
+"""From what the compiled loops leave behind to a `Run`; the rows whose paths are kept; the threads of a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import EventStatus
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.mixture.sources import usable_cores
+from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.outcome import Run, Trajectories
+from ldctoolkit.simulation.takeover import Takeover
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Chosen = bool | npt.ArrayLike
+
+SCENARIOS_A_TASK = 512
+"""Scenarios that a thread takes at a time."""
+
+
+def chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
+    """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
+    if isinstance(trajectories, bool | np.bool_):
+        return np.arange(n) if trajectories else None
+    rows = np.atleast_1d(np.asarray(trajectories))
+    if rows.size == 0:
+        rows = rows.astype(np.int64)
+    if rows.ndim != 1 or rows.dtype.kind not in "iu":
+        raise InputError("trajectories: allowed: true, false, or a list of row numbers of scenarios")
+    outside = (rows < 0) | (rows >= n)
+    if outside.any():
+        raise InputError(f"trajectories: no scenario {rows[outside][0]}; allowed: 0 to {n - 1}")
+    if np.unique(rows).size != rows.size:
+        raise InputError("trajectories: a row number is given twice; allowed: each once")
+    return rows.astype(np.int64)
+
+
+def places(takeover: Takeover, rows: IntArray | None) -> tuple[IntArray, IntArray]:
+    """Places among the m triggered of the chosen rows that triggered, and which of the rows these are."""
+    if rows is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    place = np.full(takeover.scenarios.n, -1, dtype=np.int64)
+    place[takeover.rows] = np.arange(takeover.m)
+    found = np.flatnonzero(place[rows] >= 0)
+    return place[rows[found]], found
+
+
+def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
+    """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
+    firsts = range(0, count, least)
+    number = min(usable_cores() if threads is None else threads, len(firsts))
+    if number <= 1:
+        work(0, count)
+        return
+    with ThreadPoolExecutor(number) as pool:
+        list(pool.map(lambda first: work(first, min(first + least, count)), firsts))
+
+
+def recorded_run(takeover: Takeover) -> Run:
+    """Nobody intervenes."""
+    rows, recorded = takeover.rows, takeover.recorded
+    companions = Companions(**{name: getattr(recorded, name)[rows] for name in COMPANION_UNITS})
+    zeros = np.zeros(takeover.m, dtype=np.int64)
+    return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
+
+
+def run_of_scores(
+    takeover: Takeover,
+    score: FloatArray,
+    diverged: npt.NDArray[np.bool_],
+    failed: IntArray,
+    law_seconds: float,
+    trajectories: Trajectories | None,
+) -> Run:
+    """A run from scores (columns, m), who diverged (m,), and failed commands (m,)."""
+    edge = takeover.model.parameters.edge_offset
+    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
+    status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+    # before the trigger the vehicle was on the recorded path
+    front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
+    companions = Companions(
+        deepest=np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
+        dtle=-front,
+        t_back=score[data.BACK],
+        overshoot=np.maximum(score[data.OVER] - edge, 0.0),
+        a_y_peak=score[data.A_Y],
+        jerk_peak=score[data.JERK],
+        delta_peak=score[data.DELTA],
+        delta_rate_peak=score[data.RATE],
+        effort=score[data.EFFORT],
+        travel=score[data.TRAVEL],
+    )
+    return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
+
+
+def run_of_state(over: Takeover, state: FloatArray, law_seconds: float, trajectories: Trajectories | None) -> Run:
+    """A run from the rows of its scenarios."""
+    score = np.ascontiguousarray(state[:, data.SCORE : data.SCORE + data.SCORES].T)
+    failed = state[:, data.FAILED].astype(np.int64)
+    return run_of_scores(over, score, state[:, data.DIVERGED] > 0, failed, law_seconds, trajectories)
+
+
+def trajectories_of(paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+    """Paths of the chosen rows; NaN where a scenario never triggered."""
+    if rows is None:
+        return None
+    used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
+    out = np.full((rows.size, int(used), data.PATH), np.nan)
+    out[found] = paths[:, : int(used)]
+    return Trajectories(rows, out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA])
