@@ -91,7 +91,7 @@ def test_extremes_in_closed_form_and_searched_equal_a_dense_search(residuals: Re
     end = share * FEW.T
     t = np.minimum(share, 1.0) * dense(path)
     y = path.lateral(t)
-    front = y + 1.43 * path.lateral_rate(t) / path.speed(t)
+    front = y + 1.43 * np.arctan2(path.lateral_rate(t), path.speed(t))
     # a peak between two of 4,000 points lies at most half the second derivative times (T/8000)^2 above them; modes
     # have j <= 20, amplitudes together are below 0.4 m and 2 m/s
     bend = 0.5 * (20.0 * np.pi / 8000.0) ** 2
@@ -110,7 +110,7 @@ def test_extremes_equal_scipys() -> None:
         y, v, dy = (at(path, i, name) for name in ("lateral", "speed", "lateral_rate"))
         for curve, ours in (
             (y, path.deepest(FEW.T)[i]),
-            (lambda t, y=y, v=v, dy=dy: y(t) + 1.43 * dy(t) / v(t), path.front_deepest(FEW.T, 1.43)[i]),
+            (lambda t, y=y, v=v, dy=dy: y(t) + 1.43 * np.arctan2(dy(t), v(t)), path.front_deepest(FEW.T, 1.43)[i]),
             (lambda t, v=v: -v(t), -path.slowest_speed(np.zeros(FEW.n), FEW.T)[i]),
         ):
             t = np.linspace(0.0, FEW.T[i], 400)
