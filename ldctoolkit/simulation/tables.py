@@ -130,7 +130,7 @@ def _setting(over: Takeover) -> FloatArray:
         "filtered": sensors.kalman is not None,
         "commands": whole + 2,
         "frames": 0 if sensors.ideal else late + period + 1,
-        "ring": math.ceil(JERK_WINDOW / dt) + 3,
+        "ring": 2 ** math.ceil(math.log2(math.ceil(JERK_WINDOW / dt) + 3)),
     }
     return np.array([values[name] for name in data.SETTINGS], dtype=np.float64)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import numpy.typing as npt
@@ -46,5 +47,9 @@ class Plant:
         return int(self.v.shape[0])
 
     def steady_state(self) -> SteadyState:
-        """Steady cornering at each scenario's speed, per unit of lane yaw rate."""
+        """Steady cornering at each scenario's speed, per unit of lane yaw rate; worked out once for all designs."""
+        return self._steady_state
+
+    @functools.cached_property
+    def _steady_state(self) -> SteadyState:
         return self.model.steady_state(self.v)

@@ -119,7 +119,7 @@ SETTINGS: Final = (
     "filtered",
     "commands",  # length of the ring of commands
     "frames",  # length of the ring of frames
-    "ring",  # length of the rings of lateral accelerations
+    "ring",  # length of the rings of lateral accelerations, a power of two
 )
 (
     DT,

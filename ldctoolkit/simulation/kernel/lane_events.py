@@ -13,7 +13,6 @@ import math
 import numba
 
 from ldctoolkit.simulation.kernel.data import (
-    A_BEFORE,
     AREA,
     AXLE,
     BACK,
@@ -32,9 +31,11 @@ from ldctoolkit.simulation.kernel.data import (
     W_AFTER,
     W_LIMITS,
     WHEEL,
+    WINDOW,
     X,
 )
 from ldctoolkit.simulation.kernel.lane_table import (
+    R_BEFORE,
     R_C0,
     R_COUNTED,
     R_D,
@@ -53,7 +54,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     L,
 )
 from ldctoolkit.simulation.kernel.plant import OPTIONS, move
-from ldctoolkit.simulation.kernel.sample import before_end, drive, hermite_peak, length, rings, time_at
+from ldctoolkit.simulation.kernel.sample import drive, hermite_peak, length, past_sample, time_at
 
 
 @numba.njit(**OPTIONS)
@@ -166,12 +167,18 @@ def drive_alone(scene, setting, state, paths, i, l, k, w, work):
 
 
 @numba.njit(**OPTIONS)
-def past_of_last(scene, setting, state, i, l, k, ring, w):
-    """The same for a last step that is not whole."""
-    _, _, at_left, at_right = rings(setting)
-    size = int(setting[RING])
-    for n in range(size):
-        state[i, at_right + n], state[i, at_left + n] = ring[n * L + l], ring[(size + n) * L + l]
-    before, a_right, a_left = scene[i, A_BEFORE], w[R_RIGHT * L + l], w[R_LEFT * L + l]
+def past_of_last(scene, setting, i, l, k, ring, w):
+    """What a_y was a window before the end of a last step that is not whole; as `sample.before_end`."""
     h, _ = length(scene, setting, i, k)
-    w[R_PAST_LEFT * L + l] = before_end(setting, state, i, before, k, h, a_right, a_left)
+    size, share_of_step = int(setting[RING]), h / setting[DT] if h < setting[DT] else 1.0
+    past = k + share_of_step - setting[WINDOW]
+    start, end, share = w[R_RIGHT * L + l], w[R_LEFT * L + l], (past - k) / share_of_step
+    if past <= k:
+        j, share = past_sample(past, True)
+        if j < 0:
+            w[R_PAST_LEFT * L + l] = w[R_BEFORE * L + l]
+            return
+        start, end = ring[(j & (size - 1)) * L + l], ring[(size + ((j + 1) & (size - 1))) * L + l]
+        if share == 0.0:
+            start = ring[(size + (j & (size - 1))) * L + l]
+    w[R_PAST_LEFT * L + l] = start + share * (end - start)

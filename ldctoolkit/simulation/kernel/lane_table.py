@@ -146,10 +146,10 @@ def begin(scene, setting, law, times, design, block, w, g):
 
 
 @numba.njit(**OPTIONS)
-def leave(w, g, l, rows, out, i):
+def leave(w, g, l, rows, out, design, i):
     """Take the scores of a lane that has ended and empty it: everything in it stays 0."""
     for n in range(SCORES):
-        out[n, i] = w[(R_S + n) * L + l]
+        out[design, n, i] = w[(R_S + n) * L + l]
     for n in range(4):
         w[(R_X + n) * L + l] = w[(R_F + n) * L + l] = w[(R_N + n) * L + l] = 0.0
     for j in range(rows):

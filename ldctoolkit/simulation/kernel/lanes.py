@@ -77,7 +77,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     load,
 )
 from ldctoolkit.simulation.kernel.plant import OPTIONS
-from ldctoolkit.simulation.kernel.sample import length
+from ldctoolkit.simulation.kernel.sample import length, past_sample
 
 
 @numba.njit(**OPTIONS)
@@ -170,23 +170,18 @@ def _event(
 
 
 @numba.njit(**OPTIONS)
-def _past(setting, k, later):
-    """Where a_y was a window before sample k, or just before the next: ring rows of start and end, and the share.
+def _past(j, share, size, from_left):
+    """Ring rows of the start and the end of the step from sample j on; the last row is the time before the trigger.
 
-    Rows are those of the right limits, then those of the left ones; the last row is the time before the trigger.
+    Rows are those of the right limits, then those of the left ones.
     """
-    size = int(setting[RING])
-    position = k - setting[WINDOW]
-    j = math.floor(position + 1e-9)
-    share = position - j
-    whole = share <= 1e-9
-    if later:
-        j += 1
-    if j < 0 or (later and whole and j == 0):
-        return 2 * size, 2 * size, 0.0
-    if later and whole:
-        return size + j % size, size + j % size, 0.0
-    return j % size, size + (j + 1) % size, (0.0 if whole else share)
+    mask = size - 1
+    if j < 0:
+        return 2 * size, 2 * size
+    if share == 0.0:
+        row = size + (j & mask) if from_left else j & mask
+        return row, row
+    return j & mask, size + ((j + 1) & mask)
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -312,19 +307,19 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                     w[R_SINGLE * L + l] = 1.0
                     if not drive_alone(scene, setting, state, paths, i, l, k, w, work):
                         diverged[design, i] = True
-                        leave(w, g, l, rows, score[design], i)
-            _keep(ring, k % size, size + (k + 1) % size, w)
-            start_0, end_0, share_0 = _past(setting, k, False)
-            start_1, end_1, share_1 = _past(setting, k, True)
-            _compare(ring, start_0, end_0, share_0, w, R_PAST_RIGHT)
-            _compare(ring, start_1, end_1, share_1, w, R_PAST_LEFT)
+                        leave(w, g, l, rows, score, design, i)
+            _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
+            for later in range(2):
+                j, share = past_sample(k + later - setting[WINDOW], later == 1)
+                start, end = _past(j, share, size, later == 1)
+                _compare(ring, start, end, share, w, R_PAST_LEFT if later else R_PAST_RIGHT)
             if not quiet:
                 for l in range(count):
                     if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                        past_of_last(scene, setting, state, first + l, l, k, ring, w)
+                        past_of_last(scene, setting, first + l, l, k, ring, w)
             _score(setting, w)
             if rare or not quiet:
                 for l in range(count):
                     w[R_SINGLE * L + l] = 0.0
                     if w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                        leave(w, g, l, rows, score[design], first + l)
+                        leave(w, g, l, rows, score, design, first + l)

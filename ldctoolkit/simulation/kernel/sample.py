@@ -191,20 +191,29 @@ def rings(setting):
 
 
 @numba.njit(**OPTIONS)
+def past_sample(position, from_left):
+    """Sample at or before a past position, and the share of the step from it; -1 for before the first."""
+    j = math.floor(position + _SAME)
+    share = position - j
+    if share <= _SAME:
+        share = 0.0
+        if from_left and j == 0:
+            j = -1
+    return max(j, -1), share
+
+
+@numba.njit(**OPTIONS)
 def earlier(setting, state, i, before, position, from_left):
     """Lateral acceleration at a past position, in samples; linear between samples, constant before the first."""
-    if position < -_SAME:
+    j, share = past_sample(position, from_left)
+    if j < 0:
         return before
     _, _, left, right = rings(setting)
-    size = int(setting[RING])
-    j = math.floor(position + _SAME)
-    part = position - j
-    if part <= _SAME:
-        if from_left:
-            return state[i, left + j % size] if j > 0 else before
-        return state[i, right + j % size]
-    start, end = state[i, right + j % size], state[i, left + (j + 1) % size]
-    return start + part * (end - start)
+    mask = int(setting[RING]) - 1
+    start, end = state[i, right + (j & mask)], state[i, left + ((j + 1) & mask)]
+    if share == 0.0:
+        return state[i, left + (j & mask)] if from_left else start
+    return start + share * (end - start)
 
 
 @numba.njit(**OPTIONS)
@@ -331,10 +340,10 @@ def advance(scene, setting, state, paths, i, k, command, work):
     if not drive(scene, setting, state, paths, i, k, stale, fresh, work):
         return
 
-    dt, window, size = setting[DT], setting[WINDOW], int(setting[RING])
+    dt, window, mask = setting[DT], setting[WINDOW], int(setting[RING]) - 1
     a_right, a_left, before = work[W_LIMITS], work[W_LIMITS + 1], scene[i, A_BEFORE]
-    state[i, right + k % size] = a_right
-    state[i, left + (k + 1) % size] = a_left
+    state[i, right + (k & mask)] = a_right
+    state[i, left + ((k + 1) & mask)] = a_left
     h, _ = length(scene, setting, i, k)
     jerk = abs(a_right - earlier(setting, state, i, before, k - window, False))
     passed = before_end(setting, state, i, before, k, h, a_right, a_left)
