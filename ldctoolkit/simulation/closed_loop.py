@@ -127,7 +127,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     if not (options.drives_exactly and options.sensors.ideal):
         return [_drive_each(law, tables, rows, threads) for law in laws]
     d, m = len(laws), takeover.m
-    score = np.empty((d, data.SCORES, m))
+    score = np.full((d, data.SCORES, m), np.nan)
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     if m:
         table, times = np.stack([law_table(law) for law in laws]), np.stack([times_of(law) for law in laws])

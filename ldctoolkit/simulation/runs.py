@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Chosen = bool | npt.ArrayLike
 
-SCENARIOS_A_TASK = 512
+SCENARIOS_A_TASK = 1024
 """Scenarios that a thread takes at a time."""
 
 

@@ -57,7 +57,7 @@ from ldctoolkit.simulation.kernel.plant import OPTIONS, move
 from ldctoolkit.simulation.kernel.sample import drive, hermite_peak, length, past_sample, time_at
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _extremes(setting, state, i, l, h, counted, w, work):
     """Depth and overshoot between the state and what it was moved to."""
     x_0, x_1, n_0, n_1 = state[i, X], state[i, X + 1], work[W_AFTER], work[W_AFTER + 1]
@@ -70,7 +70,7 @@ def _extremes(setting, state, i, l, h, counted, w, work):
     w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _area(scene, setting, state, i, l, t, h, counted, w, work):
     """Integral of |e_y| between the state and what it was moved to; the time back inside on the way."""
     x_0, n_0, area, d = state[i, X], work[W_AFTER], work[W_AFTER + 4], w[R_D * L + l]
@@ -83,7 +83,7 @@ def _area(scene, setting, state, i, l, t, h, counted, w, work):
     return abs(area)
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def look_closer(scene, setting, state, i, l, k, w, work):
     """What happens between the ends of a whole step; False if that takes `sample.drive`."""
     x_0, n_0, h, counted = w[R_X * L + l], w[R_N * L + l], setting[DT], w[R_COUNTED * L + l] > 0.0
@@ -166,7 +166,7 @@ def drive_alone(scene, setting, state, paths, i, l, k, w, work):
     return whole
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def past_of_last(scene, setting, i, l, k, ring, w):
     """What a_y was a window before the end of a last step that is not whole; as `sample.before_end`."""
     h, _ = length(scene, setting, i, k)

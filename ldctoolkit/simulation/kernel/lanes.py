@@ -103,7 +103,7 @@ def _lane(T, per_T, t, ahead):
     return in_1 * per_T, 0.5 * (in_1 * in_1 - in_0 * in_0) * per_T + (t_1 - in_1) - (t - in_0)
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _step(setting, k, ahead, w):
     """Command and one whole step of every lane; True if something rare happens in one."""
     dt, offset, bound, l_f = setting[DT], setting[OFFSET], setting[BOUND], setting[AXLE]
@@ -169,14 +169,14 @@ def _event(
     return event | (counted & ((x_0 * n_0 < 0.0) | (close & (stiff | (x_1 * n_1 < 0.0)))))
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _past(j, share, size, from_left):
     """Ring rows of the start and the end of the step from sample j on; the last row is the time before the trigger.
 
     Rows are those of the right limits, then those of the left ones.
     """
     mask = size - 1
-    if j < 0:
+    if j < 0 or (from_left and share == 0.0 and j == 0):
         return 2 * size, 2 * size
     if share == 0.0:
         row = size + (j & mask) if from_left else j & mask
@@ -202,14 +202,14 @@ def _put(table, row, values):
     table[at + 4], table[at + 5], table[at + 6], table[at + 7] = values[4], values[5], values[6], values[7]
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _keep(ring, right, left, w):
     """Put both limits of a_y into their rows of the ring."""
     _put(ring, right, _row(w, R_RIGHT))
     _put(ring, left, _row(w, R_LEFT))
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _compare(ring, start, end, share, w, row):
     """What a limit of a_y was a window earlier."""
     a = _row(ring, start)
@@ -223,7 +223,7 @@ def _compare(ring, start, end, share, w, row):
     _put(w, row, a)
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _score(setting, w):
     """Scores of a step in every lane; `single` lanes have theirs but for acceleration, jerk and rate."""
     dt, l_f, per_window, per_step = setting[DT], setting[AXLE], 1.0 / (setting[WINDOW] * setting[DT]), 1.0 / setting[DT]
@@ -268,6 +268,9 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
     load(scene, setting, exact, block, w)
     for l in range(L):
         ring[2 * size * L + l] = w[R_BEFORE * L + l]
+    # a window is so many samples and the same share of another everywhere
+    window_ago, share = past_sample(4 * size - setting[WINDOW], False)
+    behind = 4 * size - window_ago
     for design in range(law.shape[0]):
         begin(scene, setting, law, times, design, block, w, g)
         for l in range(L):
@@ -288,7 +291,7 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                     w[R_COUNTED * L + l] = w[R_ALIVE * L + l] if counted > 0.0 else 0.0
                     full, end = int(scene[i, FULL]), int(scene[i, STEPS]) - 1
                     if k < end:
-                        next_cut = min(next_cut, full if k < full else (k + 1 if k == full else end))
+                        next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
             rare = _step(setting, k, ahead, w)
             if rare or not quiet:
                 for l in range(count):
@@ -309,10 +312,10 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                         diverged[design, i] = True
                         leave(w, g, l, rows, score, design, i)
             _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
-            for later in range(2):
-                j, share = past_sample(k + later - setting[WINDOW], later == 1)
-                start, end = _past(j, share, size, later == 1)
-                _compare(ring, start, end, share, w, R_PAST_LEFT if later else R_PAST_RIGHT)
+            start, end = _past(k - behind, share, size, False)
+            _compare(ring, start, end, share, w, R_PAST_RIGHT)
+            start, end = _past(k + 1 - behind, share, size, True)
+            _compare(ring, start, end, share, w, R_PAST_LEFT)
             if not quiet:
                 for l in range(count):
                     if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:

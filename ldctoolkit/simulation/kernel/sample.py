@@ -70,7 +70,7 @@ _SAME = 1e-9
 """Parts of a sample that are rounding."""
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def hermite_peak(f_0, m_0, f_1, m_1, h):
     """Largest value of the cubic with these ends and slopes, where it rises first and falls last."""
     peak = max(f_0, f_1)
@@ -85,7 +85,7 @@ def hermite_peak(f_0, m_0, f_1, m_1, h):
     return peak
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def _guess(f_0, m_0, f_1, m_1, mean):
     """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
     q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
@@ -190,7 +190,7 @@ def rings(setting):
     return STATE, frames, left, left + int(setting[RING])
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def past_sample(position, from_left):
     """Sample at or before a past position, and the share of the step from it; -1 for before the first."""
     j = math.floor(position + _SAME)
@@ -265,7 +265,7 @@ def record(paths, state, i, t):
         state[i, COUNT] = n + 1
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(inline="always", **OPTIONS)
 def length(scene, setting, i, k):
     """Length of step k, and how much of it lies before T."""
     full, rest = scene[i, FULL], scene[i, REST]
