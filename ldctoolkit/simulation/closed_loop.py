@@ -70,7 +70,9 @@ def drive(
     return _drive_linear([law], takeover, rows, threads)[0]
 
 
-def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads: int | None = None) -> Iterator[Run]:
+def drive_many(
+    controllers: Iterable[Controller], takeover: Takeover, *, score_only: bool = False, threads: int | None = None
+) -> Iterator[Run]:
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
     Parameters
@@ -79,6 +81,9 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
         The designs.
     takeover : Takeover
         Scenarios at their triggers.
+    score_only : bool
+        S is all that is wanted: linear laws on the ideal plant are then driven to T only, which takes less time, and
+        their companions are NaN; a scenario that would diverge after T has no status of it. S is the same to rounding.
     threads : int, optional
         As in `drive`.
 
@@ -101,7 +106,7 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
             and len(waiting) < most
             and law.preview_times.size == waiting[0].preview_times.size
         ):
-            yield from _drive_linear(waiting, takeover, None, threads)
+            yield from _drive_linear(waiting, takeover, None, threads, score_only)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
@@ -110,7 +115,7 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, None, threads)
+        yield from _drive_linear(waiting, takeover, None, threads, score_only)
 
 
 def _prepared(controller: Controller, takeover: Takeover) -> Law:
@@ -118,7 +123,9 @@ def _prepared(controller: Controller, takeover: Takeover) -> Law:
     return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
 
-def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
+def _drive_linear(
+    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None, score_only: bool = False
+) -> list[Run]:
     from ldctoolkit.simulation.kernel import entry
     from ldctoolkit.simulation.kernel.lane_table import LANES
 
@@ -133,15 +140,18 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
         table, times = np.stack([law_table(law) for law in laws]), np.stack([times_of(law) for law in laws])
         state = tables.spare_state()
         none = tables.paths(np.zeros(0, dtype=np.int64), state)
-        scene, exact, setting = tables.scene, tables.exact, tables.setting
+        scene = tables.scene_to_T if score_only else tables.scene
+        exact, setting = tables.exact, tables.setting
 
         def work(first: int, last: int) -> None:
             own = entry.scratch(setting, times.shape[1])
             entry.drive_lanes(
-                scene, exact, setting, table, times, state, none, first, last, score, diverged, failed, own
+                scene, exact, setting, table, times, state, none, first, last, score, diverged, failed, own, score_only
             )
 
         in_threads(work, -(-m // LANES), threads, SCENARIOS_A_TASK // LANES)
+    if score_only:
+        score[:, data.AREA + 1 :] = np.nan
     paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
     return [run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, paths[i]) for i in range(d)]
 

@@ -69,6 +69,13 @@ class Tables:
         columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
         return _side_by_side([*columns, step.area_delta, step.area_r_0, step.area_r_1])
 
+    @functools.cached_property
+    def scene_to_T(self) -> FloatArray:
+        """The same scenarios without a settling horizon."""
+        scene = self.scene.copy()
+        scene[:, data.STEPS] = scene[:, data.FULL] + (scene[:, data.REST] > 0.0)
+        return scene
+
     def state(self) -> FloatArray:
         """Working rows of one run, without paths."""
         lengths = [int(self.setting[column]) for column in (data.COMMANDS, data.FRAMES, data.RING)]

@@ -338,16 +338,22 @@ def main() -> None:
         theirs = seconds(lambda design=design: numpy_loop(design, event, companions=False), 3)
         row(f"{name}, to T, all companions, vs NumPy loop with S alone", ours, theirs)
         few = range(0, event.m, 50)
-        theirs = (
-            event.m / len(few) * seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
-        )
-        row(f"{name}, to T, vs control.forced_response", ours, theirs)
+        calls = seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
+        forced = event.m / len(few) * calls
+        row(f"{name}, to T, all companions, vs control.forced_response", ours, forced)
         ours = seconds(lambda design=design: drive(design, whole), 20)
         theirs = seconds(lambda design=design: numpy_loop(design, whole, companions=True), 3)
         row(f"{name}, to T + 3 s, vs NumPy loop with all companions", ours, theirs)
         together = [design] * 20
         ours = seconds(lambda together=together: list(drive_many(together, whole)), 3) / len(together)
-        row(f"{name}, to T + 3 s, 20 designs in one call, vs the same", ours, theirs)
+        row(f"{name}, to T + 3 s, a design of 20 in one call, vs the same", ours, theirs)
+        ours = seconds(lambda together=together: list(drive_many(together, event)), 5) / len(together)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, companions=False), 3)
+        row(f"{name}, to T, all companions, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
+        row(f"{name}, the same, vs control.forced_response", ours, forced)
+        ours = seconds(lambda together=together: list(drive_many(together, event, score_only=True)), 5) / len(together)
+        row(f"{name}, to T, S alone, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
+        row(f"{name}, the same, vs control.forced_response", ours, forced)
     design = LinearMPC()
     subset = many.take(slice(0, 300))
     over = Takeover.build(subset, model, y_s=0.1, dt=0.05, settle=0.0)
@@ -356,9 +362,7 @@ def main() -> None:
     theirs = 5 * seconds(lambda: raw_osqp_loop(design, few_over), 1)
     row("linear_mpc, 300 scenarios, to T, vs raw OSQP loop", ours, theirs)
 
-    print(
-        "\nWhat other loops and plants cost, LQR, 10,000 scenarios, to T + 3 s; the ratio is to the ideal plant in lanes:\n"
-    )
+    print("\nWhat other loops and plants cost: LQR, 10,000 scenarios, to T + 3 s, against the ideal plant in lanes.\n")
     print("| case | ms | times the ideal |")
     print("| --- | ---: | ---: |")
     ideal = seconds(lambda: drive(LQR(), whole), 10)
@@ -381,8 +385,8 @@ def main() -> None:
     answer = subprocess.run([sys.executable, __file__, "--memory"], capture_output=True, text=True, check=True)
     elapsed, peak = map(float, answer.stdout.split())
     print(
-        f"\n{DESIGNS:,} designs (preview_proportional) on {SCENARIOS:,} scenarios to T + 3 s, every per-scenario number "
-        f"kept: {elapsed:.1f} s, peak memory of the process {peak:.0f} MiB."
+        f"\n{DESIGNS:,} designs (preview_proportional) on {SCENARIOS:,} scenarios to T + 3 s, every per-scenario "
+        f"number kept: {elapsed:.1f} s, peak memory of the process {peak:.0f} MiB."
     )
 
 

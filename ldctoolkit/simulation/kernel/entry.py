@@ -185,8 +185,10 @@ def _entries(digest: int) -> Any:
                 advance(scene, setting, state, paths, i, k, command, work)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_lanes(scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed, work):
-        """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
+    def drive_lanes(
+        scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed, work, score_only
+    ):
+        """Linear laws (d, m, ...) on blocks first to last of the ideal plant. S alone on request."""
         if digest < 0:
             return
         scene = _bare(scene)
@@ -206,7 +208,9 @@ def _entries(digest: int) -> Any:
         ring = lane[ROWS + rows : ROWS + rows + 1 + 2 * size].ravel()
         tables = (w, g, ring, work)
         for block in range(first, last):
-            drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables)
+            drive_block(
+                scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables, score_only
+            )
 
     return begin, before, look, go_on, drive_each, drive_lanes
 

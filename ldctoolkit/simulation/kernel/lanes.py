@@ -104,7 +104,7 @@ def _lane(T, per_T, t, ahead):
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _step(setting, k, ahead, w):
+def _step(setting, k, ahead, w, full):
     """Command and one whole step of every lane; True if something rare happens in one."""
     dt, offset, bound, l_f = setting[DT], setting[OFFSET], setting[BOUND], setting[AXLE]
     t_k, t_next, per_dt = k * dt, (k + 1) * dt, 1.0 / dt
@@ -134,20 +134,40 @@ def _step(setting, k, ahead, w):
         n_3 += w[(R_B + 3) * L + l] * d + w[(R_E0 + 3) * L + l] * r_0 + w[(R_E1 + 3) * L + l] * r_1
         area = w[R_AX * L + l] * x_0 + w[(R_AX + 1) * L + l] * x_1 + w[(R_AX + 2) * L + l] * x_2
         area += w[(R_AX + 3) * L + l] * x_3 + w[R_AD * L + l] * d + w[R_AR0 * L + l] * r_0 + w[R_AR1 * L + l] * r_1
-        q_1, q_2, q_3 = w[R_Q * L + l], w[(R_Q + 1) * L + l], w[(R_Q + 2) * L + l]
-        q_d, q_r = w[(R_Q + 3) * L + l] * d, w[(R_Q + 4) * L + l]
-        w[R_RIGHT * L + l] = q_1 * x_1 + q_2 * x_2 + q_3 * x_3 + q_d + q_r * r_0
-        w[R_LEFT * L + l] = q_1 * n_1 + q_2 * n_2 + q_3 * n_3 + q_d + q_r * r_1
+        back, deep, front, over = 0.0, math.inf, math.inf, math.inf
+        if full:
+            q_1, q_2, q_3 = w[R_Q * L + l], w[(R_Q + 1) * L + l], w[(R_Q + 2) * L + l]
+            q_d, q_r = w[(R_Q + 3) * L + l] * d, w[(R_Q + 4) * L + l]
+            w[R_RIGHT * L + l] = q_1 * x_1 + q_2 * x_2 + q_3 * x_3 + q_d + q_r * r_0
+            w[R_LEFT * L + l] = q_1 * n_1 + q_2 * n_2 + q_3 * n_3 + q_d + q_r * r_1
+            back, deep = w[(R_S + BACK) * L + l], w[(R_S + DEEP) * L + l]
+            front, over = w[(R_S + FRONT) * L + l], w[(R_S + OVER) * L + l]
         w[R_N * L + l], w[(R_N + 1) * L + l], w[(R_N + 2) * L + l], w[(R_N + 3) * L + l] = n_0, n_1, n_2, n_3
         w[R_SIGNED * L + l] = area
         event = _event(
             x_0, x_1, x_1 + l_f * x_3, n_0, n_1, n_1 + l_f * n_3, l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
-            w[R_COUNTED * L + l] > 0.0, w[R_STIFF * L + l] > 0.0,
-            w[(R_S + BACK) * L + l], w[(R_S + DEEP) * L + l], w[(R_S + FRONT) * L + l], w[(R_S + OVER) * L + l],
+            w[R_COUNTED * L + l] > 0.0, w[R_STIFF * L + l] > 0.0, back, deep, front, over,
         )  # fmt: skip
         w[R_FLAG * L + l] = 2.0 if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
     return rare
+
+
+@numba.njit(**OPTIONS)
+def _light_step(setting, k, ahead, w):
+    """The same for S alone."""
+    return _step(setting, k, ahead, w, False)
+
+
+@numba.njit(**OPTIONS)
+def _light_score(w):
+    """S of a step in every lane."""
+    for l in range(L):
+        counted = w[R_COUNTED * L + l] * (1.0 - w[R_SINGLE * L + l])
+        w[(R_S + AREA) * L + l] += abs(w[R_SIGNED * L + l]) * counted
+        w[R_U * L + l], w[R_D * L + l] = w[R_D * L + l], 0.0
+        w[R_X * L + l], w[(R_X + 1) * L + l] = w[R_N * L + l], w[(R_N + 1) * L + l]
+        w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = w[(R_N + 2) * L + l], w[(R_N + 3) * L + l]
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -252,8 +272,8 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables):
-    """Every design of a law on one block of scenarios; scores into (d, SCORES, m)."""
+def drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables, score_only):
+    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
     w, g, ring, work = tables
     first, rows, size, width = (
         block * L,
@@ -275,6 +295,8 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
         begin(scene, setting, law, times, design, block, w, g)
         for l in range(L):
             w[R_SINGLE * L + l] = 0.0
+            if score_only:
+                w[(R_S + BACK) * L + l] = 0.0  # nobody asks when
         several, ahead = times.shape[1] != 1, 0.0
         if not several:
             ahead = times[design, 0]
@@ -292,7 +314,7 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                     full, end = int(scene[i, FULL]), int(scene[i, STEPS]) - 1
                     if k < end:
                         next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
-            rare = _step(setting, k, ahead, w)
+            rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
             if rare or not quiet:
                 for l in range(count):
                     i = first + l
@@ -311,16 +333,19 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                     if not drive_alone(scene, setting, state, paths, i, l, k, w, work):
                         diverged[design, i] = True
                         leave(w, g, l, rows, score, design, i)
-            _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
-            start, end = _past(k - behind, share, size, False)
-            _compare(ring, start, end, share, w, R_PAST_RIGHT)
-            start, end = _past(k + 1 - behind, share, size, True)
-            _compare(ring, start, end, share, w, R_PAST_LEFT)
-            if not quiet:
-                for l in range(count):
-                    if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                        past_of_last(scene, setting, first + l, l, k, ring, w)
-            _score(setting, w)
+            if not score_only:
+                _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
+                start, end = _past(k - behind, share, size, False)
+                _compare(ring, start, end, share, w, R_PAST_RIGHT)
+                start, end = _past(k + 1 - behind, share, size, True)
+                _compare(ring, start, end, share, w, R_PAST_LEFT)
+                if not quiet:
+                    for l in range(count):
+                        if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                            past_of_last(scene, setting, first + l, l, k, ring, w)
+                _score(setting, w)
+            else:
+                _light_score(w)
             if rare or not quiet:
                 for l in range(count):
                     w[R_SINGLE * L + l] = 0.0

@@ -350,3 +350,23 @@ def test_threads_must_be_a_number_of_threads() -> None:
     """Fewer than one is one."""
     over = takeover(make_scenarios(20), PlantOptions())
     assert_same_bits(drive(LQR(), over, threads=0), drive(LQR(), over, threads=1))
+
+
+@pytest.mark.parametrize("controller", [LQR(), PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR())])
+def test_S_alone_is_the_same_S(controller: Controller) -> None:
+    """Two compilations of the same formulas: equal to rounding; companions that were not worked out are NaN."""
+    over = Takeover.build(make_scenarios(90, seed=21), BicycleModel(), y_s=0.1, dt=0.05)
+    whole = drive(controller, over).outcome("departure")
+    (run,) = drive_many([controller], over, score_only=True)
+    alone = run.outcome("departure")
+    at_T = drive(controller, Takeover.build(over.scenarios, BicycleModel(), y_s=0.1, dt=0.05, settle=0.0))
+    np.testing.assert_allclose(alone.S, whole.S, rtol=1e-13, atol=1e-13)
+    general = isinstance(controller, Stepped)
+    expected = whole if general else at_T.outcome("departure")
+    np.testing.assert_array_equal(alone.status, expected.status)
+    for name in COMPANION_UNITS:
+        values = getattr(alone.companions, name)[alone.triggered]
+        assert np.isfinite(values).any() if general else np.isnan(values).all()
+        np.testing.assert_array_equal(
+            getattr(alone.companions, name)[~alone.triggered], getattr(whole.companions, name)[~alone.triggered]
+        )
