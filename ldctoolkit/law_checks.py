@@ -150,6 +150,36 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
 
 
+def check_taken(result: object, n: int, name: str) -> tuple[SteeringLaw, Any] | None:
+    """Return what ``SteeringLaw.take`` gave for n scenarios that go on, with its types checked.
+
+    Parameters
+    ----------
+    result : object
+        What ``take`` returned.
+    n : int
+        Number of scenarios.
+    name : str
+        The controller, for the message.
+
+    Returns
+    -------
+    (SteeringLaw, object) or None
+
+    Raises
+    ------
+    InputError
+        Naming the controller, what was returned and what is allowed.
+    """
+    if result is None:
+        return None
+    if isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw):
+        check_law(result[0], n, name)
+        return result[0], result[1]
+    shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
+    raise InputError(f"controller {name!r}: take returned {shown}; allowed: a tuple (law, state), or None")
+
+
 def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: str) -> None:
     """Raise if the value is no array of real numbers of that shape; a word stands for any length."""
     allowed = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"

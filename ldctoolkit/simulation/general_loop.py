@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import EventStatus, Preview, SteeringLaw
-from ldctoolkit.law_checks import check_step
+from ldctoolkit.law_checks import check_step, check_taken
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run
 from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, places, run_of_state, trajectories_of
@@ -61,7 +61,7 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
         if not going.size:
             break
         if going.size < _DROP_BELOW * batch.size:
-            taken = law.take(going, own)
+            taken = check_taken(law.take(going, own), going.size, name)
             if taken is not None:
                 law, own = taken
                 batch, going = batch[going], np.arange(going.size)

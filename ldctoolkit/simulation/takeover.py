@@ -199,9 +199,10 @@ class Takeover:
         path = whole if valid.all() else UncorrectedPath.of(_harmless(scenarios, valid), options.residuals, seed)
         t_s = path.crossing_time(y_s)
         T = path.scenarios.T
+        S_uncorrected = path.area(T) + offset * T
+        valid = valid & np.isfinite(S_uncorrected)
         triggered = valid & (t_s < T - _SHORTEST_STEP)
         t_s = np.where(triggered, t_s, np.inf)
-        S_uncorrected = path.area(T) + offset * T
         ended = np.minimum(t_s, T)
         S_before = np.where(triggered, path.area(ended) + offset * ended, S_uncorrected)
 
