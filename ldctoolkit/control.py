@@ -42,7 +42,7 @@ class EventStatus(enum.IntEnum):
     TIMED_OUT = 4
     """A time limit ended the scenario; no law sets one at present."""
     INVALID = 5
-    """The scenario cannot be driven: a parameter is not finite, the speed is below 1 m/s, or T is not > 0. S is NaN."""
+    """It cannot be driven: a parameter is not finite or has the wrong sign, the speed leaves 1 to 90 m/s. S is NaN."""
 
 
 @dataclasses.dataclass(frozen=True)

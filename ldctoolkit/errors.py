@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class LdcError(Exception):
@@ -73,3 +74,16 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     listing = f"allowed: {', '.join(names)}"
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean '{close[0]}'? ({listing})" if close else listing
+
+
+def plain(value: Any) -> Any:
+    """A NumPy scalar as the Python number it holds, anything else as it is: for checks and for messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plain(np.float64(0.5)), plain("a")
+    (0.5, 'a')
+    """
+    is_scalar = type(value).__module__ == "numpy" and getattr(value, "shape", None) == ()
+    return value.item() if is_scalar else value

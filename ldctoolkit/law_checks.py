@@ -150,7 +150,7 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
 
 
-def check_taken(result: object, n: int, name: str) -> tuple[SteeringLaw, Any] | None:
+def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[SteeringLaw, Any] | None:
     """Return what ``SteeringLaw.take`` gave for n scenarios that go on, with its types checked.
 
     Parameters
@@ -161,6 +161,8 @@ def check_taken(result: object, n: int, name: str) -> tuple[SteeringLaw, Any] | 
         Number of scenarios.
     name : str
         The controller, for the message.
+    times : (p,) [s]
+        Preview times of the law before, which stay.
 
     Returns
     -------
@@ -175,6 +177,8 @@ def check_taken(result: object, n: int, name: str) -> tuple[SteeringLaw, Any] | 
         return None
     if isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw):
         check_law(result[0], n, name)
+        if not np.array_equal(result[0].preview_times, times):
+            raise InputError(f"controller {name!r}: take changed preview_times; allowed: those of the law before")
         return result[0], result[1]
     shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
     raise InputError(f"controller {name!r}: take returned {shown}; allowed: a tuple (law, state), or None")

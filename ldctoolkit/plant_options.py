@@ -10,7 +10,7 @@ import dataclasses
 import math
 from typing import Final, Literal, get_args
 
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError, nearest, plain
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -100,6 +100,7 @@ class Mismatch:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             pair = isinstance(value, tuple | list) and len(value) == 2
+            value = tuple(plain(end) for end in value) if pair else plain(value)
             if not (pair and all(_is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
                 raise InputError(f"mismatch.{field.name}: {value!r}; allowed: (low, high), 0 < low <= high")
             object.__setattr__(self, field.name, (float(value[0]), float(value[1])))
@@ -144,6 +145,12 @@ class Tyres:
             raise InputError(f"tyres.model: {self.model!r}; {nearest(str(self.model), get_args(TyreModel))}")
         _number(self, "tyres", "mu", above=0.0, most=2.0)
         _number(self, "tyres", "shape", least=1.0, most=2.0)
+        for name in ("mu", "shape"):
+            if self.ideal and getattr(self, name) != type(self).__dataclass_fields__[name].default:
+                raise InputError(
+                    f"tyres.{name}: {getattr(self, name)!r}; linear tyres have none; "
+                    "allowed with tyres.model = 'magic_formula'"
+                )
 
     @property
     def ideal(self) -> bool:
@@ -285,6 +292,8 @@ class Residuals:
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"residuals.{name}: {getattr(self, name)!r}; allowed: true or false")
         _number(self, "residuals", "bandwidth", above=0.0, most=5.0)
+        if self.ideal and self.bandwidth != type(self).__dataclass_fields__["bandwidth"].default:
+            raise InputError(f"residuals.bandwidth: {self.bandwidth!r}; allowed with residuals.y or residuals.v")
 
     @property
     def ideal(self) -> bool:
@@ -372,7 +381,7 @@ def _number(
     most: float | None = None,
 ) -> None:
     """Check a number of a frozen value and make it a float."""
-    value = getattr(owner, name)
+    value = plain(getattr(owner, name))
     bounds = [f"{sign} {bound:g}" for sign, bound in ((">", above), (">=", least), ("<=", most)) if bound is not None]
     allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
     inside = _is_number(value)

@@ -83,7 +83,8 @@ def drive_many(
         Scenarios at their triggers.
     score_only : bool
         S is all that is wanted: linear laws on the ideal plant are then driven to T only, which takes less time, and
-        their companions are NaN; a scenario that would diverge after T has no status of it. S is the same to rounding.
+        their companions are NaN; what would diverge or fail after T is not seen. S is the same to rounding. Other laws
+        and plants are driven as ever.
     threads : int, optional
         As in `drive`.
 

@@ -61,7 +61,7 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
         if not going.size:
             break
         if going.size < _DROP_BELOW * batch.size:
-            taken = check_taken(law.take(going, own), going.size, name)
+            taken = check_taken(law.take(going, own), going.size, name, times)
             if taken is not None:
                 law, own = taken
                 batch, going = batch[going], np.arange(going.size)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import EventStatus
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, plain
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.mixture.sources import usable_cores
 from ldctoolkit.simulation.kernel import data
@@ -53,6 +53,9 @@ def places(takeover: Takeover, rows: IntArray | None) -> tuple[IntArray, IntArra
 
 def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
+    chosen = plain(threads)
+    if chosen is not None and (isinstance(chosen, bool) or not isinstance(chosen, int) or chosen < 1):
+        raise InputError(f"threads: {chosen!r}; allowed: a whole number >= 1")
     firsts = range(0, count, least)
     number = min(usable_cores() if threads is None else threads, len(firsts))
     if number <= 1:

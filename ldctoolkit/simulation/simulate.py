@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller
+from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation.closed_loop import drive
@@ -82,6 +83,8 @@ def simulate(
     >>> simulate(PreviewProportional(), scenarios, y_s=0.1).triggered
     array([ True,  True])
     """
+    if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
+        raise InputError(f"vehicle: {vehicle!r}; allowed: VehicleParameters(...), BicycleModel(...), or None")
     model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())
     takeover = Takeover.build(
         scenarios,

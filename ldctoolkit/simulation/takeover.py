@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError, nearest, plain
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -18,6 +18,7 @@ from ldctoolkit.simulation.mismatch import TrueVehicles, true_vehicles
 from ldctoolkit.simulation.random_streams import checked_seed
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 
 if TYPE_CHECKING:
     from ldctoolkit.simulation.tables import Tables
@@ -190,6 +191,9 @@ class Takeover:
             For a threshold, step or option outside what is allowed.
         """
         options = PlantOptions() if options is None else options
+        y_s, dt, settle = (
+            float(_number(name, value)) for name, value in (("y_s", y_s), ("dt", dt), ("settle", settle))
+        )
         _check(model, options, y_s, dt, settle, initial_yaw_rate)
         seed = checked_seed(seed)
         offset = model.parameters.edge_offset
@@ -200,7 +204,8 @@ class Takeover:
         t_s = path.crossing_time(y_s)
         T = path.scenarios.T
         S_uncorrected = path.area(T) + offset * T
-        valid = valid & np.isfinite(S_uncorrected)
+        at_trigger = path.speed(np.minimum(t_s, T))
+        valid = valid & np.isfinite(S_uncorrected) & (at_trigger <= SPEED_RANGE[1])
         triggered = valid & (t_s < T - _SHORTEST_STEP)
         t_s = np.where(triggered, t_s, np.inf)
         ended = np.minimum(t_s, T)
@@ -246,12 +251,13 @@ class Takeover:
 
 
 def drivable(path: UncorrectedPath) -> npt.NDArray[np.bool_]:
-    """Scenarios whose numbers are finite, which last, and which never get slower than the plant allows."""
+    """Scenarios whose numbers are finite and have their signs, and whose speed stays where the plant and gains are."""
     p = path.scenarios
     finite = np.isfinite(p.matrix()).all(axis=1)
     with np.errstate(invalid="ignore"):
-        lasting = finite & (p.T > 0)
-        fast = lasting & (slowest_speed(p.v_mean, p.a_mean, p.T) >= SPEED_FLOOR)
+        sound = finite & (p.T > 0) & (p.d_y >= 0) & (p.sigma_y >= 0) & (p.sigma_v >= 0)
+        slowest = slowest_speed(p.v_mean, p.a_mean, p.T)
+        fast = sound & (slowest >= SPEED_FLOOR) & (2.0 * p.v_mean - slowest <= SPEED_RANGE[1])
     if path.modes_v.shape[1] and fast.any():
         rows = np.flatnonzero(fast)
         some = path.take(rows)
@@ -270,15 +276,24 @@ def _harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
     return dataclasses.replace(scenarios, **columns)
 
 
+def _number(name: str, value: object) -> float:
+    number = plain(value)
+    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+        raise InputError(f"{name}: {number!r}; allowed: a finite number")
+    return number
+
+
 def _check(
     model: BicycleModel, options: PlantOptions, y_s: float, dt: float, settle: float, initial_yaw_rate: str
 ) -> None:
-    if not (isinstance(y_s, int | float) and math.isfinite(y_s) and y_s >= 0):
+    if not y_s >= 0:
         raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
-    if not (isinstance(dt, int | float) and math.isfinite(dt) and dt > 0):
+    if not dt > 0:
         raise InputError(f"dt: {dt!r} s; allowed: a finite number > 0")
-    if not (isinstance(settle, int | float) and 0 <= settle <= LONGEST_SETTLE):
+    if not 0 <= settle <= LONGEST_SETTLE:
         raise InputError(f"settle: {settle!r} s; allowed: 0 to {LONGEST_SETTLE:g}")
+    if not isinstance(options, PlantOptions):
+        raise InputError(f"options: {options!r}; allowed: PlantOptions(...)")
     if initial_yaw_rate not in get_args(InitialYawRate):
         raise InputError(
             f"initial_yaw_rate: {initial_yaw_rate!r}; {nearest(str(initial_yaw_rate), get_args(InitialYawRate))}"

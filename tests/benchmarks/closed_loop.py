@@ -3,7 +3,7 @@
 References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
 same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
 discrete-time system; and the MPC scenario by scenario with one sparse, updated, warm-started OSQP each. Times are the
-best of several runs, and a design's own preparation is in both of a pair. Printed with `make bench` as the table that
+best of several runs, and a design's own preparation is in both of a pair, what designs share in neither. Printed with `make bench` as the table that
 `docs/benchmarks.md` keeps; `--memory` measures the memory of 1,000 designs and is called by the script itself.
 """
 
@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -65,25 +66,31 @@ def linear_law(design: Controller, over: Takeover) -> LinearLaw:
     return law
 
 
-def numpy_loop(design: Controller, over: Takeover, *, companions: bool) -> np.ndarray:
-    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy.
-
-    Struct of arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A
-    step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
-    """
-    law = linear_law(design, over)
-    dt, plant, p = over.dt, over.plant, over.triggered
-    edge, l_f, v = over.model.parameters.edge_offset, over.model.parameters.l_f, plant.v
+def numpy_tables(over: Takeover) -> Any:
+    """What designs share in `numpy_loop`, worked out once and outside the timing, as on our side."""
 
     def columns(step):
         matrix = [[np.ascontiguousarray(step.A[:, i, j]) for j in (1, 2, 3)] for i in range(4)]
         vectors = [[np.ascontiguousarray(a[:, i]) for i in range(4)] for a in (step.B, step.E_0, step.E_1, step.area_x)]
         return (*vectors, matrix, step.area_delta.copy(), step.area_r_0.copy(), step.area_r_1.copy())
 
-    whole, last = columns(plant.step), columns(over.model.discretize(v, over.rest))
+    v = over.plant.v
     A, B, E = over.model.matrices(v)
-    a_1, a_2, a_3 = (np.ascontiguousarray(A[:, 1, j]) for j in (1, 2, 3))
-    b_1, e_1 = np.ascontiguousarray(B[:, 1]), np.ascontiguousarray(E[:, 1]) + v
+    lateral = *(np.ascontiguousarray(A[:, 1, j]) for j in (1, 2, 3)), np.ascontiguousarray(B[:, 1]), E[:, 1] + v
+    return columns(over.plant.step), columns(over.model.discretize(v, over.rest)), lateral
+
+
+def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: bool) -> np.ndarray:
+    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy.
+
+    Struct of arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A
+    step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
+    """
+    law = linear_law(design, over)
+    dt, v, p = over.dt, over.plant.v, over.triggered
+    edge, l_f = over.model.parameters.edge_offset, over.model.parameters.l_f
+
+    whole, last, (a_1, a_2, a_3, b_1, e_1) = tables
     F = [np.ascontiguousarray(law.F[:, i]) for i in range(4)]
     uses_rate, uses_turn = bool(np.any(law.G_yaw_rate)), bool(np.any(law.G_heading))
     m = over.m
@@ -318,6 +325,12 @@ def _processor() -> str:
     return platform.machine()
 
 
+def check(ours: np.ndarray | None, theirs: np.ndarray) -> None:
+    """The reference does the same work: S to what a straight line through a change of sign costs."""
+    if ours is None or not np.allclose(ours, theirs, rtol=0, atol=2e-4):
+        raise RuntimeError("the reference does not give the same S")
+
+
 def row(case: str, ours: float, theirs: float) -> None:
     print(f"| {case} | {1e3 * ours:.2f} | {1e3 * theirs:.1f} | {theirs / ours:.1f} |", flush=True)
 
@@ -330,25 +343,27 @@ def main() -> None:
     many, model = scenarios(SCENARIOS), BicycleModel()
     event = Takeover.build(many, model, y_s=0.1, dt=0.05, settle=0.0)
     whole = Takeover.build(many, model, y_s=0.1, dt=0.05)
+    event_tables, whole_tables = numpy_tables(event), numpy_tables(whole)
     for design in (PreviewProportional(), LQR()):
+        check(drive(design, event).area, numpy_loop(design, event, event_tables, companions=False))
         name = f"{design.name}, {SCENARIOS:,} scenarios"
         for over in (event, whole):
             drive(design, over)
         ours = seconds(lambda design=design: drive(design, event), 20)
-        theirs = seconds(lambda design=design: numpy_loop(design, event, companions=False), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
         row(f"{name}, to T, all companions, vs NumPy loop with S alone", ours, theirs)
         few = range(0, event.m, 50)
         calls = seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
         forced = event.m / len(few) * calls
         row(f"{name}, to T, all companions, vs control.forced_response", ours, forced)
         ours = seconds(lambda design=design: drive(design, whole), 20)
-        theirs = seconds(lambda design=design: numpy_loop(design, whole, companions=True), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, whole, whole_tables, companions=True), 3)
         row(f"{name}, to T + 3 s, vs NumPy loop with all companions", ours, theirs)
         together = [design] * 20
         ours = seconds(lambda together=together: list(drive_many(together, whole)), 3) / len(together)
         row(f"{name}, to T + 3 s, a design of 20 in one call, vs the same", ours, theirs)
         ours = seconds(lambda together=together: list(drive_many(together, event)), 5) / len(together)
-        theirs = seconds(lambda design=design: numpy_loop(design, event, companions=False), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
         row(f"{name}, to T, all companions, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
         row(f"{name}, the same, vs control.forced_response", ours, forced)
         ours = seconds(lambda together=together: list(drive_many(together, event, score_only=True)), 5) / len(together)

@@ -35,7 +35,7 @@ SCENE: Final = 38
 """Then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter."""
 
 # the filter's own columns: gain (4 x 2), A (4 x 4), B, E_0, E_1 (4 each)
-GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, FILTER = 0, 8, 24, 28, 32, 36
+GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1 = 0, 8, 24, 28, 32
 
 # columns of a state: whatever changes along a run
 X: Final = 0  # 4 columns
@@ -84,7 +84,7 @@ P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
 LAW_F, LAW_U, LAW = 0, 4, 5
 
 # columns of the ideal plant over one whole step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
-EX_A, EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 0, 12, 16, 20, 24, 28, 29, 30, 31
+EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31
 
 
 # numbers of a run that hold for every scenario; yes is 1

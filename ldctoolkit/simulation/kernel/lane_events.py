@@ -54,7 +54,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     L,
 )
 from ldctoolkit.simulation.kernel.plant import OPTIONS, move
-from ldctoolkit.simulation.kernel.sample import drive, hermite_peak, length, past_sample, time_at
+from ldctoolkit.simulation.kernel.sample import drive, hermite_peak, length, past_sample, time_at, touches
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -90,7 +90,7 @@ def look_closer(scene, setting, state, i, l, k, w, work):
     if w[R_STIFF * L + l] > 0.0 or not abs(n_0) <= setting[BOUND]:
         return False
     x_1, n_1 = w[(R_X + 1) * L + l], w[(R_N + 1) * L + l]
-    if counted and x_0 * n_0 >= 0.0 and x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < h * (abs(x_1) + abs(n_1)):
+    if counted and touches(x_0, x_1, n_0, n_1, h):
         return False
     back = w[(R_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0
     if back or (counted and x_0 * n_0 < 0.0):
@@ -127,8 +127,7 @@ def drive_cut(scene, setting, state, i, l, k, h, before_T, w, work):
         move(scene, setting, i, state, t + s, part, d, 0.0, 0.0, 0.0, work, W_AFTER)
         n_0, n_1 = work[W_AFTER], work[W_AFTER + 1]
         x_0, x_1 = state[i, X], state[i, X + 1]
-        touches = x_1 * n_1 < 0.0 and min(abs(x_0), abs(n_0)) < part * (abs(x_1) + abs(n_1))
-        if not abs(n_0) <= setting[BOUND] or (counted and x_0 * n_0 >= 0.0 and touches):
+        if not abs(n_0) <= setting[BOUND] or (counted and touches(x_0, x_1, n_0, n_1, part)):
             return False
         value = _area(scene, setting, state, i, l, t + s, part, counted, w, work)
         area += value if counted else 0.0

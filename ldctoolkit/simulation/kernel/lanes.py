@@ -275,12 +275,8 @@ def _score(setting, w):
 def drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables, score_only):
     """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
     w, g, ring, work = tables
-    first, rows, size, width = (
-        block * L,
-        2 * times.shape[1],
-        int(setting[RING]),
-        ring.shape[0] // (2 * int(setting[RING]) + 1),
-    )
+    first, rows, size = block * L, 2 * times.shape[1], int(setting[RING])
+    width = ring.shape[0] // (2 * size + 1)  # L, but unknown to the compiler, which would unroll a small loop instead
     count = min(L, scene.shape[0] - first)
     most = 0
     for l in range(count):

@@ -63,6 +63,7 @@ from ldctoolkit.simulation.kernel.data import (
 from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, move, speed, substeps
 
 _NEWTON_PASSES = 60
+_HALVINGS = 40
 _SPUN = 1.5
 """|e_psi| [rad] at which saturating tyres have lost the vehicle: its equations end at a right angle to the lane."""
 
@@ -126,6 +127,38 @@ def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, wo
     return s, work[W_END + 4]
 
 
+@numba.njit(inline="always", **OPTIONS)
+def touches(e_0, rate_0, e_1, rate_1, h):
+    """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
+    turns = e_0 * rate_0 < 0.0 < e_1 * rate_1
+    return turns and min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1))
+
+
+@numba.njit(**OPTIONS)
+def _through(scene, setting, i, state, t, h, e_0, area, offset, slope, decay, s_0, work):
+    """Integral of |e_y| over a substep whose ends lie on one side but which may cross zero twice."""
+    low, high, rate_0 = 0.0, h, state[i, X + 1]
+    for _ in range(_HALVINGS):  # the extreme, between ends of different slopes
+        s = 0.5 * (low + high)
+        move(scene, setting, i, state, t, s, offset, slope, decay, s_0, work, W_END)
+        if work[W_END] * e_0 < 0.0:
+            break
+        low, high = (s, high) if work[W_END + 1] * rate_0 > 0.0 else (low, s)
+    if work[W_END] * e_0 >= 0.0:
+        return abs(area)
+    over, total, before = s, 0.0, 0.0
+    for side in range(2):
+        low, high = (0.0, over) if side == 0 else (over, h)
+        for _ in range(_HALVINGS):
+            s = 0.5 * (low + high)
+            move(scene, setting, i, state, t, s, offset, slope, decay, s_0, work, W_END)
+            beyond = work[W_END] * e_0 < 0.0
+            low, high = (low, s) if beyond == (side == 0) else (s, high)
+        total += abs(work[W_END + 4] - before)
+        before = work[W_END + 4]
+    return total + abs(area - before)
+
+
 @numba.njit(**OPTIONS)
 def _smooth(scene, setting, state, i, t, h, offset, slope, decay, counted, work):
     """A piece on which the steering angle is offset + slope s + decay exp(-s/lag)."""
@@ -144,6 +177,10 @@ def _smooth(scene, setting, state, i, t, h, offset, slope, decay, counted, work)
             if e_0 * e_1 < 0.0:
                 _, before = time_at(scene, setting, i, state, at, part, 0.0, offset, slope, decay, s_0, work)
                 state[i, SCORE + AREA] += abs(before) + abs(area - before)
+            elif touches(e_0, state[i, X + 1], e_1, work[W_AFTER + 1], part):
+                state[i, SCORE + AREA] += _through(
+                    scene, setting, i, state, at, part, e_0, area, offset, slope, decay, s_0, work
+                )
             else:
                 state[i, SCORE + AREA] += abs(area)
         for j in range(4):

@@ -347,9 +347,10 @@ def test_the_end_of_the_departure_is_an_entry_once() -> None:
 
 
 def test_threads_must_be_a_number_of_threads() -> None:
-    """Fewer than one is one."""
     over = takeover(make_scenarios(20), PlantOptions())
-    assert_same_bits(drive(LQR(), over, threads=0), drive(LQR(), over, threads=1))
+    for threads in (0, 2.5, "2", True):
+        with pytest.raises(InputError, match=r"threads: .*allowed: a whole number >= 1"):
+            drive(LQR(), over, threads=threads)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("controller", [LQR(), PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR())])
