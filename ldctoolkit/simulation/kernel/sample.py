@@ -130,7 +130,7 @@ def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, wo
 @numba.njit(inline="always", **OPTIONS)
 def touches(e_0, rate_0, e_1, rate_1, h):
     """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
-    turns = e_0 * rate_0 < 0.0 < e_1 * rate_1
+    turns = e_0 * e_1 >= 0.0 and e_0 * rate_0 < 0.0 < e_1 * rate_1
     return turns and min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1))
 
 
