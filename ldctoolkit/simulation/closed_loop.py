@@ -23,6 +23,7 @@ from ldctoolkit.simulation.runs import (
     in_threads,
     places,
     recorded_run,
+    run_of_area,
     run_of_scores,
     run_of_state,
     trajectories_of,
@@ -135,7 +136,8 @@ def _drive_linear(
     if not (options.drives_exactly and options.sensors.ideal):
         return [_drive_each(law, tables, rows, threads) for law in laws]
     d, m = len(laws), takeover.m
-    score = np.full((d, data.SCORES, m), np.nan)
+    score = np.empty((d, data.SCORES, m))
+    score[:, data.AREA] = np.nan  # a scenario that were left out would be seen
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     if m:
         table, times = np.stack([law_table(law) for law in laws]), np.stack([times_of(law) for law in laws])
@@ -152,7 +154,7 @@ def _drive_linear(
 
         in_threads(work, -(-m // LANES), threads, SCENARIOS_A_TASK // LANES)
     if score_only:
-        score[:, data.AREA + 1 :] = np.nan
+        return [run_of_area(takeover, score[i, data.AREA], diverged[i], failed[i]) for i in range(d)]
     paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
     return [run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, paths[i]) for i in range(d)]
 

@@ -73,6 +73,18 @@ def recorded_run(takeover: Takeover) -> Run:
     return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
 
 
+def _status(diverged: npt.NDArray[np.bool_], failed: IntArray) -> npt.NDArray[np.int8]:
+    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
+    return np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+
+
+def run_of_area(takeover: Takeover, area: FloatArray, diverged: npt.NDArray[np.bool_], failed: IntArray) -> Run:
+    """A run of which S alone was worked out, from the integral (m,), who diverged (m,), and failed commands (m,)."""
+    unknown = np.full(area.size, np.nan)
+    companions = Companions(**dict.fromkeys(COMPANION_UNITS, unknown))
+    return Run(takeover, area.copy(), _status(diverged, failed), failed, companions, 0.0, None)
+
+
 def run_of_scores(
     takeover: Takeover,
     score: FloatArray,
@@ -83,8 +95,7 @@ def run_of_scores(
 ) -> Run:
     """A run from scores (columns, m), who diverged (m,), and failed commands (m,)."""
     edge = takeover.model.parameters.edge_offset
-    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
-    status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+    status = _status(diverged, failed)
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
     companions = Companions(

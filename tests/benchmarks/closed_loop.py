@@ -3,8 +3,9 @@
 References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
 same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
 discrete-time system; and the MPC scenario by scenario with one sparse, updated, warm-started OSQP each. Times are the
-best of several runs, and a design's own preparation is in both of a pair, what designs share in neither. Printed with `make bench` as the table that
-`docs/benchmarks.md` keeps; `--memory` measures the memory of 1,000 designs and is called by the script itself.
+best of several runs; a design's own preparation is in both of a pair, what designs share in neither. Printed with
+`make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory of 1,000 designs and is called
+by the script itself.
 """
 
 from __future__ import annotations
