@@ -40,7 +40,7 @@ def intervention_share(triggered: npt.ArrayLike) -> float | FloatArray:
     Returns
     -------
     float or (d,) [1]
-        Of all n; 0 for no scenarios.
+        Of all n; 0 for no scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> 
     -------
     float or (d,) [1]
         Of all n, not of the interventions, so that a design cannot make it smaller by triggering more; 0 for no
-        scenarios.
+        scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
 
     Raises
     ------
