@@ -259,8 +259,8 @@ def _reduction(case: CaseResults, rows: BoolArray) -> FloatArray:
 def _warnings(case: CaseResults, designs: Sequence[Design], left_out: int) -> Iterator[str]:
     if left_out:
         yield (
-            f"{left_out} of {left_out + case.status.shape[1]} scenarios cannot be driven (a parameter is not finite, "
-            "the speed is below 1 m/s, or T is not > 0); no figure of any design counts them."
+            f"{left_out} of {left_out + case.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
+            "or has the wrong sign, or the speed leaves 1 to 90 m/s); no figure of any design counts them."
         )
     if case.case.window == "control" and len({design.y_s for design in designs}) > 1:
         yield (

@@ -342,6 +342,10 @@ def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
             table = {part: table}
         if key == "mismatch.mu":
             table["tyres"] = {"model": "magic_formula"}
+        elif key in ("tyres.mu", "tyres.shape"):
+            table["tyres"]["model"] = "magic_formula"
+        elif key == "residuals.bandwidth":
+            table["residuals"]["y"] = True
         hashes.add(make_study(plant=table, simulation=simulation).hash)
     hashes.add(make_study(simulation=simulation | {"settle": 2}).hash)
     # every key gives a study of its own; tyres.model alone is the one that mismatch.mu was compared with

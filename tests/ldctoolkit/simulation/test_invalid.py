@@ -14,7 +14,6 @@ import pytest
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, LinearLaw, Outcome, Plant, Scenarios, simulate
-from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import BOUND, Takeover, drive_many
@@ -152,12 +151,14 @@ def test_a_speed_residual_that_makes_it_too_slow() -> None:
     assert run(PreviewProportional(), scenarios, PlantOptions()).count(EventStatus.INVALID) == 0
 
 
-def test_a_speed_without_a_gain_is_named_and_not_invalid() -> None:
-    """It can be driven, only not by that design."""
-    fast = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=[20.0, 95.0])
-    with pytest.raises(InputError, match="95 m/s; allowed for scheduled gains"):
-        run(LQR(), fast, PlantOptions())
-    assert_counted(run(PreviewProportional(), fast, PlantOptions()), np.zeros(2, dtype=bool))
+def test_a_speed_without_a_gain_is_invalid_for_every_law() -> None:
+    """Some laws could drive it, but all of them are compared on the same scenarios; a wrong sign is invalid too."""
+    fast = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=[20.0, 95.0, 85.0], a_mean=[0.0, 0.0, 6.0])
+    wrong = dataclasses.replace(fast, v_mean=np.full(3, 20.0), a_mean=np.zeros(3), d_y=np.array([0.3, -0.3, 0.3]))
+    wrong = dataclasses.replace(wrong, sigma_y=np.array([0.0, 0.0, -0.1]))
+    for law in (LQR(), PreviewProportional()):
+        for scenarios in (fast, wrong):
+            assert_counted(run(law, scenarios, PlantOptions()), np.array([False, True, True]))
 
 
 def test_a_step_longer_than_the_departure() -> None:

@@ -1,0 +1,99 @@
+"""Plant options: every wrong value is named with what is allowed; NumPy numbers are numbers; nothing is ignored."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import LQR
+from ldctoolkit import Scenarios, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "message"),
+    [
+        (Actuator, {"lag": -1}, "actuator.lag: -1; allowed: a finite number >= 0 and <= 10"),
+        (Actuator, {"lag": 1e-9}, "actuator.lag: 1e-09; allowed: 0, or at least 0.0001 s"),
+        (Actuator, {"rate_max": 0}, "actuator.rate_max: 0; allowed: a finite number > 0"),
+        (Actuator, {"delta_max": float("inf")}, "actuator.delta_max: inf; allowed: a finite number > 0"),
+        (Actuator, {"delay": True}, "actuator.delay: True; allowed"),
+        (Actuator, {"delay": np.float64(-0.5)}, "actuator.delay: -0.5; allowed"),
+        (Mismatch, {"m": (1.2, 0.8)}, "mismatch.m: (1.2, 0.8); allowed: (low, high), 0 < low <= high"),
+        (Mismatch, {"I_z": 1.0}, "mismatch.I_z: 1.0; allowed"),
+        (Mismatch, {"C_af": (np.float64(2), 1)}, "mismatch.C_af: (2.0, 1); allowed"),
+        (Tyres, {"model": "magic"}, "tyres.model: 'magic'; did you mean 'magic_formula'"),
+        (Tyres, {"mu": 0.3}, "tyres.mu: 0.3; linear tyres have none; allowed with tyres.model = 'magic_formula'"),
+        (Tyres, {"model": "magic_formula", "shape": 3}, "tyres.shape: 3; allowed: a finite number >= 1 and <= 2"),
+        (KalmanFilter, {"q_y": 0}, "sensors.kalman.q_y: 0; allowed: a finite number > 0"),
+        (Sensors, {"e_y_noise": -0.1}, "sensors.e_y_noise: -0.1; allowed: a finite number >= 0"),
+        (Sensors, {"e_y_bias": "left"}, "sensors.e_y_bias: 'left'; allowed: a finite number"),
+        (Sensors, {"kalman": True}, "sensors.kalman: True; allowed: a KalmanFilter, or None"),
+        (Residuals, {"y": 1}, "residuals.y: 1; allowed: true or false"),
+        (Residuals, {"bandwidth": 2.0}, "residuals.bandwidth: 2.0; allowed with residuals.y or residuals.v"),
+        (PlantOptions, {"speed": "profil"}, "speed: 'profil'; did you mean 'profile'"),
+        (PlantOptions, {"actuator": {}}, "actuator: {}; allowed: an instance of Actuator"),
+        (PlantOptions, {"mismatch": Mismatch(mu=(0.3, 1))}, "mismatch.mu: (0.3, 1.0); linear tyres have no friction"),
+    ],
+)
+def test_a_wrong_value_is_named(kind: Any, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        kind(**given)
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    assert Actuator(lag=np.float32(0.5), delay=np.int64(1)) == Actuator(lag=0.5, delay=1.0)
+    assert type(Actuator(lag=np.float64(0.5)).lag) is float
+    assert Mismatch(m=(np.float64(0.5), np.int64(2))) == Mismatch(m=(0.5, 2.0))
+
+
+def test_every_option_takes_the_ideal_away() -> None:
+    assert PlantOptions().ideal
+    assert PlantOptions().drives_exactly
+    changed = {
+        "actuator": Actuator(lag=0.1),
+        "mismatch": Mismatch(m=(0.9, 1.1)),
+        "tyres": Tyres(model="magic_formula"),
+        "sensors": Sensors(delay=0.1),
+        "residuals": Residuals(v=True),
+        "speed": "profile",
+    }
+    assert set(changed) == {field.name for field in dataclasses.fields(PlantOptions)}
+    exact = {"mismatch", "sensors", "residuals"}
+    for name, value in changed.items():
+        options = PlantOptions(**{name: value})
+        assert not options.ideal
+        assert options.drives_exactly == (name in exact)
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            options.speed = "frozen"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"options": {}}, "options: {}; allowed: PlantOptions(...)"),
+        ({"vehicle": 3}, "vehicle: 3; allowed: VehicleParameters(...)"),
+        ({"y_s": "deep"}, "y_s: 'deep'; allowed: a finite number"),
+        ({"y_s": np.float64(-1)}, "y_s: -1.0 m; allowed: a finite number >= 0"),
+        ({"settle": True}, "settle: True; allowed: a finite number"),
+        ({"settle": 61}, "settle: 61.0 s; allowed: 0 to 60"),
+        ({"threads": 2.5}, "threads: 2.5; allowed: a whole number >= 1"),
+        ({"seed": -1}, "seed: -1; allowed"),
+        ({"options": PlantOptions(sensors=Sensors(period=0.07))}, "sensors.period: 0.07 s; allowed: a multiple of"),
+    ],
+)
+def test_wrong_arguments_of_simulate_are_named(given: dict[str, Any], message: str) -> None:
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
+    with pytest.raises(InputError, match=re.escape(message)):
+        simulate(LQR(), scenarios, **given)
+
+
+def test_numpy_arguments_of_simulate_are_numbers() -> None:
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
+    plain = simulate(LQR(), scenarios, y_s=0.0, dt=0.1, settle=1.0)
+    assert simulate(LQR(), scenarios, y_s=np.int64(0), dt=np.float64(0.1), settle=np.int64(1)).S[0] == plain.S[0]
