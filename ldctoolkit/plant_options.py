@@ -7,16 +7,19 @@ state the law sees as it is. Every option here takes one of these idealisations 
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Final, Literal, get_args
 
 from ldctoolkit.errors import InputError, nearest, plain
+from ldctoolkit.option_checks import is_number, number
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
 
 _SHORTEST_LAG: Final = 1e-4
 """Shortest lag [s] that is a lag and not a slip of the pen."""
+
+_WHOLE: Final = 1e-6
+"""Parts of a sample that are rounding: 3*0.05 is not 0.15 in binary."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,11 +59,11 @@ class Actuator:
     def __post_init__(self) -> None:
         for name in ("delta_max", "rate_max"):
             if getattr(self, name) is not None:
-                _number(self, "actuator", name, above=0.0)
-        _number(self, "actuator", "lag", least=0.0, most=10.0)
+                number(self, "actuator", name, above=0.0)
+        number(self, "actuator", "lag", least=0.0, most=10.0)
         if 0.0 < self.lag < _SHORTEST_LAG:
             raise InputError(f"actuator.lag: {self.lag!r}; allowed: 0, or at least {_SHORTEST_LAG:g} s")
-        _number(self, "actuator", "delay", least=0.0, most=10.0)
+        number(self, "actuator", "delay", least=0.0, most=10.0)
 
     @property
     def ideal(self) -> bool:
@@ -101,7 +104,7 @@ class Mismatch:
             value = getattr(self, field.name)
             pair = isinstance(value, tuple | list) and len(value) == 2
             value = tuple(plain(end) for end in value) if pair else plain(value)
-            if not (pair and all(_is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
+            if not (pair and all(is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
                 raise InputError(f"mismatch.{field.name}: {value!r}; allowed: (low, high), 0 < low <= high")
             object.__setattr__(self, field.name, (float(value[0]), float(value[1])))
 
@@ -143,8 +146,8 @@ class Tyres:
     def __post_init__(self) -> None:
         if self.model not in get_args(TyreModel):
             raise InputError(f"tyres.model: {self.model!r}; {nearest(str(self.model), get_args(TyreModel))}")
-        _number(self, "tyres", "mu", above=0.0, most=2.0)
-        _number(self, "tyres", "shape", least=1.0, most=2.0)
+        number(self, "tyres", "mu", above=0.0, most=2.0)
+        number(self, "tyres", "shape", least=1.0, most=2.0)
         for name in ("mu", "shape"):
             if self.ideal and getattr(self, name) != type(self).__dataclass_fields__[name].default:
                 raise InputError(
@@ -191,7 +194,7 @@ class KalmanFilter:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            _number(self, "sensors.kalman", field.name, above=0.0)
+            number(self, "sensors.kalman", field.name, above=0.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -247,11 +250,11 @@ class Sensors:
 
     def __post_init__(self) -> None:
         for name in ("e_y_noise", "e_psi_noise", "e_y_step", "e_psi_step", "curvature_noise"):
-            _number(self, "sensors", name, least=0.0)
+            number(self, "sensors", name, least=0.0)
         for name in ("e_y_bias", "e_psi_bias", "curvature_gain", "curvature_bias"):
-            _number(self, "sensors", name)
+            number(self, "sensors", name)
         for name in ("period", "delay"):
-            _number(self, "sensors", name, least=0.0, most=10.0)
+            number(self, "sensors", name, least=0.0, most=10.0)
         if self.kalman is not None and not isinstance(self.kalman, KalmanFilter):
             raise InputError(f"sensors.kalman: {self.kalman!r}; allowed: a KalmanFilter, or None")
 
@@ -259,6 +262,22 @@ class Sensors:
     def ideal(self) -> bool:
         """The law sees the state and the lane as they are."""
         return self == Sensors()
+
+    def in_samples(self, dt: float) -> tuple[int, int]:
+        """Period (at least 1) and delay in samples of dt [s].
+
+        Raises
+        ------
+        InputError
+            If one of them is no multiple of dt.
+        """
+        counts = []
+        for name in ("period", "delay"):
+            value = getattr(self, name)
+            counts.append(round(value / dt))
+            if abs(value / dt - counts[-1]) > _WHOLE:
+                raise InputError(f"sensors.{name}: {value!r} s; allowed: a multiple of the sample time dt = {dt!r} s")
+        return max(1, counts[0]), counts[1]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -291,7 +310,7 @@ class Residuals:
         for name in ("y", "v"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"residuals.{name}: {getattr(self, name)!r}; allowed: true or false")
-        _number(self, "residuals", "bandwidth", above=0.0, most=5.0)
+        number(self, "residuals", "bandwidth", above=0.0, most=5.0)
         if self.ideal and self.bandwidth != type(self).__dataclass_fields__["bandwidth"].default:
             raise InputError(f"residuals.bandwidth: {self.bandwidth!r}; allowed with residuals.y or residuals.v")
 
@@ -365,29 +384,3 @@ class PlantOptions:
     def drives_exactly(self) -> bool:
         """Between samples the plant is linear with constant coefficients, and its steering angle constant."""
         return self.speed == "frozen" and self.actuator.ideal and self.tyres.ideal
-
-
-def _is_number(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
-
-
-def _number(
-    owner: object,
-    table: str,
-    name: str,
-    *,
-    above: float | None = None,
-    least: float | None = None,
-    most: float | None = None,
-) -> None:
-    """Check a number of a frozen value and make it a float."""
-    value = plain(getattr(owner, name))
-    bounds = [f"{sign} {bound:g}" for sign, bound in ((">", above), (">=", least), ("<=", most)) if bound is not None]
-    allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
-    inside = _is_number(value)
-    inside = inside and (above is None or value > above)
-    inside = inside and (least is None or value >= least)
-    inside = inside and (most is None or value <= most)
-    if not inside:
-        raise InputError(f"{table}.{name}: {value!r}; allowed: {allowed}")
-    object.__setattr__(owner, name, float(value))

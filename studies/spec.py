@@ -40,9 +40,6 @@ from studies.scenario_settings import ScenarioSettings
 MOST_DESIGNS = 100_000
 """Largest grid of one study; more is a slip of the pen."""
 
-_WHOLE = 1e-6
-"""A ratio of two times that is nearer than this to a whole number is one: 0.15/0.05 is not 3 in binary."""
-
 
 def _one_or_many(entry: Any) -> Any:
     values = (entry,) if isinstance(entry, str) else entry
@@ -253,11 +250,11 @@ class Study(Part):
 
     @model_validator(mode="after")
     def _whole_samples(self) -> Self:
-        dt = self.simulation.dt
-        for name in ("period", "delay"):
-            value = getattr(self.plant.sensors, name)
-            if abs(value / dt - round(value / dt)) > _WHOLE:
-                raise fail(f"plant.sensors.{name}", f"{value:g}; allowed: a multiple of simulation.dt = {dt:g} s")
+        try:
+            self.plant.sensors.in_samples(self.simulation.dt)
+        except InputError as error:
+            path, _, message = str(error).partition(": ")
+            raise fail(f"plant.{path}", message.replace("the sample time dt", "simulation.dt")) from None
         return self
 
     @model_validator(mode="after")

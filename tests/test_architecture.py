@@ -16,6 +16,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 # bottom to top: a module may import from below, and from its own room
 LEVELS = (
     ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
+    ("ldctoolkit.option_checks",),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),

@@ -105,24 +105,6 @@ def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
 
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
-def turned_by_residual(path: Any, c_0: FloatArray, dc: FloatArray, t: FloatArray, out: FloatArray) -> None:
-    """Integral of eps_v(s) (c_0 + dc s/T) from 0 to t (n, k), into `out`: by parts, mode by mode."""
-    for i in range(t.shape[0]):
-        omega = math.pi / path.T[i]
-        growth = dc[i] / path.T[i]
-        for k in range(t.shape[1]):
-            cos_1, sin_1 = math.cos(omega * t[i, k]), math.sin(omega * t[i, k])
-            c, s = 1.0, 0.0
-            once, twice = 0.0, 0.0
-            for j in range(1, path.count_v[i] + 1):
-                c, s = c * cos_1 - s * sin_1, s * cos_1 + c * sin_1
-                b = path.modes_v[i, j - 1]
-                once += b * s / (j * omega)
-                twice += b * (c - 1.0) / (j * omega) ** 2
-            out[i, k] = (c_0[i] + growth * t[i, k]) * once + growth * twice
-
-
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
 def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
     """Integral of y from 0 to t (n, k) into `out`: Gauss and Legendre's rule for the parabola, eps_y in closed form.
 

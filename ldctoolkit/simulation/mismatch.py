@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -47,13 +46,6 @@ class TrueVehicles:
     def n(self) -> int:
         """Number of vehicles."""
         return int(self.m.shape[0])
-
-    def take(self, rows: npt.ArrayLike | slice) -> Self:
-        """The chosen vehicles: an index array, a mask or a slice."""
-        index = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(index, slice) and index.size == 0:
-            index = index.astype(np.int64)
-        return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in _DRAWN})
 
     def matrices(self, v: npt.ArrayLike, convention: Convention) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Continuous-time A, B, E of Rajamani's eq. 2.45, each vehicle at its own speed.

@@ -105,7 +105,7 @@ def _setting(over: Takeover) -> FloatArray:
     actuator, sensors, dt = over.options.actuator, over.options.sensors, over.dt
     whole = math.floor(actuator.delay / dt + 1e-9)
     part = actuator.delay - whole * dt
-    period, late = max(1, round(sensors.period / dt)), round(sensors.delay / dt)
+    period, late = sensors.in_samples(dt)
     values = {
         "dt": dt,
         "offset": over.model.parameters.edge_offset,
@@ -200,8 +200,8 @@ def _curvature_bias(over: Takeover) -> FloatArray:
 def _earlier_frames(over: Takeover) -> FloatArray:
     """(e_y, e_psi) of the recorded path in the frames before the trigger that still reach the law, latest first."""
     sensors, dt = over.options.sensors, over.dt
-    period = max(1, round(sensors.period / dt))
-    frames = np.zeros((over.m, 2 * -(-round(sensors.delay / dt) // period)))
+    period, late = sensors.in_samples(dt)
+    frames = np.zeros((over.m, 2 * -(-late // period)))
     for j in range(frames.shape[1] // 2):
         t = over.start - (j + 1) * period * dt
         frames[:, 2 * j] = over.driven.lateral(t) + over.model.parameters.edge_offset
@@ -214,7 +214,7 @@ def _filter(over: Takeover) -> FloatArray:
     sensors, step = over.options.sensors, over.plant.step
     if sensors.kalman is None:
         return np.zeros((over.m, 0))
-    gain = filter_gain(over.plant, sensors.kalman, max(1, round(sensors.period / over.dt)))
+    gain = filter_gain(over.plant, sensors.kalman, sensors.in_samples(over.dt)[0])
     parts = (gain.reshape(-1, 8), step.A.reshape(-1, 16), step.B, step.E_0, step.E_1)
     return np.concatenate(parts, axis=1)
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest, plain
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.simulation.mismatch import TrueVehicles, true_vehicles
@@ -191,9 +192,7 @@ class Takeover:
             For a threshold, step or option outside what is allowed.
         """
         options = PlantOptions() if options is None else options
-        y_s, dt, settle = (
-            float(_number(name, value)) for name, value in (("y_s", y_s), ("dt", dt), ("settle", settle))
-        )
+        y_s, dt, settle = (_number(name, value) for name, value in (("y_s", y_s), ("dt", dt), ("settle", settle)))
         _check(model, options, y_s, dt, settle, initial_yaw_rate)
         seed = checked_seed(seed)
         offset = model.parameters.edge_offset
@@ -229,8 +228,8 @@ class Takeover:
             scenarios=scenarios,
             model=model,
             options=options,
-            y_s=float(y_s),
-            dt=float(dt),
+            y_s=y_s,
+            dt=dt,
             seed=seed,
             settle=math.ceil(settle / dt - 1e-9),
             valid=valid,
@@ -277,10 +276,10 @@ def _harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
 
 
 def _number(name: str, value: object) -> float:
-    number = plain(value)
-    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-        raise InputError(f"{name}: {number!r}; allowed: a finite number")
-    return number
+    given = plain(value)
+    if not is_number(given):
+        raise InputError(f"{name}: {given!r}; allowed: a finite number")
+    return float(given)
 
 
 def _check(
@@ -298,10 +297,7 @@ def _check(
         raise InputError(
             f"initial_yaw_rate: {initial_yaw_rate!r}; {nearest(str(initial_yaw_rate), get_args(InitialYawRate))}"
         )
-    for name in ("period", "delay"):
-        value = getattr(options.sensors, name)
-        if abs(value / dt - round(value / dt)) > 1e-6:
-            raise InputError(f"sensors.{name}: {value!r} s; allowed: a multiple of the sample time dt = {dt!r} s")
+    options.sensors.in_samples(dt)
     if model.convention != "consistent" and not options.tyres.ideal:
         raise InputError(
             f"convention: {model.convention!r} with tyres.model {options.tyres.model!r}; the printed matrix is linear; "

@@ -167,24 +167,6 @@ class UncorrectedPath:
         return dep.curvature(self._shaped(t), t)
 
     @_quiet
-    def heading(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
-        """Change of the lane's heading from t_0 to t_1 [rad]: the integral of v(t) c(t), both held beyond T.
-
-        Parameters
-        ----------
-        t_0, t_1 : (n,) or (n, k) [s]
-
-        Returns
-        -------
-        (n,) or (n, k)
-            In closed form, (n, k) where one of the two is.
-        """
-        start, end = self._turned(t_0), self._turned(t_1)
-        if start.ndim != end.ndim:
-            start, end = (turned if turned.ndim == 2 else turned[:, None] for turned in (start, end))
-        return np.asarray(end - start, dtype=np.float64)
-
-    @_quiet
     def area(self, t: FloatArray) -> FloatArray:
         """Integral of y from 0 to t [m s]: closed form, or a Gauss rule that is exact to rounding where v has eps_v."""
         if not self._disturbed:
@@ -303,25 +285,6 @@ class UncorrectedPath:
         out = np.empty(self.n)
         kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)
         return out
-
-    def _turned(self, t: FloatArray) -> FloatArray:
-        """Integral of v c from 0 to t: v and c are straight lines up to T, v with eps_v, then constant."""
-        p = self._shaped(t)
-        inside = np.minimum(t, p.T)
-        v_0, growth = p.v_mean - 0.5 * p.a_mean * p.T, p.dc / p.T
-        second = 0.5 * (v_0 * growth + p.a_mean * p.c_0)
-        turned = inside * (v_0 * p.c_0 + inside * (second + inside * (p.a_mean * growth / 3.0)))
-        if self._varied:
-            from ldctoolkit.simulation._residual_kernels import turned_by_residual
-
-            out = np.empty(_table(t).shape)
-            turned_by_residual(self.columns(), self.scenarios.c_0, self.scenarios.dc, _table(inside), out)
-            turned = turned + out.reshape(t.shape)
-        last = self.speed(self.scenarios.T)
-        return np.asarray(
-            turned + _like(last, t) * (p.c_0 + p.dc) * np.maximum(t - p.T, 0.0),
-            dtype=np.float64,
-        )
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:

@@ -76,10 +76,10 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
     ({"plant": {"sensors": {"kalman": {"q": 1}}}}, "plant.sensors.kalman.q: no such key; did you mean 'q_y'?"),
     ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
-    ({"plant": {"sensors": {"period": 0.07}}}, "plant.sensors.period: 0.07; allowed: a multiple of simulation.dt"),
+    ({"plant": {"sensors": {"period": 0.07}}}, "plant.sensors.period: 0.07 s; allowed: a multiple of simulation.dt"),
     (
         {"plant": {"sensors": {"delay": 0.1}}, "simulation": {"dt": 0.04}},
-        "plant.sensors.delay: 0.1; allowed: a multiple of simulation.dt = 0.04 s",
+        "plant.sensors.delay: 0.1 s; allowed: a multiple of simulation.dt = 0.04 s",
     ),
     (
         {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-from ldctoolkit import DepartureSignals, Scenarios, reduce_signals
+from ldctoolkit import BicycleModel, DepartureSignals, Scenarios, reduce_signals
 from ldctoolkit import departures as dep
 from ldctoolkit.errors import InputError
-from ldctoolkit.plant_options import Residuals
+from ldctoolkit.plant_options import PlantOptions, Residuals
+from ldctoolkit.simulation import Takeover
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 
 FloatArray = npt.NDArray[np.float64]
@@ -162,18 +163,30 @@ def test_area_and_distance_equal_quadrature(residuals: Residuals, share: float) 
 
 
 @pytest.mark.parametrize("residuals", KINDS)
-@pytest.mark.parametrize(("first", "last"), [(0.0, 1.0), (-0.1, 0.4), (0.7, 1.6), (1.2, 1.5)])
-def test_lane_heading_equals_quadrature(residuals: Residuals, first: float, last: float) -> None:
-    path = UncorrectedPath.of(FEW, residuals, seed=2)
-    t_0, t_1 = first * FEW.T, last * FEW.T
-    heading = path.heading(t_0, t_1)
-    for i in range(FEW.n):
-        v, c = at(path, i, "speed"), at(path, i, "curvature")
-        ends = sorted({t_0[i], min(max(FEW.T[i], t_0[i]), t_1[i]), t_1[i]})
-        parts = [
-            quad(lambda t, v=v, c=c: v(t) * c(t), a, b, epsabs=1e-14, limit=400)[0] for a, b in itertools.pairwise(ends)
-        ]
-        assert heading[i] == pytest.approx(sum(parts), abs=1e-12)
+def test_lane_heading_ahead_equals_quadrature(residuals: Residuals) -> None:
+    """What a law is told of the lane where the speed is the path's own, before T and beyond."""
+    from ldctoolkit.simulation.kernel import entry
+
+    options = PlantOptions(speed="profile", residuals=residuals)
+    over = Takeover.build(FEW, BicycleModel(), y_s=0.0, dt=0.05, options=options, seed=2)
+    times = np.array([0.0, 0.4, 1.5, 4.0])
+    seen, yaw_rate, heading = np.empty((over.m, 4)), np.empty((over.m, 4)), np.empty((over.m, 4))
+    tables, rows = over.tables, np.arange(over.m)
+    state = tables.state()
+    entry.begin(tables.scene, tables.setting, state, tables.paths(rows[:0], state), rows)
+    entry.look(tables.scene, tables.setting, state, 0, rows, times, seen, yaw_rate, heading, entry.scratch())
+    assert over.m > 3
+    for i in range(over.m):
+        v, c = at(over.driven, i, "speed"), at(over.driven, i, "curvature")
+        T, start = over.triggered.T[i], over.start[i]
+        for k, ahead in enumerate(times):
+            ends = sorted({start, min(max(T, start), start + ahead), start + ahead})
+            parts = [
+                quad(lambda t, v=v, c=c: v(t) * c(t), a, b, epsabs=1e-14, limit=400)[0]
+                for a, b in itertools.pairwise(ends)
+            ]
+            assert heading[i, k] == pytest.approx(sum(parts), abs=1e-12)
+            assert yaw_rate[i, k] == pytest.approx(v(start + ahead) * c(start + ahead), rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("residuals", [OFF, BOTH])
@@ -187,9 +200,6 @@ def test_shapes(residuals: Residuals) -> None:
         for k in range(3):
             np.testing.assert_array_equal(table[:, k], method(np.ascontiguousarray(t[:, k])), err_msg=name)
             np.testing.assert_array_equal(table[:, k], method(t[:, k]), err_msg=name)
-    table = path.heading(t[:, 0], t)
-    for k in range(3):
-        np.testing.assert_array_equal(table[:, k], path.heading(t[:, 0], t[:, k]))
 
 
 # --- what the residuals are
@@ -334,7 +344,6 @@ def test_seeds_numbers_and_order() -> None:
         (moved.deepest(t[order]), path.deepest(t)),
         (moved.front_deepest(t[order], 1.4), path.front_deepest(t, 1.4)),
         (moved.slowest_speed(0.0 * t[order], t[order]), path.slowest_speed(0.0 * t, t)),
-        (moved.heading(0.0 * t[order], t[order]), path.heading(0.0 * t, t)),
     ):
         np.testing.assert_array_equal(ours, whole[order])
 
@@ -431,7 +440,6 @@ def test_rows_that_cannot_be_driven_raise_nothing_and_spoil_no_other(residuals: 
     t = np.full(60, 0.3)
     for name in ("position", "speed", "speed_rate", "lateral", "lateral_rate", "lateral_acceleration", "area"):
         np.testing.assert_array_equal(getattr(whole, name)(t)[kept], getattr(alone, name)(t[kept]))
-    np.testing.assert_array_equal(whole.heading(t, 2 * t)[kept], alone.heading(t[kept], 2 * t[kept]))
     np.testing.assert_array_equal(whole.crossing_time(0.1)[kept], alone.crossing_time(0.1))
     np.testing.assert_array_equal(whole.deepest(t)[kept], alone.deepest(t[kept]))
     np.testing.assert_array_equal(whole.front_deepest(t, 1.4)[kept], alone.front_deepest(t[kept], 1.4))
@@ -451,7 +459,6 @@ def test_no_scenarios(residuals: Residuals) -> None:
     assert path.lateral(np.empty((0, 4))).shape == (0, 4)
     assert path.crossing_time(0.2).shape == (0,)
     assert path.deepest(np.empty(0)).shape == (0,)
-    assert path.heading(np.empty(0), np.empty((0, 4))).shape == (0, 4)
     assert path.take([]).n == 0
 
 
