@@ -28,7 +28,7 @@ from ldctoolkit.simulation.runs import (
     run_of_state,
     trajectories_of,
 )
-from ldctoolkit.simulation.tables import BOUND, Tables, law_table, times_of
+from ldctoolkit.simulation.tables import BOUND, Tables, law_tables, times_of
 from ldctoolkit.simulation.takeover import Takeover
 
 IntArray = npt.NDArray[np.int64]
@@ -140,7 +140,8 @@ def _drive_linear(
     score[:, data.AREA] = np.nan  # a scenario that were left out would be seen
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     if m:
-        table, times = np.stack([law_table(law) for law in laws]), np.stack([times_of(law) for law in laws])
+        times = np.stack([times_of(law) for law in laws])
+        table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * times.shape[1])))
         state = tables.spare_state()
         none = tables.paths(np.zeros(0, dtype=np.int64), state)
         scene = tables.scene_to_T if score_only else tables.scene
@@ -163,7 +164,7 @@ def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: 
     """A linear law on any plant, scenario by scenario; on the ideal plant only those whose paths are wanted."""
     from ldctoolkit.simulation.kernel import entry
 
-    over, state, table, times = tables.over, tables.state(), law_table(law), times_of(law)
+    over, state, table, times = tables.over, tables.state(), law_tables([law])[0], times_of(law)
     chosen, found = places(over, rows)
     paths = tables.paths(chosen, state)
     ideal = over.options.drives_exactly and over.options.sensors.ideal

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import threading
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -89,6 +90,13 @@ class Tables:
             self.spare.state = self.state()
         rows: FloatArray = self.spare.state
         return rows
+
+    def spare_room(self, size: int) -> FloatArray:
+        """At least `size` numbers, to be used like `spare_state`: fresh memory costs more than filling it."""
+        if not hasattr(self.spare, "room") or self.spare.room.size < size:
+            self.spare.room = np.empty(size)
+        room: FloatArray = self.spare.room
+        return room
 
     def paths(self, chosen: IntArray, state: FloatArray) -> FloatArray:
         """Room for the paths of the scenarios `chosen` (c,), by their place among the m: (c, entries, columns)."""
@@ -219,10 +227,17 @@ def _filter(over: Takeover) -> FloatArray:
     return np.concatenate(parts, axis=1)
 
 
-def law_table(law: LinearLaw) -> FloatArray:
-    """A linear law for the compiled loops, (m, `data.LAW` + 2 p)."""
-    weights = np.stack([law.G_yaw_rate, law.G_heading], axis=-1).reshape(law.F.shape[0], 2 * law.preview_times.size)
-    return np.concatenate([law.F, law.f_u[:, None], weights], axis=1, dtype=np.float64)
+def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> FloatArray:
+    """Linear laws with equally many lookahead times for the compiled loops, (d, m, `data.LAW` + 2 p); into `room`."""
+    shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * laws[0].preview_times.size)
+    size = math.prod(shape)
+    tables = np.empty(shape) if room is None else room[:size].reshape(shape)
+    for table, law in zip(tables, laws, strict=True):
+        table[:, data.LAW_F : data.LAW_U] = law.F
+        table[:, data.LAW_U] = law.f_u
+        table[:, data.LAW :: 2] = law.G_yaw_rate
+        table[:, data.LAW + 1 :: 2] = law.G_heading
+    return tables
 
 
 def times_of(law: LinearLaw) -> FloatArray:

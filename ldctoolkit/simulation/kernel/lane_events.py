@@ -1,7 +1,6 @@
 """What happens in a lane now and then, one scenario at a time.
 
-A change of sign of e_y, an extreme between two samples, the edge back inside; the steps that T cuts, and last ones that
-are not whole.
+A change of sign of e_y, an extreme between two samples, the edge back inside.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
@@ -9,17 +8,17 @@ are not whole.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numba
 
+from ldctoolkit.simulation.kernel.between import crossing, hermite_peak, touches
 from ldctoolkit.simulation.kernel.data import (
-    AREA,
     AXLE,
     BACK,
     BOUND,
     DEEP,
     DT,
-    EFFORT,
     FRONT,
     OFFSET,
     OVER,
@@ -27,8 +26,6 @@ from ldctoolkit.simulation.kernel.data import (
     SCORE,
     SCORES,
     START,
-    TRAVEL,
-    W_AFTER,
     W_LIMITS,
     WHEEL,
     WINDOW,
@@ -40,51 +37,32 @@ from ldctoolkit.simulation.kernel.lane_table import (
     R_COUNTED,
     R_D,
     R_DC,
+    R_E,
     R_LEFT,
     R_N,
     R_PAST_LEFT,
     R_PER_T,
     R_Q,
+    R_R1,
+    R_REACH,
     R_RIGHT,
     R_S,
     R_SIGNED,
     R_STIFF,
     R_U,
+    R_W,
     R_X,
     L,
 )
-from ldctoolkit.simulation.kernel.plant import OPTIONS, move
-from ldctoolkit.simulation.kernel.sample import drive, hermite_peak, length, past_sample, time_at, touches
+from ldctoolkit.simulation.kernel.plant import OPTIONS
+from ldctoolkit.simulation.kernel.sample import drive, length, past_sample, time_near
+
+_CLOSE: Final = 1e-12
+"""Error [m s] of an integral of e_y, and [s] of a time, above which the path's Taylor series is asked."""
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _extremes(setting, state, i, l, h, counted, w, work):
-    """Depth and overshoot between the state and what it was moved to."""
-    x_0, x_1, n_0, n_1 = state[i, X], state[i, X + 1], work[W_AFTER], work[W_AFTER + 1]
-    if counted:
-        l_f = setting[AXLE]
-        g_0, f_0 = x_0 + l_f * state[i, X + 2], x_1 + l_f * state[i, X + 3]
-        g_1, f_1 = n_0 + l_f * work[W_AFTER + 2], n_1 + l_f * work[W_AFTER + 3]
-        w[(R_S + DEEP) * L + l] = max(w[(R_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
-        w[(R_S + FRONT) * L + l] = max(w[(R_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
-    w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
-
-
-@numba.njit(inline="always", **OPTIONS)
-def _area(scene, setting, state, i, l, t, h, counted, w, work):
-    """Integral of |e_y| between the state and what it was moved to; the time back inside on the way."""
-    x_0, n_0, area, d = state[i, X], work[W_AFTER], work[W_AFTER + 4], w[R_D * L + l]
-    if w[(R_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0:
-        s, _ = time_at(scene, setting, i, state, t, h, setting[OFFSET], d, 0.0, 0.0, 0.0, work)
-        w[(R_S + BACK) * L + l] = t + s
-    if counted and x_0 * n_0 < 0.0:
-        _, before = time_at(scene, setting, i, state, t, h, 0.0, d, 0.0, 0.0, 0.0, work)
-        return abs(before) + abs(area - before)
-    return abs(area)
-
-
-@numba.njit(inline="always", **OPTIONS)
-def look_closer(scene, setting, state, i, l, k, w, work):
+def look_closer(scene, setting, state, i, l, k, w, work, full):
     """What happens between the ends of a whole step; False if that takes `sample.drive`."""
     x_0, n_0, h, counted = w[R_X * L + l], w[R_N * L + l], setting[DT], w[R_COUNTED * L + l] > 0.0
     if w[R_STIFF * L + l] > 0.0 or not abs(n_0) <= setting[BOUND]:
@@ -92,59 +70,54 @@ def look_closer(scene, setting, state, i, l, k, w, work):
     x_1, n_1 = w[(R_X + 1) * L + l], w[(R_N + 1) * L + l]
     if counted and touches(x_0, x_1, n_0, n_1, h):
         return False
-    back = w[(R_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0
-    if back or (counted and x_0 * n_0 < 0.0):
-        for n in range(4):
-            state[i, X + n] = w[(R_X + n) * L + l]
-            work[W_AFTER + n] = w[(R_N + n) * L + l]
-        work[W_AFTER + 4] = w[R_SIGNED * L + l]
-        w[R_SIGNED * L + l] = _area(scene, setting, state, i, l, scene[i, START] + k * h, h, counted, w, work)
-    f_0, f_1 = x_1 + setting[AXLE] * w[(R_X + 3) * L + l], n_1 + setting[AXLE] * w[(R_N + 3) * L + l]
-    if counted and x_1 > 0.0 > n_1:
-        w[(R_S + DEEP) * L + l] = max(w[(R_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
-    if counted and f_0 > 0.0 > f_1:
-        g_0, g_1 = x_0 + setting[AXLE] * w[(R_X + 2) * L + l], n_0 + setting[AXLE] * w[(R_N + 2) * L + l]
-        w[(R_S + FRONT) * L + l] = max(w[(R_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
-    if x_1 < 0.0 < n_1:
-        w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
+    back = full and w[(R_S + BACK) * L + l] == math.inf and x_0 >= setting[OFFSET] > n_0
+    across = counted and x_0 * n_0 < 0.0
+    if back or across:
+        _cross(scene, setting, state, i, l, k, back, across, counted, w, work)
+    if full:
+        f_0, f_1 = x_1 + setting[AXLE] * w[(R_X + 3) * L + l], n_1 + setting[AXLE] * w[(R_N + 3) * L + l]
+        if counted and x_1 > 0.0 > n_1:
+            w[(R_S + DEEP) * L + l] = max(w[(R_S + DEEP) * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
+        if counted and f_0 > 0.0 > f_1:
+            g_0, g_1 = x_0 + setting[AXLE] * w[(R_X + 2) * L + l], n_0 + setting[AXLE] * w[(R_N + 2) * L + l]
+            w[(R_S + FRONT) * L + l] = max(w[(R_S + FRONT) * L + l], hermite_peak(g_0, f_0, g_1, f_1, h))
+        if x_1 < 0.0 < n_1:
+            w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
     return True
 
 
-@numba.njit(**OPTIONS)
-def drive_cut(scene, setting, state, i, l, k, h, before_T, w, work):
-    """A step that T cuts, or a last one that is not whole; False if that takes `sample.drive`."""
-    if w[R_STIFF * L + l] > 0.0:
-        return False
-    t, d = scene[i, START] + k * setting[DT], w[R_D * L + l]
-    area = 0.0
+@numba.njit(inline="always", **OPTIONS)
+def _cross(scene, setting, state, i, l, k, back, across, counted, w, work):
+    """The edge back inside, and a change of sign of e_y, within a whole step."""
+    h, offset, reach, t = setting[DT], setting[OFFSET], w[R_REACH * L + l], scene[i, START] + k * setting[DT]
+    x_0, x_1, x_2, x_3 = w[R_X * L + l], w[(R_X + 1) * L + l], w[(R_X + 2) * L + l], w[(R_X + 3) * L + l]
+    n_0, n_1, n_2, n_3 = w[R_N * L + l], w[(R_N + 1) * L + l], w[(R_N + 2) * L + l], w[(R_N + 3) * L + l]
+    d, area, lane = w[R_D * L + l], w[R_SIGNED * L + l], w[R_DC * L + l] * w[R_PER_T * L + l] if counted else 0.0
+    r_0 = w[R_C0 * L + l] + w[R_DC * L + l] * min(t * w[R_PER_T * L + l], 1.0)
+    a_0, j_0 = _rates(l, x_1, x_2, x_3, d, r_0, lane, w)
+    a_1, j_1 = _rates(l, n_1, n_2, n_3, d, w[R_R1 * L + l], lane, w)
     for n in range(4):
         state[i, X + n] = w[(R_X + n) * L + l]
-    for piece in range(2):
-        counted = piece == 0
-        s, part = (0.0, before_T) if counted else (before_T, h - before_T)
-        if part <= 0.0:
-            continue
-        move(scene, setting, i, state, t + s, part, d, 0.0, 0.0, 0.0, work, W_AFTER)
-        n_0, n_1 = work[W_AFTER], work[W_AFTER + 1]
-        x_0, x_1 = state[i, X], state[i, X + 1]
-        if not abs(n_0) <= setting[BOUND] or (counted and touches(x_0, x_1, n_0, n_1, part)):
-            return False
-        value = _area(scene, setting, state, i, l, t + s, part, counted, w, work)
-        area += value if counted else 0.0
-        _extremes(setting, state, i, l, part, counted, w, work)
-        for n in range(4):
-            state[i, X + n] = work[W_AFTER + n]
-    change = abs(d - w[R_U * L + l])
-    w[(R_S + AREA) * L + l] += area
-    w[(R_S + EFFORT) * L + l] += h * (d * d)
-    w[(R_S + TRAVEL) * L + l] += change
-    for n in range(4):
-        w[(R_N + n) * L + l] = state[i, X + n]
-    r = w[R_C0 * L + l] + w[R_DC * L + l] * min((t + h) * w[R_PER_T * L + l], 1.0)
-    q = w[R_Q * L + l] * state[i, X + 1] + w[(R_Q + 1) * L + l] * state[i, X + 2]
-    q += w[(R_Q + 2) * L + l] * state[i, X + 3]
-    w[R_LEFT * L + l] = q + w[(R_Q + 3) * L + l] * d + w[(R_Q + 4) * L + l] * r
-    return True
+    if back:
+        s, _, off = crossing(offset, h, x_0, x_1, a_0, j_0, n_0, n_1, a_1, j_1, area, 1e-7)
+        if not reach * off <= _CLOSE * -max(x_1, n_1):
+            s, _ = time_near(scene, setting, i, state, t, h, s, offset, d, 0.0, 0.0, 0.0, work)
+        w[(R_S + BACK) * L + l] = t + s
+    if across:
+        s, before, off = crossing(0.0, h, x_0, x_1, a_0, j_0, n_0, n_1, a_1, j_1, area, 1e-5)
+        if not h * reach * off <= _CLOSE:
+            _, before = time_near(scene, setting, i, state, t, h, s, 0.0, d, 0.0, 0.0, 0.0, work)
+        w[R_SIGNED * L + l] = abs(before) + abs(area - before)
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _rates(l, p, psi, turn, d, r, lane, w):
+    """Second and third derivative of e_y in a state, with the lane's yaw rate r and its slope."""
+    steer = w[(R_Q + 3) * L + l] * d
+    a = w[R_Q * L + l] * p + w[(R_Q + 1) * L + l] * psi + w[(R_Q + 2) * L + l] * turn + steer + w[R_E * L + l] * r
+    yaw = w[R_W * L + l] * p + w[(R_W + 1) * L + l] * psi + w[(R_W + 2) * L + l] * turn
+    yaw += w[(R_W + 3) * L + l] * d + w[(R_W + 4) * L + l] * r
+    return a, w[R_Q * L + l] * a + w[(R_Q + 1) * L + l] * turn + w[(R_Q + 2) * L + l] * yaw + w[R_E * L + l] * lane
 
 
 @numba.njit(**OPTIONS)

@@ -17,9 +17,13 @@ from ldctoolkit.simulation.kernel.data import (
     A_11,
     A_12,
     A_13,
+    A_31,
+    A_32,
+    A_33,
     A_BEFORE,
     AXLE,
     B_1,
+    B_3,
     BACK,
     C_0,
     DC,
@@ -27,6 +31,7 @@ from ldctoolkit.simulation.kernel.data import (
     DELTA_0,
     DT,
     E_1,
+    E_3,
     EX_B,
     EX_DELTA,
     EX_E_0,
@@ -35,6 +40,7 @@ from ldctoolkit.simulation.kernel.data import (
     EX_R_1,
     EX_X,
     EXACT,
+    FASTEST,
     FRONT,
     LAW,
     LAW_F,
@@ -51,6 +57,7 @@ from ldctoolkit.simulation.kernel.plant import OPTIONS, substeps
 
 LANES: Final = 8
 L: Final = LANES
+WRONG: Final = 2.0
 
 # rows of the lane table, each L wide: state, command, next state, scores ...
 R_X = 0
@@ -64,8 +71,8 @@ R_S = 13  # scores
 R_COUNTED = R_S + SCORES  # 1 before T
 R_ALIVE = R_COUNTED + 1
 R_R1 = R_ALIVE + 1  # lane yaw rate at the last sample that was looked at
-R_SINGLE = R_R1 + 1  # 1 where a step was driven by itself
-R_FLAG = R_SINGLE + 1  # 1 where a step needs a closer look
+R_SINGLE = R_R1 + 1  # 1 where a step was driven by itself, -1 where that is left to `drive_alone`
+R_FLAG = R_SINGLE + 1  # 1 where a step needs a closer look, WRONG where the command was not finite
 R_PAST_RIGHT = R_FLAG + 1
 R_PAST_LEFT = R_PAST_RIGHT + 1
 # ... and the scenario
@@ -85,11 +92,25 @@ R_AR0 = R_P + EX_R_0
 R_AR1 = R_P + EX_R_1
 R_Q = R_P + EXACT  # row of a_y: 3 states, delta, yaw rate
 R_STIFF = R_Q + 5  # 1 where the fastest mode dies within a step
-R_F = R_STIFF + 1
+R_REACH = R_STIFF + 1  # a step in units of the fastest mode's time constant
+R_W = R_REACH + 1  # row of e_psi'': 3 states, delta, yaw rate
+R_E = R_W + 5  # weight of the yaw rate in e_y''
+R_F = R_E + 1
 R_FU = R_F + 4
 R_GR = R_FU + 1  # weights of yaw rate and turn at a single lookahead time
 R_GH = R_GR + 1
-ROWS: Final = R_GH + 1
+# ... and a step that is cut: lengths, then the state before and after a part of it, and the terms of its series
+R_H = R_GH + 1  # [s] length; 0 where the step is whole
+R_UNTIL = R_H + 1  # [s] of it before T
+R_PART = R_UNTIL + 1
+R_AT = R_PART + 1  # time at its start
+R_O = R_AT + 1  # 4 rows
+R_M = R_O + 4  # 4 rows, then the integral of e_y
+R_SUM = R_M + 5  # integral of |e_y|
+R_K = R_SUM + 1  # terms of e_y', e_psi, e_psi'
+R_IN = R_K + 3  # what the lane's yaw rate brings to the second term of e_y' and e_psi'
+R_SMALL = R_IN + 2
+ROWS: Final = R_SMALL + 1
 
 
 @numba.njit(**OPTIONS)
@@ -110,6 +131,10 @@ def load(scene, setting, exact, block, w):
         w[(R_Q + 2) * L + l] = scene[i, A_13]
         w[(R_Q + 3) * L + l] = scene[i, B_1]
         w[(R_Q + 4) * L + l] = scene[i, E_1] + v
+        w[R_W * L + l], w[(R_W + 1) * L + l], w[(R_W + 2) * L + l] = scene[i, A_31], scene[i, A_32], scene[i, A_33]
+        w[(R_W + 3) * L + l], w[(R_W + 4) * L + l] = scene[i, B_3], scene[i, E_3]
+        w[R_E * L + l] = scene[i, E_1]
+        w[R_REACH * L + l] = setting[DT] * scene[i, FASTEST] / v
         w[R_STIFF * L + l] = 1.0 if substeps(scene, setting, i, scene[i, START], setting[DT], 0.0) > 1 else 0.0
 
 
@@ -146,9 +171,9 @@ def begin(scene, setting, law, times, design, block, w, g):
 
 
 @numba.njit(**OPTIONS)
-def leave(w, g, l, rows, out, design, i):
+def leave(w, g, l, rows, out, design, i, score_only):
     """Take the scores of a lane that has ended and empty it: everything in it stays 0."""
-    for n in range(SCORES):
+    for n in range(1 if score_only else SCORES):
         out[design, n, i] = w[(R_S + n) * L + l]
     for n in range(4):
         w[(R_X + n) * L + l] = w[(R_F + n) * L + l] = w[(R_N + n) * L + l] = 0.0

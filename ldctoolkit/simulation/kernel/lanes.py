@@ -34,7 +34,8 @@ from ldctoolkit.simulation.kernel.data import (
     TRAVEL,
     WINDOW,
 )
-from ldctoolkit.simulation.kernel.lane_events import drive_alone, drive_cut, look_closer, past_of_last
+from ldctoolkit.simulation.kernel.lane_cuts import drive_cuts
+from ldctoolkit.simulation.kernel.lane_events import drive_alone, look_closer, past_of_last
 from ldctoolkit.simulation.kernel.lane_table import (
     R_AD,
     R_ALIVE,
@@ -71,6 +72,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     R_T,
     R_U,
     R_X,
+    WRONG,
     L,
     begin,
     leave,
@@ -148,7 +150,7 @@ def _step(setting, k, ahead, w, full):
             x_0, x_1, x_1 + l_f * x_3, n_0, n_1, n_1 + l_f * n_3, l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
             w[R_COUNTED * L + l] > 0.0, w[R_STIFF * L + l] > 0.0, back, deep, front, over,
         )  # fmt: skip
-        w[R_FLAG * L + l] = 2.0 if wrong else (1.0 if event else 0.0)
+        w[R_FLAG * L + l] = WRONG if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
     return rare
 
@@ -311,24 +313,26 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                     if k < end:
                         next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
             rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
+            if not quiet:
+                drive_cuts(scene, setting, state, first, count, k, w, work, not score_only)
             if rare or not quiet:
                 for l in range(count):
-                    i = first + l
-                    if w[R_ALIVE * L + l] == 0.0 or (quiet and w[R_FLAG * L + l] == 0.0):
+                    flag = w[R_FLAG * L + l]
+                    if flag == 0.0 or w[R_ALIVE * L + l] == 0.0:
                         continue
-                    if w[R_FLAG * L + l] == 2.0:  # the command before it was driven
+                    i = first + l
+                    if flag == WRONG:  # the command before it was driven
                         failed[design, i] += 1
-                    h, before_T = length(scene, setting, i, k)
-                    if h < setting[DT] or 0.0 < before_T < h:
-                        w[R_SINGLE * L + l] = 1.0
-                        if drive_cut(scene, setting, state, i, l, k, h, before_T, w, work):
-                            continue
-                    elif w[R_FLAG * L + l] == 0.0 or look_closer(scene, setting, state, i, l, k, w, work):
+                    if w[R_SINGLE * L + l] > 0.0:
+                        continue
+                    if w[R_SINGLE * L + l] == 0.0 and look_closer(
+                        scene, setting, state, i, l, k, w, work, not score_only
+                    ):
                         continue
                     w[R_SINGLE * L + l] = 1.0
                     if not drive_alone(scene, setting, state, paths, i, l, k, w, work):
                         diverged[design, i] = True
-                        leave(w, g, l, rows, score, design, i)
+                        leave(w, g, l, rows, score, design, i, score_only)
             if not score_only:
                 _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
                 start, end = _past(k - behind, share, size, False)
@@ -346,4 +350,4 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                 for l in range(count):
                     w[R_SINGLE * L + l] = 0.0
                     if w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
-                        leave(w, g, l, rows, score, design, first + l)
+                        leave(w, g, l, rows, score, design, first + l, score_only)

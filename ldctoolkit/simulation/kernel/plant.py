@@ -70,11 +70,12 @@ _SERIES_REACH: Final = 2.0
 _SUBSTEP: Final = 0.2
 """Longest substep of the Runge-Kutta method, in the same units."""
 
-_MOST_TERMS: Final = 80
-_INVERSE: Final = 1.0 / np.maximum(np.arange(_MOST_TERMS + 2.0), 1.0)
-_NOTHING: Final = 2.0**-57
+MOST_TERMS: Final = 80
+INVERSE: Final = 1.0 / np.maximum(np.arange(MOST_TERMS + 2.0), 1.0)
+NOTHING: Final = 2.0**-57
 """Share of a sum that is lost in its rounding."""
-_TINY: Final = 1e-22
+TINY: Final = 1e-22
+"""The same where the sum is zero."""
 
 
 @numba.njit(**OPTIONS)
@@ -177,10 +178,10 @@ def _series(scene, i, state, h, offset, slope, decay, lag, r, r_slope, work, out
     sum_y, sum_p, sum_psi, sum_w, area = y, p, psi, w, h * y
     steer, lane, fading = offset + decay, r, decay
     # the lateral terms lose their meaning below the rounding of what they are added to
-    small = _NOTHING * (abs(p) + abs(w) + h * (abs(b_1 * steer) + abs(e_1 * lane))) + _TINY
+    small = NOTHING * (abs(p) + abs(w) + h * (abs(b_1 * steer) + abs(e_1 * lane))) + TINY
     fades = -1.0 / lag if decay != 0.0 else 0.0
-    for k in range(1, _MOST_TERMS):
-        f = h * _INVERSE[k]
+    for k in range(1, MOST_TERMS):
+        f = h * INVERSE[k]
         # written as a tree: what follows from the term before enters last
         p_next = f * ((a_13 * w + (b_1 * steer + e_1 * lane)) + (a_11 * p + a_12 * psi))
         w_next = f * ((a_32 * psi + (b_3 * steer + e_3 * lane)) + (a_31 * p + a_33 * w))
@@ -190,7 +191,7 @@ def _series(scene, i, state, h, offset, slope, decay, lag, r, r_slope, work, out
         sum_p += p
         sum_psi += psi
         sum_w += w
-        area += y * (h * _INVERSE[k + 1])
+        area += y * (h * INVERSE[k + 1])
         fading *= f * fades
         steer, lane = fading, 0.0
         if k == 1:

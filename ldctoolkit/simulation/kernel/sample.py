@@ -8,6 +8,7 @@ import math
 
 import numba
 
+from ldctoolkit.simulation.kernel.between import hermite_peak, quartic_root, touches
 from ldctoolkit.simulation.kernel.data import (
     A_BEFORE,
     A_Y,
@@ -71,45 +72,20 @@ _SAME = 1e-9
 """Parts of a sample that are rounding."""
 
 
-@numba.njit(inline="always", **OPTIONS)
-def hermite_peak(f_0, m_0, f_1, m_1, h):
-    """Largest value of the cubic with these ends and slopes, where it rises first and falls last."""
-    peak = max(f_0, f_1)
-    if m_0 > 0.0 > m_1:
-        m_0, m_1, rise = m_0 * h, m_1 * h, f_1 - f_0
-        a, b = m_0 + m_1 - 2.0 * rise, 3.0 * rise - 2.0 * m_0 - m_1
-        # 3 a u^2 + 2 b u + m_0 = 0 between 0 and 1, in the form that does not cancel
-        root = math.sqrt(max(b * b - 3.0 * a * m_0, 0.0))
-        u = m_0 / (root - b) if b < 0.0 else (-(b + root) / (3.0 * a) if a != 0.0 else 0.0)
-        if 0.0 < u < 1.0:
-            peak = max(peak, f_0 + u * (m_0 + u * (b + u * a)))
-    return peak
-
-
-@numba.njit(inline="always", **OPTIONS)
-def _guess(f_0, m_0, f_1, m_1, mean):
-    """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
-    q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
-    a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
-    u = f_0 / (f_0 - f_1)
-    for _ in range(4):
-        value = f_0 + u * (m_0 + u * (b + u * (a + u * q)))
-        following = u - value / (m_0 + u * (2.0 * b + u * (3.0 * a + u * 4.0 * q)))
-        if not 0.0 < following < 1.0:
-            return u
-        if abs(following - u) < 1e-3:
-            return following
-        u = following
-    return u
-
-
 @numba.njit(**OPTIONS)
 def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, work):
     """When e_y is at a level within a substep that was moved over; the integral of e_y up to then."""
     above, below = state[i, X] - level, work[W_AFTER] - level
-    low, high = 0.0, h
     mean = work[W_AFTER + 4] / h - level
-    s = h * _guess(above, h * state[i, X + 1], below, h * work[W_AFTER + 1], mean)
+    s = h * quartic_root(above, h * state[i, X + 1], below, h * work[W_AFTER + 1], mean)
+    return time_near(scene, setting, i, state, t, h, s, level, offset, slope, decay, s_0, work)
+
+
+@numba.njit(**OPTIONS)
+def time_near(scene, setting, i, state, t, h, s, level, offset, slope, decay, s_0, work):
+    """The same from a guess s; what the substep led to need not be known."""
+    above = state[i, X] - level
+    low, high = 0.0, h
     for _ in range(_NEWTON_PASSES):
         move(scene, setting, i, state, t, s, offset, slope, decay, s_0, work, W_END)
         value = work[W_END] - level
@@ -120,18 +96,11 @@ def time_at(scene, setting, i, state, t, h, level, offset, slope, decay, s_0, wo
         following = s - value / work[W_END + 1]
         if not low <= following <= high:
             following = 0.5 * (low + high)
-        # Newton squares the error: after a change of this size it is about rounding
-        if value == 0.0 or abs(following - s) <= 1e-5 * h:
+        # Newton squares the error: after a change of this size little is left
+        if value == 0.0 or abs(following - s) <= 1e-6 * h:
             return following, work[W_END + 4] + (0.5 * value + level) * (following - s)
         s = following
     return s, work[W_END + 4]
-
-
-@numba.njit(inline="always", **OPTIONS)
-def touches(e_0, rate_0, e_1, rate_1, h):
-    """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
-    turns = e_0 * e_1 >= 0.0 and e_0 * rate_0 < 0.0 < e_1 * rate_1
-    return turns and min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1))
 
 
 @numba.njit(**OPTIONS)
