@@ -3,7 +3,7 @@
 A controller design is a frozen dataclass with declared gains. ``prepare(plant)`` does all per-scenario work and returns
 a law whose type says what it can do:
 
-- `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev, arrays of n;
+- `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev + f_i z, arrays of n;
 - `SteeringLaw`: any other law, one call a time step for all n scenarios at once, with explicit state;
 - `RecordedPath`: nobody intervenes, the departure runs as it was recorded.
 """
@@ -78,6 +78,8 @@ class LinearLaw:
         Weights of the lane's heading change until there.
     f_u : (n,) [rad/rad]
         Weight of the previous command.
+    f_i : (n,) [rad/(m s)], optional
+        Weight of z, the integral of e_y as the law sees it: z = 0 at the trigger, and z + dt e_y at the next sample.
     """
 
     F: FloatArray
@@ -85,6 +87,7 @@ class LinearLaw:
     G_yaw_rate: FloatArray
     G_heading: FloatArray
     f_u: FloatArray
+    f_i: FloatArray | None = None
 
 
 class SteeringLaw(abc.ABC):

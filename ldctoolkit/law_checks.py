@@ -104,6 +104,8 @@ def check_law(law: object, n: int, name: str) -> Law:
         p = times.size
         for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():
             _check_array(getattr(law, field), field, shape, where)
+        if law.f_i is not None:
+            _check_array(law.f_i, "f_i", (n,), where)
     return law
 
 

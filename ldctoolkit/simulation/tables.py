@@ -235,6 +235,7 @@ def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> Flo
     for table, law in zip(tables, laws, strict=True):
         table[:, data.LAW_F : data.LAW_U] = law.F
         table[:, data.LAW_U] = law.f_u
+        table[:, data.LAW_I] = 0.0 if law.f_i is None else law.f_i
         table[:, data.LAW :: 2] = law.G_yaw_rate
         table[:, data.LAW + 1 :: 2] = law.G_heading
     return tables

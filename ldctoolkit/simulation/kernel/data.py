@@ -47,7 +47,8 @@ DIVERGED: Final = 11
 FAILED: Final = 12  # commands that were not finite, or came from a fallback
 SLOT: Final = 13  # place of its path, or -1
 COUNT: Final = 14  # entries of its path so far
-SCORE: Final = 15
+INTEGRAL: Final = 15  # of e_y as the law saw it, for a law that feeds it back
+SCORE: Final = 16
 # scores, counted from SCORE
 AREA: Final = 0  # integral of |e_y| up to T
 DEEP: Final = 1  # max of e_y up to T
@@ -81,7 +82,7 @@ WORK: Final = W_K + 60
 P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
 
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time
-LAW_F, LAW_U, LAW = 0, 4, 5
+LAW_F, LAW_U, LAW_I, LAW = 0, 4, 5, 6
 
 # columns of the ideal plant over one whole step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
 EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31

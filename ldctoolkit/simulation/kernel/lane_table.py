@@ -44,6 +44,7 @@ from ldctoolkit.simulation.kernel.data import (
     FRONT,
     LAW,
     LAW_F,
+    LAW_I,
     LAW_U,
     OVER,
     SCORES,
@@ -97,7 +98,8 @@ R_W = R_REACH + 1  # row of e_psi'': 3 states, delta, yaw rate
 R_E = R_W + 5  # weight of the yaw rate in e_y''
 R_F = R_E + 1
 R_FU = R_F + 4
-R_GR = R_FU + 1  # weights of yaw rate and turn at a single lookahead time
+R_FI = R_FU + 1  # weight of the integral of e_y
+R_GR = R_FI + 1  # weights of yaw rate and turn at a single lookahead time
 R_GH = R_GR + 1
 # ... and a step that is cut: lengths, then the state before and after a part of it, and the terms of its series
 R_H = R_GH + 1  # [s] length; 0 where the step is whole
@@ -110,7 +112,8 @@ R_SUM = R_M + 5  # integral of |e_y|
 R_K = R_SUM + 1  # terms of e_y', e_psi, e_psi'
 R_IN = R_K + 3  # what the lane's yaw rate brings to the second term of e_y' and e_psi'
 R_SMALL = R_IN + 2
-ROWS: Final = R_SMALL + 1
+R_Z = R_SMALL + 1  # integral of e_y at the samples
+ROWS: Final = R_Z + 1
 
 
 @numba.njit(**OPTIONS)
@@ -154,6 +157,8 @@ def begin(scene, setting, law, times, design, block, w, g):
             w[(R_F + n) * L + l] = law[design, i, LAW_F + n] if alive else 0.0
         w[R_U * L + l] = scene[i, DELTA_0] if alive else 0.0
         w[R_FU * L + l] = law[design, i, LAW_U] if alive else 0.0
+        w[R_FI * L + l] = law[design, i, LAW_I] if alive else 0.0
+        w[R_Z * L + l] = 0.0
         single = times.shape[1] == 1
         w[R_GR * L + l] = law[design, i, LAW] if alive and single else 0.0
         w[R_GH * L + l] = law[design, i, LAW + 1] if alive and single else 0.0
@@ -179,6 +184,7 @@ def leave(w, g, l, rows, out, design, i, score_only):
         w[(R_X + n) * L + l] = w[(R_F + n) * L + l] = w[(R_N + n) * L + l] = 0.0
     for j in range(rows):
         g[j * L + l] = 0.0
+    w[R_FI * L + l] = w[R_Z * L + l] = 0.0
     w[R_U * L + l] = w[R_D * L + l] = w[R_FU * L + l] = w[R_COUNTED * L + l] = w[R_ALIVE * L + l] = 0.0
     w[R_C0 * L + l] = w[R_DC * L + l] = w[R_R1 * L + l] = w[R_RIGHT * L + l] = w[R_LEFT * L + l] = 0.0
     w[(R_S + BACK) * L + l] = 0.0

@@ -51,6 +51,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     R_E0,
     R_E1,
     R_F,
+    R_FI,
     R_FLAG,
     R_FU,
     R_GH,
@@ -72,6 +73,7 @@ from ldctoolkit.simulation.kernel.lane_table import (
     R_T,
     R_U,
     R_X,
+    R_Z,
     WRONG,
     L,
     begin,
@@ -120,8 +122,11 @@ def _step(setting, k, ahead, w, full):
         rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
         d = w[R_D * L + l] + w[R_GR * L + l] * (w[R_C0 * L + l] + w[R_DC * L + l] * rate)
         d += w[R_GH * L + l] * (w[R_C0 * L + l] * ahead + w[R_DC * L + l] * turn)
-        d += w[R_FU * L + l] * u + (w[R_F * L + l] * x_0 + w[(R_F + 1) * L + l] * x_1)
+        d += (
+            w[R_FI * L + l] * w[R_Z * L + l] + w[R_FU * L + l] * u + (w[R_F * L + l] * x_0 + w[(R_F + 1) * L + l] * x_1)
+        )
         d += w[(R_F + 2) * L + l] * x_2 + w[(R_F + 3) * L + l] * x_3
+        w[R_Z * L + l] += dt * x_0
         wrong = not abs(d) < math.inf
         d = u if wrong else d
         w[R_D * L + l] = d

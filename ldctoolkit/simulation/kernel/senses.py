@@ -22,9 +22,11 @@ from ldctoolkit.simulation.kernel.data import (
     FRAMES,
     GAIN,
     INDEX,
+    INTEGRAL,
     LATE,
     LAW,
     LAW_F,
+    LAW_I,
     LAW_U,
     MODEL_A,
     MODEL_B,
@@ -132,8 +134,9 @@ def see(scene, setting, state, i, k, work):
 
 @numba.njit(**OPTIONS)
 def linear_command(scene, setting, law, times, state, i, t, work):
-    """Command of a linear law on what it sees."""
-    command = law[i, LAW_U] * state[i, COMMAND]
+    """Command of a linear law on what it sees; once a sample, for the integral of e_y goes on with it."""
+    command = law[i, LAW_U] * state[i, COMMAND] + law[i, LAW_I] * state[i, INTEGRAL]
+    state[i, INTEGRAL] += setting[DT] * work[W_SEEN]
     for n in range(4):
         command += law[i, LAW_F + n] * work[W_SEEN + n]
     for j in range(times.shape[0]):

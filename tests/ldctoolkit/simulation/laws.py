@@ -60,10 +60,12 @@ class Constant(Controller):
     title: ClassVar[str] = "Constant"
     F: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     f_u: float = 0.0
+    f_i: float = 0.0
 
     def prepare(self, plant: Plant) -> LinearLaw:
         none = np.zeros((plant.n, 0))
-        return LinearLaw(np.tile(self.F, (plant.n, 1)), np.zeros(0), none, none, np.full(plant.n, self.f_u))
+        F, f_u, f_i = (np.tile(values, (plant.n, 1)) for values in (self.F, [self.f_u], [self.f_i]))
+        return LinearLaw(F, np.zeros(0), none, none, f_u[:, 0], f_i[:, 0] if self.f_i else None)
 
 
 Fault = Callable[[np.ndarray, int], np.ndarray]
@@ -83,12 +85,13 @@ class Stepped(Controller):
     def prepare(self, plant: Plant) -> SteeringLaw:
         law = self.inner.prepare(plant)
         assert isinstance(law, LinearLaw)
-        return SteppedLaw(law, self.fault, self.drops)
+        return SteppedLaw(law, plant.dt, self.fault, self.drops)
 
 
 @dataclasses.dataclass(frozen=True)
 class SteppedLaw(SteeringLaw):
     law: LinearLaw
+    dt: float
     fault: Fault | None = None
     drops: bool = False
 
@@ -96,26 +99,30 @@ class SteppedLaw(SteeringLaw):
     def preview_times(self) -> np.ndarray:
         return self.law.preview_times
 
-    def init(self, n: int) -> int:
-        return 0
+    def init(self, n: int) -> tuple[int, np.ndarray]:
+        return 0, np.zeros(n)
 
     def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
+        sample, z = state
         # sums written out, so that a scenario's bits do not depend on how many there are
         delta = self.law.f_u * delta_prev
+        if self.law.f_i is not None:
+            delta = delta + self.law.f_i * z
         for j in range(4):
             delta = delta + self.law.F[:, j] * x[:, j]
         for j in range(preview.yaw_rate.shape[1]):
             delta = delta + self.law.G_yaw_rate[:, j] * preview.yaw_rate[:, j]
             delta = delta + self.law.G_heading[:, j] * preview.heading[:, j]
         if self.fault is not None:
-            delta = self.fault(delta, state)
-        return delta, state + 1, np.full(t.size, EventStatus.OK, dtype=np.int8)
+            delta = self.fault(delta, sample)
+        return delta, (sample + 1, z + self.dt * x[:, 0]), np.full(t.size, EventStatus.OK, dtype=np.int8)
 
     def take(self, rows, state):  # type: ignore[no-untyped-def]
         if not self.drops:
             return None
-        cut = {name: getattr(self.law, name)[rows] for name in ("F", "G_yaw_rate", "G_heading", "f_u")}
-        return dataclasses.replace(self, law=dataclasses.replace(self.law, **cut)), state
+        names = ("F", "G_yaw_rate", "G_heading", "f_u", "f_i")
+        cut = {name: None if (value := getattr(self.law, name)) is None else value[rows] for name in names}
+        return dataclasses.replace(self, law=dataclasses.replace(self.law, **cut)), (state[0], state[1][rows])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +135,7 @@ class InTheRoadFrame(Controller):
 
     def prepare(self, plant: Plant) -> SteeringLaw:
         law = self.inner.prepare(plant)
-        return InTheRoadFrameLaw(SteppedLaw(law) if isinstance(law, LinearLaw) else law)
+        return InTheRoadFrameLaw(SteppedLaw(law, plant.dt) if isinstance(law, LinearLaw) else law)
 
 
 @dataclasses.dataclass(frozen=True)

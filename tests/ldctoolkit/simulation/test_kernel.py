@@ -44,6 +44,7 @@ CLOSED = {
     "swings far": PreviewProportional(K_y=-0.12, K_psi=-0.02, T_lp=0.3),
     "late": PreviewProportional(K_y=-0.002, K_psi=-0.02),
     "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
+    "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01),
     "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
     "spins": Constant((0.0, 0.0, 3.0, 0.5)),
 }
@@ -98,7 +99,7 @@ def reference() -> ModuleType:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["swings", "swings far", "late", "memory"])
+@pytest.mark.parametrize("law", ["swings", "swings far", "late", "memory", "integral"])
 def test_side_by_side_equals_the_reference(reference: ModuleType, law: str) -> None:
     """Companions too, with swings, crossings back inside and depths that only come after T."""
     design = CLOSED[law]
@@ -115,9 +116,13 @@ def test_side_by_side_equals_the_reference(reference: ModuleType, law: str) -> N
         made = design.prepare(Plant.build(BicycleModel(), [20.0], 0.05))
         assert isinstance(made, LinearLaw)
 
-        def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, made: LinearLaw = made) -> float:
+        seen = [0.0]  # integral of e_y at the samples
+
+        def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, made=made, seen=seen) -> float:  # type: ignore[no-untyped-def]
+            z, f_i = seen[0], 0.0 if made.f_i is None else made.f_i[0]
+            seen[0] += 0.05 * x[0]
             ahead = sum(g * heading(s) for s, g in zip(made.preview_times, made.G_heading[0], strict=True))
-            return float(made.F[0] @ x + made.f_u[0] * before + ahead)
+            return float(made.F[0] @ x + made.f_u[0] * before + f_i * z + ahead)
 
         expected = reference.drive(path, formula, y_s=0.05, settle=1.2)
         assert out.S[i] == pytest.approx(expected.S, abs=1e-9)
@@ -142,7 +147,7 @@ OPTIONS = {
         residuals=Residuals(y=True, v=True),
     ),
 }
-DESIGNS = {"linear": CLOSED["memory"], "general": Stepped(CLOSED["memory"], drops=True), "none": NoControl()}
+DESIGNS = {"linear": CLOSED["integral"], "general": Stepped(CLOSED["integral"], drops=True), "none": NoControl()}
 
 
 def takeover(scenarios: Scenarios, options: PlantOptions, settle: float = 0.5, y_s: float = 0.02) -> Takeover:
