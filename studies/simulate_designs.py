@@ -147,6 +147,8 @@ def _commands(run: Run) -> int:
 
 
 _simulator: Simulator | None = None
+_computing = False
+_ended = False
 
 
 def start_worker(job: Job, controllers: Sequence[type[Controller]]) -> None:
@@ -155,6 +157,7 @@ def start_worker(job: Job, controllers: Sequence[type[Controller]]) -> None:
     # the parent decides what an interrupt means; a group of its own, because solvers (OSQP) catch the signal themselves
     # and would report an interrupted solve as a failed one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
@@ -172,8 +175,23 @@ def _leave_with(parent: int) -> None:
     os._exit(1)
 
 
+def _end(signum: int, frame: object) -> None:  # noqa: ARG001
+    """End this process, but not while it sends: the parent would wait for the rest of a result that never comes."""
+    global _ended
+    if _computing:
+        os._exit(1)
+    _ended = True
+
+
 def work(block: Block) -> list[RunResult]:
     """One block, in a worker process."""
+    global _computing
     if _simulator is None:
         raise LdcError("a worker process was not started by run_study")
-    return _simulator.run(block)
+    _computing = True
+    if _ended:
+        os._exit(1)
+    try:
+        return _simulator.run(block)
+    finally:
+        _computing = False
