@@ -34,7 +34,7 @@ class Large:
 
 
 def _start(marker: Path, *, slow: bool) -> None:
-    def run(block: object) -> list[Large]:  # noqa: ARG001
+    def run(block: object) -> list[Large]:
         if slow:
             marker.touch()
             time.sleep(120)
