@@ -1,0 +1,131 @@
+"""PID control of the offset at a preview point, with curvature feedforward and back-calculation against windup.
+
+With e_p = e_y + T_lp v (e_psi - e_psi_ss psi_l'), the offset that the vehicle would have T_lp seconds ahead on a
+straight lane, and its rate e_p' = de_y/dt + T_lp v de_psi/dt,
+
+    u = K_p e_p + I + K_d e_p' + delta_ss psi_l',    delta = u clipped to +-delta_max,
+    dI/dt = K_i e_p + (delta - u)/T_t.
+
+(e_psi_ss, delta_ss) is steady cornering with e_y = 0 per unit of lane yaw rate psi_l' (Rajamani, *Vehicle Dynamics and
+Control*, 2nd ed., section 3.2), so a bend of constant curvature leaves no offset on the nominal vehicle, and the
+integral has nothing to do there. Positive to the left (ISO 8855), radians; the three gains are negative for a stable
+loop.
+
+Sources: the preview point after R. Marino, S. Scalzi, M. Netto, *Nested PID steering control for lane keeping in
+autonomous vehicles* (2011); windup after K. J. Astrom, T. Haegglund, *Advanced PID Control* (2006), section 3.5. I is
+sampled exactly for a limit that stays active: it moves by the share 1 - exp(-dt/T_t) of delta - u at each sample, which
+cannot overshoot whatever dt/T_t is. The derivative is taken from the measured rates, nothing is differenced; the rate
+of psi_l' is left out of it.
+
+Use it where a designer would: few gains with a plain meaning, no model but the steady bend. The gains are fixed over
+speed; the defaults damp every pole by 0.7 or more from 10 to 40 m/s on the default vehicle. The integral acts on e_p:
+on a vehicle that is not the nominal one a bend leaves e_y = -T_lp v times the error of e_psi_ss psi_l', millimetres. It
+also has to be emptied again, so that an offset at the trigger ends in a shallow, slow overshoot; K_i = 0 has none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import ClassVar, final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class PID(Controller):
+    """PID on the offset at the preview point.
+
+    Parameters
+    ----------
+    K_p : float [rad/m]
+        Gain on e_p.
+    K_i : float [rad/(m s)]
+        Gain on the integral of e_p.
+    K_d : float [rad s/m]
+        Gain on the rate of e_p.
+    T_lp : float [s]
+        Preview time.
+    T_t : float [s]
+        Tracking time of the back-calculation: how fast the integral gives way while the command is limited.
+    delta_max : float [rad]
+        Limit of the steering angle.
+
+    Examples
+    --------
+    >>> PID(K_i=0.0).K_p
+    -0.04
+    """
+
+    name: ClassVar[str] = "pid"
+    title: ClassVar[str] = "PID"
+
+    K_p: float = gain(-0.04, unit="rad/m", lower=-1.0, upper=0.0, description="gain on the offset at the preview point")
+    K_i: float = gain(-0.004, unit="rad/(m s)", lower=-1.0, upper=0.0, description="gain on its integral")
+    K_d: float = gain(-0.004, unit="rad s/m", lower=-1.0, upper=0.0, description="gain on its rate")
+    T_lp: float = gain(1.2, unit="s", lower=0.0, upper=10.0, description="preview time")
+    T_t: float = gain(1.0, unit="s", lower=1e-3, upper=1e3, scale="log", description="tracking time against windup")
+    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
+
+    def prepare(self, plant: Plant) -> PIDLaw:
+        """Take steady cornering and the preview distance at every scenario's speed."""
+        steady = plant.steady_state()
+        return PIDLaw(
+            design=self, dt=plant.dt, distance=self.T_lp * plant.v, e_psi_ss=steady.e_psi, delta_ss=steady.delta
+        )
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class PIDLaw(SteeringLaw):
+    """The PID of n scenarios; its state is the integral I (n,) [rad].
+
+    Attributes
+    ----------
+    design : PID
+    dt : float [s]
+    distance : (n,) [m]
+        T_lp v.
+    e_psi_ss, delta_ss : (n,) [rad per rad/s]
+        Steady cornering per unit of lane yaw rate.
+    """
+
+    design: PID
+    dt: float
+    distance: FloatArray
+    e_psi_ss: FloatArray
+    delta_ss: FloatArray
+
+    @property
+    def preview_times(self) -> FloatArray:
+        """The lane's yaw rate now is all that is needed."""
+        return np.zeros(1)
+
+    def init(self, n: int) -> FloatArray:
+        """Nothing is integrated yet."""
+        return np.zeros(n)
+
+    def take(self, rows: npt.NDArray[np.int64], state: FloatArray) -> tuple[PIDLaw, FloatArray]:
+        """Only some scenarios, each with its integral."""
+        names = ("distance", "e_psi_ss", "delta_ss")
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names}), state[rows]
+
+    def step(
+        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int8]]:
+        """One command for each scenario."""
+        d = self.design
+        r = preview.yaw_rate[:, 0]
+        e_p = x[:, 0] + self.distance * (x[:, 2] - self.e_psi_ss * r)
+        e_p_rate = x[:, 1] + self.distance * x[:, 3]
+        wanted = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
+        delta = np.clip(wanted, -d.delta_max, d.delta_max)
+        share = -math.expm1(-self.dt / d.T_t)
+        integral = state + self.dt * d.K_i * e_p + share * (delta - wanted)
+        return delta, integral, np.full(delta.size, EventStatus.OK, dtype=np.int8)
