@@ -1,0 +1,50 @@
+"""One line on what a law raised: what its author needs to find the mistake, and a study can store."""
+
+from __future__ import annotations
+
+import itertools
+import traceback
+from pathlib import Path
+
+from ldctoolkit.errors import LdcError
+
+_OURS = tuple(Path(__file__).resolve().parent.parent / package for package in ("ldctoolkit", "studies"))
+_LONGEST = 500
+
+
+def raised(error: Exception) -> str:
+    """What was raised, with the law's own file and line; messages of the toolkit as they are.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    str
+        One line of at most 500 characters, without absolute paths of the toolkit's or the law's files.
+
+    Examples
+    --------
+    >>> raised(ZeroDivisionError("division by zero"))
+    'ZeroDivisionError: division by zero'
+    """
+    words = " ".join(str(error).split())
+    if not isinstance(error, LdcError):
+        called = type(error).__name__
+        words = f"{called}: {words}" if words else called
+    if len(words) > _LONGEST:
+        words = f"{words[: _LONGEST - 4]} ..."
+    return words if isinstance(error, LdcError) else f"{words}{_place(error)}"
+
+
+def _place(error: Exception) -> str:
+    """File name and line, the innermost in the file that the toolkit called."""
+    frames = list(itertools.dropwhile(_is_ours, traceback.extract_tb(error.__traceback__)))
+    inside = [frame for frame in frames if frame.filename == frames[0].filename]
+    return f" ({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
+
+
+def _is_ours(frame: traceback.FrameSummary) -> bool:
+    path = Path(frame.filename).resolve()
+    return any(path.is_relative_to(folder) for folder in _OURS)

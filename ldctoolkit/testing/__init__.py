@@ -1,0 +1,24 @@
+"""The contract that every controller keeps, as checks that its author runs in tests of their own.
+
+Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
+"""
+
+from ldctoolkit.testing.checks import CHECKS
+from ldctoolkit.testing.contract import (
+    ContractError,
+    ControllerContract,
+    Fault,
+    check_controller_contract,
+    contract_faults,
+)
+from ldctoolkit.testing.settings import ContractSettings
+
+__all__ = [
+    "CHECKS",
+    "ContractError",
+    "ContractSettings",
+    "ControllerContract",
+    "Fault",
+    "check_controller_contract",
+    "contract_faults",
+]

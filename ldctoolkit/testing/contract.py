@@ -1,0 +1,245 @@
+"""The contract as a list of faults, as one call that raises, and as a class for pytest."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from typing import ClassVar
+
+from ldctoolkit.control import Controller
+from ldctoolkit.errors import InputError, LdcError, nearest
+from ldctoolkit.law_checks import check_controller
+from ldctoolkit.law_errors import raised
+from ldctoolkit.testing.checks import CHECKS
+from ldctoolkit.testing.settings import ContractSettings
+from ldctoolkit.testing.subject import Subject
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """One thing that a design does against the contract.
+
+    Attributes
+    ----------
+    design : str
+        Name of the law, and the gains that differ from their defaults.
+    check : str
+        Key of `CHECKS`.
+    sentence : str
+        What is wrong, with the numbers, and what is allowed.
+    """
+
+    design: str
+    check: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.design}: {self.check}: {self.sentence}"
+
+
+class ContractError(LdcError, AssertionError):
+    """A controller breaks its contract; the message holds one line a fault.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+    """
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(map(str, self.faults)))
+
+
+def contract_faults(
+    controller: Controller | type[Controller],
+    designs: Sequence[Controller] = (),
+    *,
+    checks: Iterable[str] | None = None,
+    settings: ContractSettings | None = None,
+) -> tuple[Fault, ...]:
+    """Everything that a controller does against the contract.
+
+    Parameters
+    ----------
+    controller : Controller or type
+        A design, or a class, of which the design with all defaults is taken.
+    designs : sequence of Controller
+        More designs of the same law.
+    checks : iterable of str, optional
+        Some keys of `CHECKS`; all by default.
+    settings : ContractSettings, optional
+        Size and tolerances.
+
+    Returns
+    -------
+    tuple of Fault
+        Empty for a law that keeps the contract. Whatever the law raises is a fault too.
+
+    Raises
+    ------
+    InputError
+        If what is given is no controller, or a check is not known.
+
+    Examples
+    --------
+    >>> from controllers import LQR
+    >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
+    ()
+    """
+    chosen = tuple(CHECKS if checks is None else checks)
+    for name in chosen:
+        if name not in CHECKS:
+            raise InputError(f"checks: {name!r}; {nearest(name, CHECKS)}")
+    settings = ContractSettings() if settings is None else settings
+    first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
+    every = [check_controller(design) for design in (first, *designs)]
+    return tuple(fault for design in dict.fromkeys(every) for fault in _faults(design, chosen, settings))
+
+
+def check_controller_contract(
+    controller: Controller | type[Controller],
+    designs: Sequence[Controller] = (),
+    *,
+    checks: Iterable[str] | None = None,
+    settings: ContractSettings | None = None,
+) -> None:
+    """Raise if a controller breaks the contract.
+
+    Parameters
+    ----------
+    controller : Controller or type
+        A design, or a class, of which the design with all defaults is taken.
+    designs : sequence of Controller
+        More designs of the same law.
+    checks : iterable of str, optional
+        Some keys of `CHECKS`; all by default.
+    settings : ContractSettings, optional
+        Size and tolerances.
+
+    Raises
+    ------
+    ContractError
+        One line a fault: the law, the check, and the sentence.
+    InputError
+        If what is given is no controller, or a check is not known.
+
+    Examples
+    --------
+    >>> from controllers import LQR
+    >>> check_controller_contract(LQR, checks=["batch", "state"])
+    """
+    faults = contract_faults(controller, designs, checks=checks, settings=settings)
+    if faults:
+        raise ContractError(faults)
+
+
+def _faults(design: Controller, checks: Iterable[str], settings: ContractSettings) -> Iterator[Fault]:
+    changed = [f"{one.name}={getattr(design, one.name)}" for one in design.gains()
+               if getattr(design, one.name) != one.default]  # fmt: skip
+    called = ", ".join([design.name, *changed])
+    for name in checks:
+        try:
+            for sentence in CHECKS[name](Subject(design, settings)):
+                yield Fault(called, name, sentence)
+        except Exception as error:  # a controller may be anybody's code
+            yield Fault(called, name, raised(error))
+
+
+class ControllerContract:
+    """The contract as tests: subclass it under pytest, in a class whose name starts with ``Test``.
+
+    Attributes
+    ----------
+    controller : type or Controller
+        The law under test.
+    designs : sequence of Controller
+        More designs of it than the one with all defaults.
+    settings : ContractSettings
+        Size and tolerances.
+
+    Examples
+    --------
+    >>> from controllers import LQR
+    >>> class TestLQR(ControllerContract):
+    ...     controller = LQR
+    ...     designs = (LQR(r_delta=20.0),)
+    >>> TestLQR().test_mirrored_input_gives_the_mirrored_command()
+    """
+
+    controller: ClassVar[type[Controller] | Controller]
+    designs: ClassVar[Sequence[Controller]] = ()
+    settings: ClassVar[ContractSettings] = ContractSettings()
+
+    def _keeps(self, check: str) -> None:
+        given = getattr(self, "controller", None)
+        if given is None:
+            raise InputError(f"{type(self).__name__}.controller: missing; allowed: controller = MyLaw")
+        check_controller_contract(given, self.designs, checks=(check,), settings=self.settings)
+
+    def test_everything_it_takes_is_declared(self) -> None:
+        """Check `declared`."""
+        self._keeps("declared")
+
+    def test_designs_are_frozen(self) -> None:
+        """Check `frozen`."""
+        self._keeps("frozen")
+
+    def test_designs_reach_worker_processes(self) -> None:
+        """Check `picklable`."""
+        self._keeps("picklable")
+
+    def test_bounds_are_enforced(self) -> None:
+        """Check `bounds`."""
+        self._keeps("bounds")
+
+    def test_gains_round_trip_through_toml(self) -> None:
+        """Check `toml`."""
+        self._keeps("toml")
+
+    def test_shapes_types_and_the_plant(self) -> None:
+        """Check `interface`."""
+        self._keeps("interface")
+
+    def test_same_input_same_output(self) -> None:
+        """Check `repeatable`."""
+        self._keeps("repeatable")
+
+    def test_mirrored_input_gives_the_mirrored_command(self) -> None:
+        """Check `mirror`."""
+        self._keeps("mirror")
+
+    def test_quiet_on_a_straight_centred_road(self) -> None:
+        """Check `quiet`."""
+        self._keeps("quiet")
+
+    def test_commands_are_finite(self) -> None:
+        """Check `finite`."""
+        self._keeps("finite")
+
+    def test_declared_limits_are_kept(self) -> None:
+        """Check `limits`."""
+        self._keeps("limits")
+
+    def test_inputs_are_left_as_they_are(self) -> None:
+        """Check `inputs`."""
+        self._keeps("inputs")
+
+    def test_runs_share_no_state(self) -> None:
+        """Check `state`."""
+        self._keeps("state")
+
+    def test_scenarios_do_not_depend_on_each_other(self) -> None:
+        """Check `batch`."""
+        self._keeps("batch")
+
+    def test_take_changes_no_command(self) -> None:
+        """Check `take`."""
+        self._keeps("take")
+
+    def test_ended_scenarios_do_no_harm(self) -> None:
+        """Check `ended`."""
+        self._keeps("ended")
+
+    def test_extreme_gains_give_finite_commands(self) -> None:
+        """Check `extremes`."""
+        self._keeps("extremes")

@@ -1,0 +1,287 @@
+"""The part of the contract that a law keeps once it is prepared."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.gains import Gain
+from ldctoolkit.law_checks import check_law, check_step
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.simulation import simulate
+from ldctoolkit.testing.roads import Road, corners, straight
+from ldctoolkit.testing.runs import Commands, Walk, plant_at
+from ldctoolkit.testing.subject import Subject, arrays_in, difference, shown
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def interface(subject: Subject) -> Iterator[str]:
+    """`prepare` and `step` give what the interface promises, for any number of scenarios; the plant stays as it is."""
+    road = subject.bends()
+    for n in (road.n, 1, 0):
+        part = road.take(np.arange(n))
+        plant = plant_at(part.v, subject.settings.dt)
+        plant.steady_state()
+        before = copy.deepcopy(plant)
+        law = check_law(subject.design.prepare(plant), n, subject.name)
+        if not _same_arrays(plant, before):
+            yield "prepare changes the arrays of the plant in place; allowed: new arrays"
+        if isinstance(law, LinearLaw | RecordedPath):
+            continue
+        walk = Walk(law, part, subject.settings.dt, subject.name)
+        delta, _, status = law.step(*walk.seen(), walk.state)
+        check_step((delta, None, status), n, subject.name)
+        for name, value, wanted in (("delta", delta, "float64"), ("status", status, "int8")):
+            kind = str(getattr(value, "dtype", type(value).__name__))
+            if kind != wanted:
+                yield f"step returned {name} of type {kind}; allowed: an array of {wanted}"
+
+
+def repeatable(subject: Subject) -> Iterator[str]:
+    """The same input gives the same output: of one law twice, of a law made anew, and in the closed loop."""
+    road, design = subject.bends(), subject.design
+    before = copy.deepcopy(design)
+    law = subject.law(road)
+    first = subject.commands(road, law)
+    yield from difference(first, subject.commands(road, law), "a second run of the same law")
+    yield from difference(first, subject.commands(road), "a law prepared anew")
+    scenarios = Scenarios.from_arrays(T=[1.0, 2.0], d_y=[0.4, 0.6], v_mean=[28.0, 14.0], c_0=1e-3, side=[1, -1])
+    S, again = (simulate(design, scenarios, y_s=0.1, dt=subject.settings.dt, settle=0.5).S for _ in range(2))
+    if not np.array_equal(S, again, equal_nan=True):
+        i = int(np.flatnonzero(again != S)[0])
+        yield f"S is {shown(S[i])} and {shown(again[i])} m s in two simulations of the same departure"
+    if not np.isfinite(S).all():
+        yield f"S of a simulated departure is {shown(S[~np.isfinite(S)][0])}; allowed: a finite number"
+    if design != before or vars(design) != vars(before):
+        yield "the design changes while it is used; allowed: laws that leave it as it is"
+
+
+def mirror(subject: Subject) -> Iterator[str]:
+    """Mirrored input gives the mirrored command."""
+    road, tolerance = subject.bends(), subject.settings.mirror_tolerance
+    one, other = subject.commands(road), subject.commands(road.mirrored())
+    if one is None or other is None:
+        return
+    apart = np.abs(one.delta + other.delta)
+    allowed = tolerance * np.maximum(np.abs(one.delta), np.abs(other.delta)).max(axis=0, initial=0.0)
+    wrong = apart > allowed
+    if wrong.any():
+        k, i = (int(place[0]) for place in np.nonzero(wrong))
+        yield (
+            f"the command is {shown(one.delta[k, i])} rad and {shown(other.delta[k, i])} rad on the mirrored road, at "
+            f"sample {k} of scenario {i}; allowed: the negative to {allowed[i]:.3g} rad"
+        )
+
+
+def quiet(subject: Subject) -> Iterator[str]:
+    """Nothing to do, nothing done: the command is 0 on a straight road, centred."""
+    said = subject.commands(straight(subject.settings.scenarios, subject.settings.samples))
+    if said is None:
+        return
+    wrong = ~(np.abs(said.delta) <= subject.settings.quiet_tolerance)
+    if wrong.any():
+        k, i = (int(place[0]) for place in np.nonzero(wrong))
+        yield f"the command is {shown(said.delta[k, i])} rad at sample {k} on a straight, centred road; allowed: 0"
+    failed = said.status != EventStatus.OK
+    if failed.any():
+        yield f"{int(failed.sum())} commands on a straight, centred road have the status SOLVER_FAILED; allowed: none"
+
+
+def finite(subject: Subject) -> Iterator[str]:
+    """Commands are finite for every state that the simulation drives."""
+    for road in (subject.bends(), corners(subject.settings.samples)):
+        yield from _not_finite(road, subject.commands(road))
+
+
+def limits(subject: Subject) -> Iterator[str]:
+    """The law keeps the gains `delta_max` [rad] and `rate_max` [rad/s], where it declares them.
+
+    The rate has priority: from a command beyond `delta_max` a law with a limit of the rate comes back as fast as that
+    allows.
+    """
+    values = {one.name: float(getattr(subject.design, one.name)) for one in subject.design.gains()
+              if one.name in ("delta_max", "rate_max")}  # fmt: skip
+    if not values:
+        return
+    step = values.get("rate_max", np.inf) * subject.settings.dt
+    room = subject.settings.limit_tolerance
+    for road in (subject.bends(), corners(subject.settings.samples)):
+        said = subject.commands(road)
+        if said is None:
+            continue
+        before = np.vstack([road.delta_0, said.delta[:-1]])
+        back = np.abs(before) - step if np.isfinite(step) else np.zeros_like(before)
+        for excess, name in (
+            (np.abs(said.delta) - np.maximum(values.get("delta_max", np.inf), back), "delta_max"),
+            (np.abs(said.delta - before) - step, "rate_max"),
+        ):
+            if (excess > room).any():
+                k, i = (int(place[0]) for place in np.nonzero(excess > room))
+                yield (
+                    f"the command goes from {shown(before[k, i])} to {shown(said.delta[k, i])} rad in one sample of "
+                    f"{subject.settings.dt:g} s, at sample {k} of scenario {i}; allowed by {name} = {values[name]:g}: "
+                    f"{excess[k, i]:.3g} rad less"
+                )
+                break
+
+
+def inputs(subject: Subject) -> Iterator[str]:
+    """A step leaves what it is given as it is: its arguments, and the arrays of the state."""
+    road = subject.bends()
+    law = subject.law(road)
+    if law is None:
+        return
+    walk = Walk(law, road, subject.settings.dt, subject.name)
+    told: set[str] = set()
+    for k in range(road.samples):
+        t, x, preview, delta_prev = walk.seen()
+        given = {"t": t, "x": x, "preview.yaw_rate": preview.yaw_rate, "preview.heading": preview.heading}
+        given |= {"delta_prev": delta_prev}
+        held = [("state", array) for array in arrays_in(walk.state)]
+        copies = [(name, array, array.copy()) for name, array in (*given.items(), *held)]
+        result = law.step(t, x, preview, delta_prev, walk.state)
+        for name, array, copied in copies:
+            if name not in told and not _same(array, copied):
+                told.add(name)
+                yield f"step changes {name} in place, at sample {k}; allowed: new arrays"
+        delta, walk.state, _ = check_step(result, road.n, subject.name)
+        walk.previous, walk.k = np.where(np.isfinite(delta), delta, walk.previous), k + 1
+
+
+def state(subject: Subject) -> Iterator[str]:
+    """Two runs of one law share nothing: sample by sample in turns they say what they say one after the other."""
+    road = subject.bends()
+    mirrored = road.mirrored()
+    other = dataclasses.replace(mirrored, x=mirrored.x[:, ::-1])
+    apart = subject.commands(road), subject.commands(other)
+    law = subject.law(road)
+    if law is None:
+        return
+    walks = [Walk(law, each, subject.settings.dt, subject.name) for each in (road, other)]
+    for _ in range(road.samples):
+        for walk in walks:
+            walk.go_on()
+    for alone, walk in zip(apart, walks, strict=True):
+        yield from difference(alone, walk.to_the_end(), "two runs in turns, against one after the other")
+
+
+def batch(subject: Subject) -> Iterator[str]:
+    """A scenario's commands do not depend on its place, on its neighbours, or on how many there are."""
+    road = subject.bends()
+    whole = subject.commands(road)
+    if whole is None:
+        return
+    every = np.arange(road.n)
+    for rows, what in (
+        (every[::-1], "the scenarios in reverse order"),
+        (every[::2], "every other scenario alone"),
+        (every[: road.n // 2], "the first half of the scenarios alone"),
+        (every[-1:], "the last scenario alone"),
+    ):
+        yield from difference(whole.take(rows), subject.commands(road.take(rows)), what)
+
+
+def take(subject: Subject) -> Iterator[str]:
+    """`take` changes no command of those that go on, also a second time."""
+    road = subject.bends()
+    law = subject.law(road)
+    whole = subject.commands(road)
+    if law is None or whole is None:
+        return
+    walk = Walk(law, road, subject.settings.dt, subject.name)
+    rows = np.arange(road.n)
+    walk.go_on()
+    for kept in (slice(1, None, 2), slice(0, None, 2), slice(0, 1)):
+        chosen = np.arange(rows.size)[kept]
+        if not walk.take(chosen):
+            return  # ended scenarios are then shown to it as zeros
+        rows = rows[chosen]
+        walk.said.clear()
+        first = walk.k
+        walk.go_on()
+        said = Commands(np.array([walk.said[0][0]]), np.array([walk.said[0][1]]))
+        part = Commands(whole.delta[first : first + 1, rows], whole.status[first : first + 1, rows])
+        yield from difference(part, said, f"after take, at sample {first} of the run")
+
+
+def ended(subject: Subject) -> Iterator[str]:
+    """Scenarios that have ended, shown as zeros, do no harm: neither to the law nor to those that go on."""
+    road = subject.bends()
+    over = np.arange(road.n) % 3 == 0
+    law = subject.law(road)
+    whole = subject.commands(road)
+    if law is None or whole is None:
+        return
+    walk = Walk(law, road.ended(np.flatnonzero(over)), subject.settings.dt, subject.name)
+    for _ in range(road.samples):
+        walk.go_on()
+        walk.previous[over] = 0.0
+    going = np.flatnonzero(~over)
+    yield from difference(whole.take(going), walk.to_the_end().take(going), "beside scenarios that have ended")
+
+
+def extremes(subject: Subject) -> Iterator[str]:
+    """Each gain at the ends of its range, the others as they are: commands stay finite.
+
+    Ends that are infinite are left out. A design that its own class refuses with an `InputError` is no fault, since
+    gains may exclude each other, nor is a word of an option that needs a package which is not installed.
+    """
+    road = subject.bends().take(np.arange(4))
+    for one in subject.design.gains():
+        for design in _variants(subject.design, one):
+            label = f"{one.name} = {getattr(design, one.name)!r}"
+            try:
+                said = Subject(design, subject.settings).commands(road)
+            except Exception as error:
+                if not (one.choices and isinstance(error, LdcError | ImportError)):
+                    yield f"{label}: {type(error).__name__}: {error}; allowed: finite commands"
+                continue
+            yield from (f"{label}: {fault}" for fault in _not_finite(road, said))
+
+
+def _variants(design: Controller, one: Gain) -> Iterator[Controller]:
+    """The design with another value of one gain: the ends of its range, or the other words."""
+    own = getattr(design, one.name)
+    values: list[Any] = [one.lower, one.upper]
+    if one.choices:
+        values = list(one.choices)
+    elif one.text:
+        values = []
+    elif isinstance(one.default, bool):
+        values = [not own]
+    for value in values:
+        if value != own and (isinstance(value, str) or np.isfinite(value)):
+            with contextlib.suppress(InputError):
+                yield dataclasses.replace(design, **{one.name: value})  # type: ignore[type-var]
+
+
+def _not_finite(road: Road, said: Commands | None) -> Iterator[str]:
+    if said is None:
+        return
+    wrong = ~np.isfinite(said.delta)
+    if wrong.any():
+        k, i = (int(place[0]) for place in np.nonzero(wrong))
+        seen = ", ".join(f"{value:.3g}" for value in road.x[k, i])
+        yield (
+            f"the command is {shown(said.delta[k, i])} at {road.v[i]:.3g} m/s, x = ({seen}), sample {k} of scenario "
+            f"{i} ({int(wrong.sum())} of {wrong.size} are not finite); allowed: finite commands"
+        )
+
+
+def _same(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
+    return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+
+
+def _same_arrays(one: Any, other: Any) -> bool:
+    pairs = zip(arrays_in(one), arrays_in(other), strict=True)
+    steady = zip(arrays_in(one.steady_state()), arrays_in(other.steady_state()), strict=True)
+    return all(_same(a, b) for a, b in (*pairs, *steady))

@@ -1,0 +1,132 @@
+"""What laws are shown by the contract: made-up states and lanes, the same for every law.
+
+The states follow no vehicle: a law must give the same answers whatever it is shown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import IntArray, Preview
+from ldctoolkit.simulation import BOUND
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
+
+FloatArray = npt.NDArray[np.float64]
+
+_FARTHEST = (BOUND, 15.0, 1.5, 3.0)
+"""|e_y| [m] and |e_psi| [rad] at which the simulation ends a scenario, and rates [m/s, rad/s] beyond any real ones."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Road:
+    """What n scenarios look like over k samples.
+
+    Attributes
+    ----------
+    v : (n,) [m/s]
+    x : (k, n, 4)
+        State.
+    yaw_rate : (k, n) [rad/s]
+        Of the lane, now.
+    yaw_change : (k, n) [rad/s^2]
+        Its change with lookahead time.
+    delta_0 : (n,) [rad]
+        Command before the first.
+    start : (n,) [s]
+        Time at the first sample.
+    """
+
+    v: FloatArray
+    x: FloatArray
+    yaw_rate: FloatArray
+    yaw_change: FloatArray
+    delta_0: FloatArray
+    start: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return int(self.v.size)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, k."""
+        return int(self.x.shape[0])
+
+    def preview(self, k: int, times: FloatArray) -> Preview:
+        """The lane ahead at sample k; new arrays."""
+        now, change = self.yaw_rate[k][:, None], self.yaw_change[k][:, None]
+        return Preview(now + change * times, now * times + 0.5 * change * times**2)
+
+    def take(self, rows: IntArray) -> Road:
+        """Some of the scenarios."""
+        return Road(
+            v=self.v[rows],
+            x=self.x[:, rows],
+            yaw_rate=self.yaw_rate[:, rows],
+            yaw_change=self.yaw_change[:, rows],
+            delta_0=self.delta_0[rows],
+            start=self.start[rows],
+        )
+
+    def mirrored(self) -> Road:
+        """Left for right."""
+        return dataclasses.replace(
+            self, x=-self.x, yaw_rate=-self.yaw_rate, yaw_change=-self.yaw_change, delta_0=-self.delta_0
+        )
+
+    def ended(self, rows: IntArray) -> Road:
+        """The same with some scenarios over: from the second sample on they are zeros."""
+        values = {name: getattr(self, name).copy() for name in ("x", "yaw_rate", "yaw_change")}
+        for value in values.values():
+            value[1:, rows] = 0.0
+        return dataclasses.replace(self, **values)
+
+
+def bends(n: int, samples: int, seed: int = 1) -> Road:
+    """Ordinary departures in bends, on both sides and at ordinary speeds."""
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 4))
+    turn = np.linspace(0.0, 1.0, samples)[:, None, None]
+    largest = np.array([1.0, 0.6, 0.03, 0.1]) * rng.uniform(0.3, 1.0, (n, 4))
+    return Road(
+        v=rng.uniform(8.0, 38.0, n),
+        x=largest * np.sin(phase + turn),
+        yaw_rate=rng.uniform(-0.05, 0.05, n) * np.ones((samples, 1)),
+        yaw_change=rng.uniform(-0.01, 0.01, n) * np.ones((samples, 1)),
+        delta_0=rng.uniform(-0.03, 0.03, n),
+        start=rng.uniform(0.0, 5.0, n),
+    )
+
+
+def straight(n: int, samples: int) -> Road:
+    """In the lane's centre, the wheels straight."""
+    zeros = np.zeros((samples, n))
+    return Road(
+        v=np.linspace(*SPEED_RANGE, n),
+        x=np.zeros((samples, n, 4)),
+        yaw_rate=zeros,
+        yaw_change=zeros,
+        delta_0=np.zeros(n),
+        start=np.zeros(n),
+    )
+
+
+def corners(samples: int) -> Road:
+    """Every corner of what a state may be before the simulation ends the scenario, at slow, common and fast speeds."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
+    v = np.tile([SPEED_RANGE[0], 5.0, 25.0, SPEED_RANGE[1]], 4)
+    n = v.size
+    turns = np.where(np.arange(n) % 3 == 0, -0.5, 0.5) * np.ones((samples, 1))
+    return Road(
+        v=v,
+        x=np.array(_FARTHEST) * signs * np.ones((samples, 1, 1)),
+        yaw_rate=turns,
+        yaw_change=0.1 * turns,
+        delta_0=np.where(np.arange(n) % 2 == 0, 0.4, -0.4),
+        start=np.linspace(0.0, 30.0, n),
+    )
