@@ -15,7 +15,7 @@ from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, Plant, scheduled
 FloatArray = npt.NDArray[np.float64]
 Weights = tuple[float, float, float, float]
 
-__all__ = ["SPEED_RANGE", "Regulator", "feedback", "regulator"]
+__all__ = ["SPEED_RANGE", "Regulator", "feedback", "integral_feedback", "regulator"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +64,36 @@ def feedback(plant: Plant, q: Weights, r: float) -> FloatArray:
     return _scheduled(plant, q, r, slice(4))
 
 
+def integral_feedback(plant: Plant, q: Weights, q_i: float, r: float) -> FloatArray:
+    """LQR gain on the state and on z, the running integral of e_y: z_(k+1) = z_k + dt e_y(k).
+
+    Parameters
+    ----------
+    plant : Plant
+        Model, speeds (n,) and sample time.
+    q : tuple of 4 floats
+        Weights as in `regulator`.
+    q_i : float [1/(m s)^2]
+        Weight on z^2, > 0: without it z is not seen by the cost and the Riccati equation has no stabilising solution.
+    r : float [1/rad^2]
+        Weight on delta^2.
+
+    Returns
+    -------
+    (n, 5)
+        delta = -(K[:, :4] x + K[:, 4] z).
+
+    Raises
+    ------
+    InputError
+        For a speed outside `SPEED_RANGE`.
+    LdcError
+        If the Riccati equation has no stabilising solution somewhere in the range.
+    """
+    what = f"LQR gains for q = {q}, q_i = {q_i}, r = {r}, dt = {plant.dt:g} s"
+    return scheduled(_IntegralRiccati(plant.model, plant.dt, q, q_i, r), plant.v, what)
+
+
 def _scheduled(plant: Plant, q: Weights, r: float, columns: slice) -> FloatArray:
     what = f"LQR gains for q = {q}, r = {r}, dt = {plant.dt:g} s"
     return scheduled(_Riccati(plant.model, plant.dt, q, r), plant.v, what, columns=columns)
@@ -79,15 +109,43 @@ class _Riccati:
     r: float
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        import control
-
         step = self.model.discretize(v, self.dt)
+        what = f"q = {self.q}, r = {self.r}, dt = {self.dt:g} s"
         rows = []
         for i in range(v.size):
-            try:
-                K, P, _ = control.dlqr(step.A[i], step.B[i][:, None], np.diag(self.q), np.array([[self.r]]))
-            except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
-                what = f"q = {self.q}, r = {self.r}, dt = {self.dt:g} s"
-                raise LdcError(f"no LQR at {v[i]:.3g} m/s for {what}: {error}") from error
-            rows.append(np.concatenate([K[0], P.ravel()]))
+            K, P = _dlqr(step.A[i], step.B[i], self.q, self.r, f"at {v[i]:.3g} m/s for {what}")
+            rows.append(np.concatenate([K, P.ravel()]))
         return np.array(rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class _IntegralRiccati:
+    """K of the plant with the integral of e_y as a fifth state, at given speeds."""
+
+    model: BicycleModel
+    dt: float
+    q: Weights
+    q_i: float
+    r: float
+
+    def __call__(self, v: FloatArray) -> FloatArray:
+        step = self.model.discretize(v, self.dt)
+        what = f"q = {self.q}, q_i = {self.q_i}, r = {self.r}, dt = {self.dt:g} s"
+        A, B = np.zeros((5, 5)), np.zeros(5)
+        A[4, 0], A[4, 4] = self.dt, 1.0
+        rows = []
+        for i in range(v.size):
+            A[:4, :4], B[:4] = step.A[i], step.B[i]
+            rows.append(_dlqr(A, B, (*self.q, self.q_i), self.r, f"at {v[i]:.3g} m/s for {what}")[0])
+        return np.array(rows)
+
+
+def _dlqr(A: FloatArray, B: FloatArray, q: tuple[float, ...], r: float, where: str) -> tuple[FloatArray, FloatArray]:
+    """Gain and cost of one plant with one input."""
+    import control
+
+    try:
+        K, P, _ = control.dlqr(A, B[:, None], np.diag(q), np.array([[r]]))
+    except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+        raise LdcError(f"no LQR {where}: {error}") from error
+    return K[0], P

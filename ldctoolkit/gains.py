@@ -34,9 +34,11 @@ class Gain:
     scale : {"linear", "log"}
         How a sweep should space its values.
     choices : tuple of str
-        Allowed words of an option; empty for a number.
+        Allowed words of an option; empty for a number, or for any text.
     description : str
         One line.
+    text : bool
+        An option that takes any text.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Gain:
     scale: Literal["linear", "log"]
     choices: tuple[str, ...]
     description: str
+    text: bool = False
 
     def check(self, value: Any, owner: str) -> GainValue:
         """Return the value in the gain's own type, or raise.
@@ -71,6 +74,10 @@ class Gain:
         if self.choices:
             if value not in self.choices:
                 raise InputError(f"{where}: {value!r}; {nearest(str(value), self.choices)}")
+            return str(value)
+        if self.text:
+            if not isinstance(value, str):
+                raise InputError(f"{where}: {value!r}; allowed: text")
             return str(value)
         if isinstance(self.default, bool):
             if not isinstance(value, bool):
@@ -136,19 +143,20 @@ def gain(
     return _field(default, unit, lower, upper, scale, (), description)
 
 
-def option(default: str, *, choices: tuple[str, ...], description: str) -> Any:
-    """Declare an option with named choices as a dataclass field.
+def option(default: str, *, choices: tuple[str, ...] | None, description: str) -> Any:
+    """Declare an option of words as a dataclass field.
 
     Parameters
     ----------
     default : str
         Choice of a design that does not set it.
-    choices : tuple of str
-        Allowed words.
+    choices : tuple of str, or None
+        Allowed words; None for any text, which the class then checks itself.
     description : str
         One line.
     """
-    return _field(default, "1", -math.inf, math.inf, "linear", choices, description)
+    words = () if choices is None else choices
+    return _field(default, "1", -math.inf, math.inf, "linear", words, description, text=choices is None)
 
 
 def _field(
@@ -159,11 +167,13 @@ def _field(
     scale: Literal["linear", "log"],
     choices: tuple[str, ...],
     description: str,
+    *,
+    text: bool = False,
 ) -> Any:
     if type(default).__hash__ is None:  # a list or an array, for which dataclasses would suggest a factory
         raise InputError(f"default {default!r} of a gain or option; allowed: one number, truth value or word")
     # the name is known only once the class exists; `declared_gains` fills it in
-    declaration = Gain("", unit, default, lower, upper, scale, choices, description)
+    declaration = Gain("", unit, default, lower, upper, scale, choices, description, text)
     return dataclasses.field(default=default, metadata={_KEY: declaration})
 
 
@@ -217,7 +227,7 @@ def check_declarations(owner: type) -> None:
 def _contradiction(declared: Gain, kind: str) -> str:
     """What is wrong with a declaration, the bounds on its default apart; empty for nothing."""
     default, lower, upper, choices = declared.default, declared.lower, declared.upper, declared.choices
-    if choices:
+    if choices or declared.text:
         if not (isinstance(choices, tuple) and all(isinstance(word, str) for word in choices)):
             return f"choices={choices!r}; allowed: a tuple of words, e.g. ('one', 'other')"
         return f"an option on a field of type {kind}; allowed: str" if kind in ("float", "int", "bool") else ""

@@ -1,0 +1,205 @@
+"""Control barrier function filter: another law's command, changed as little as keeps the vehicle in a corridor.
+
+delta = argmin (delta - delta_inner)^2 subject to |e_y| <= e_y_max being kept, where e_y is the offset of the vehicle's
+centre from the lane's centre, positive to the left (ISO 8855); the edge is on the line at e_y = (w_l - w_v)/2, 0.85 m
+with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
+
+Conditions. The command acts on the second derivative of h (relative degree two), so h is replaced by the barrier of
+first degree psi = gamma_1 h + dt dh/dt (high-order barrier functions: W. Xiao, C. Belta, *Control barrier functions for
+systems with high relative degree*, CDC 2019), which is >= 0 where h, going on at its rate, loses at most the share
+gamma_1 of itself in one sample. On it the discrete-time condition of A. Agrawal, K. Sreenath, *Discrete control
+barrier functions for safety-critical control of discrete systems with application to bipedal robot navigation*, RSS
+2017, is imposed exactly, one sample ahead on the sampled plant with the lane's yaw rate now and then:
+
+    psi(k+1) >= (1 - gamma_2) psi(k).
+
+psi >= 0 is thus kept, and reached again exponentially where it does not hold at the trigger. With psi >= 0 at all
+samples and dh/dt a straight line between them, h(k+1) >= h(k) (2 - gamma_1)/(2 + gamma_1) > 0, and h >= 0 between them
+too; the vehicle's own dynamics bend that line by little. While one side's condition holds the command, the states
+behind it decay: checked from 1 to 90 m/s, slowest, and least damped, at both ends.
+
+Closed form. With w = (gamma_1, dt, 0, 0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both conditions are linear in
+delta,
+
+    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max,
+
+an interval of constant width. It is never empty, so the two sides cannot contradict each other, and the QP (A. Ames,
+X. Xu, J. Grizzle, P. Tabuada, *Control barrier function based quadratic programs for safety critical systems*, IEEE TAC
+62(8), 2017) is a clip. The command is then clipped to +-delta_max, which has priority: where the limit is short of the
+interval, the command is the limit on its side, and the corridor may be left. Its rate is not limited.
+
+The inner law sees what it would see alone; its `delta_prev` is the command that this filter gave. Where its command is
+not finite, the command before goes through the filter instead, with `EventStatus.SOLVER_FAILED`.
+
+Assumptions: the nominal vehicle at the speed of the trigger, all states seen. Use it to give a law of your choice a
+bound on depth: where the bound is not near, it is that law to the bit. Small gamma_1/dt and gamma_2/dt [1/s] intervene
+early and gently, large ones late and hard: the lateral acceleration that stops a drift u at the edge is about
+gamma_1 u/dt.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar, final
+
+import numpy as np
+import numpy.typing as npt
+
+from controllers.inner_law import inner_design, steering_law
+from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain, option
+from ldctoolkit.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class BarrierFilter(Controller):
+    """Barrier function filter around another law.
+
+    Parameters
+    ----------
+    inner : str
+        Registry key of the law inside; `none` and the filter itself cannot be.
+    inner_gains : str
+        Gains of the law inside, ``"K_y=-0.02, T_lp=0.5"``; those not named keep their defaults. An option `convention`
+        is set here as well and does not follow a study's case.
+    e_y_max : float [m]
+        Half width of the corridor of the vehicle's centre about the lane's centre.
+    gamma_1 : float [1]
+        Share of h that may be lost in a sample, at the present rate.
+    gamma_2 : float [1]
+        Share of psi that may be lost in a sample.
+    delta_max : float [rad]
+        Limit of the steering angle.
+
+    Raises
+    ------
+    InputError
+        Also for a law inside that cannot be there, or gains of it that are wrong.
+
+    Examples
+    --------
+    >>> BarrierFilter(inner="lqr", inner_gains="r_delta=3000", e_y_max=1.2).delta_max
+    0.1
+    """
+
+    name: ClassVar[str] = "barrier_filter"
+    title: ClassVar[str] = "Barrier filter"
+
+    inner: str = option("preview_proportional", choices=None, description="name of the law inside")
+    inner_gains: str = option("", choices=None, description="gains of the law inside: gain=value, gain=value")
+    e_y_max: float = gain(1.35, unit="m", lower=0.1, upper=10.0, description="half width of the corridor of e_y")
+    gamma_1: float = gain(0.2, unit="1", lower=1e-3, upper=1.0, description="share of h that a sample may lose")
+    gamma_2: float = gain(0.3, unit="1", lower=1e-3, upper=1.0, description="share of psi that a sample may lose")
+    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        inner_design(self.inner, self.inner_gains, type(self))
+
+    def prepare(self, plant: Plant) -> BarrierLaw:
+        """Prepare the law inside, and both conditions for every scenario's speed."""
+        design = inner_design(self.inner, self.inner_gains, type(self))
+        law = steering_law(design, plant, self.name)
+        step, rate = plant.step, 1.0 - self.gamma_2
+        b = _along(step.B, self.gamma_1, plant.dt)
+        centre = np.empty((plant.n, 6))
+        for i in range(4):
+            centre[:, i] = -_along(step.A[:, :, i], self.gamma_1, plant.dt)
+        centre[:, 0] += rate * self.gamma_1
+        centre[:, 1] += rate * plant.dt
+        centre[:, 4] = -_along(step.E_0, self.gamma_1, plant.dt)
+        centre[:, 5] = -_along(step.E_1, self.gamma_1, plant.dt)
+        return BarrierLaw(
+            inner=law,
+            inner_name=design.name,
+            dt=plant.dt,
+            centre=centre / b[:, None],
+            half_width=self.gamma_1 * self.gamma_2 * self.e_y_max / np.abs(b),
+            delta_max=self.delta_max,
+        )
+
+
+def _along(column: FloatArray, gamma_1: float, dt: float) -> FloatArray:
+    """w'B, for columns (n, 4) of the sampled plant."""
+    return gamma_1 * column[:, 0] + dt * column[:, 1]
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class BarrierLaw(SteeringLaw):
+    """The filter for n scenarios; its state is that of the law inside.
+
+    Attributes
+    ----------
+    inner : SteeringLaw
+    inner_name : str
+    dt : float [s]
+    centre : (n, 6)
+        Centre of the interval of commands, from (x, yaw rate of the lane now, at the next sample).
+    half_width : (n,) [rad]
+        Half of its width.
+    delta_max : float [rad]
+    """
+
+    inner: SteeringLaw
+    inner_name: str
+    dt: float
+    centre: FloatArray
+    half_width: FloatArray
+    delta_max: float
+
+    @property
+    def preview_times(self) -> FloatArray:
+        """Now, the next sample, and those of the law inside."""
+        return np.concatenate([[0.0, self.dt], self.inner.preview_times])
+
+    def init(self, n: int) -> Any:
+        """State of the law inside."""
+        return self.inner.init(n)
+
+    def interval(self, x: FloatArray, yaw_rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Least and greatest command that meets both conditions.
+
+        Parameters
+        ----------
+        x : (n, 4)
+        yaw_rate : (n, 2) [rad/s]
+            Of the lane, now and at the next sample.
+
+        Returns
+        -------
+        (n,), (n,) [rad]
+        """
+        # column by column: the same bits in a batch of any size
+        middle = self.centre[:, 4] * yaw_rate[:, 0] + self.centre[:, 5] * yaw_rate[:, 1]
+        for i in range(4):
+            middle += self.centre[:, i] * x[:, i]
+        return middle - self.half_width, middle + self.half_width
+
+    def step(
+        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: Any
+    ) -> tuple[FloatArray, Any, npt.NDArray[np.int8]]:
+        """The command of the law inside, moved into the interval and the limit."""
+        lower, upper = self.interval(x, preview.yaw_rate)
+        # laid out as when it runs alone: the order of its sums may depend on it
+        ahead = Preview(np.ascontiguousarray(preview.yaw_rate[:, 2:]), np.ascontiguousarray(preview.heading[:, 2:]))
+        delta, state, status = self.inner.step(t, x, ahead, delta_prev.copy(), state)
+        delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
+        if delta.shape != lower.shape or status.shape != lower.shape:
+            shapes = f"{delta.shape}, {status.shape}"
+            raise InputError(f"law {self.inner_name!r}: step returned shapes {shapes}; allowed: {lower.shape}")
+        wrong = ~np.isfinite(delta)
+        status[wrong] = EventStatus.SOLVER_FAILED
+        wanted = np.where(wrong, delta_prev, delta)
+        return np.clip(np.clip(wanted, lower, upper), -self.delta_max, self.delta_max), state, status
+
+    def take(self, rows: npt.NDArray[np.int64], state: Any) -> tuple[BarrierLaw, Any] | None:
+        """Only some scenarios, where the law inside can be cut down."""
+        taken = self.inner.take(rows, state)
+        if taken is None:
+            return None
+        inner, kept = taken
+        part = {"centre": self.centre[rows], "half_width": self.half_width[rows]}
+        return dataclasses.replace(self, inner=inner, **part), kept

@@ -1,0 +1,128 @@
+"""LQI against python-control on the augmented plant, and what integral action is for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import control
+import numpy as np
+import pytest
+
+from controllers import LQR
+from controllers.lqi import LQI
+from controllers.riccati import regulator
+from ldctoolkit import BicycleModel, LinearLaw, Plant, Scenarios, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Mismatch, PlantOptions, Sensors
+
+WEIGHTS = [
+    {},
+    {"q_y": 0.1, "q_y_rate": 0.5, "q_psi": 40.0, "q_psi_rate": 3.0, "q_i": 1e-3, "r_delta": 3000.0},
+    {"q_y": 30.0, "q_psi": 0.0, "q_i": 20.0, "r_delta": 5.0},
+]
+
+
+def prepared(design: LQI | LQR, v: np.ndarray | list[float], dt: float = 0.05) -> tuple[Plant, LinearLaw]:
+    plant = Plant.build(BicycleModel(), v, dt)
+    return plant, design.prepare(plant)
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+@pytest.mark.parametrize("dt", [0.05, 0.02])
+def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(weights: dict[str, float], dt: float) -> None:
+    """Written out as a fifth state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
+    rng = np.random.default_rng(0)
+    design = LQI(**weights)
+    plant, law = prepared(design, np.concatenate([[1.0, 90.0], np.exp(rng.uniform(0.0, np.log(90.0), 15))]), dt)
+    assert law.f_i is not None
+    Q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate, design.q_i])
+    R = np.array([[design.r_delta]])
+    offset = np.array([[1.0, 0.0, 0.0, 0.0]])
+    for i in range(plant.n):
+        A, B = plant.step.A[i], plant.step.B[i][:, None]
+        augmented = np.block([[A, np.zeros((4, 1))], [dt * offset, np.ones((1, 1))]])
+        K, _, E = control.dlqr(augmented, np.vstack([B, [[0.0]]]), Q, R)
+        ours = np.append(law.F[i], law.f_i[i])
+        np.testing.assert_allclose(-ours, K[0], rtol=1e-8, atol=1e-9)
+        assert np.abs(E).max() < 1.0
+        plant_i = control.ss(A, B, np.eye(4), 0, dt)
+        theirs, _, _ = control.dlqr(plant_i, Q, R, integral_action=dt * offset)
+        np.testing.assert_allclose(-ours, theirs[0], rtol=1e-8, atol=1e-9)
+
+
+def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
+    """The gains then differ by the order of sqrt(q_i/q_y), 1e-3 per second of the loop's time constant."""
+    plant, law = prepared(LQI(q_i=1e-6), [10.0, 20.0, 33.0])
+    plain = LQR().prepare(plant)
+    np.testing.assert_allclose(law.F, plain.F, rtol=5e-3)
+    np.testing.assert_allclose(law.G_yaw_rate, plain.G_yaw_rate, rtol=5e-3)
+    assert law.f_i is not None
+    # the corner of the Riccati equation: K_i^2 (r + B'PB) = q_i, P tending to the LQR's
+    P = regulator(plant, (1.0, 0.0, 1.0, 0.0), 100.0).P
+    s = 100.0 + np.einsum("ni,nij,nj->n", plant.step.B, P, plant.step.B)
+    np.testing.assert_allclose(law.f_i, -np.sqrt(1e-6 / s), rtol=1e-4)
+
+
+def closed_loop(plant: Plant, law: LinearLaw, r: np.ndarray, steps: int) -> np.ndarray:
+    """The state after a bend of lane yaw rate r, written out."""
+    x, z = np.tile([0.9, 0.1, 0.02, 0.0], (plant.n, 1)), np.zeros(plant.n)
+    step = plant.step
+    for _ in range(steps):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
+        if law.f_i is not None:
+            delta += law.f_i * z
+        z = z + plant.dt * x[:, 0]
+        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+    return x
+
+
+def test_a_bend_leaves_no_bias_even_without_feedforward() -> None:
+    """2 m/s^2 for two minutes: the slowest mode decays with about K_i/K_y, 0.2 1/s."""
+    plant, law = prepared(LQI(), [8.0, 20.0, 33.0])
+    blind = dataclasses.replace(law, G_yaw_rate=np.zeros((3, 1)))
+    r = 2.0 / plant.v
+    np.testing.assert_allclose(closed_loop(plant, law, r, 2400)[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(closed_loop(plant, blind, r, 2400)[:, 0], 0.0, atol=1e-9)
+    plain = dataclasses.replace(LQR().prepare(plant), G_yaw_rate=np.zeros((3, 1)))
+    assert (np.abs(closed_loop(plant, plain, r, 2400)[:, 0]) > 0.1).all()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        PlantOptions(mismatch=Mismatch(m=(1.3, 1.3), C_af=(0.8, 0.8))),
+        PlantOptions(sensors=Sensors(curvature_bias=5e-4)),
+    ],
+    ids=["another vehicle", "biased curvature"],
+)
+def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) -> None:
+    """In the toolkit's own loop, at the end of a long constant bend; the LQR keeps a centimetre or more."""
+    scenarios = Scenarios.from_arrays(T=[4.0, 4.0], d_y=[0.6, 0.5], v_mean=[16.0, 28.0], c_0=[4e-3, 2e-3])
+    left = {}
+    for design in (LQI(q_i=1.0), LQR()):
+        out = simulate(design, scenarios, options=options, settle=50.0, trajectories=True)
+        assert out.trajectories is not None
+        paths = out.trajectories
+        last = np.isfinite(paths.t).sum(axis=1) - 1
+        left[design.name] = np.abs(paths.x[np.arange(2), last, 0])
+    assert (left["lqi"] < 1e-6).all()
+    assert (left["lqr"] > 0.01).all()
+
+
+def test_the_schedule_does_not_depend_on_the_set() -> None:
+    v = np.array([9.0, 17.3, 31.0])
+    _, whole = prepared(LQI(), v)
+    _, one = prepared(LQI(), v[1:2])
+    for name in ("F", "G_yaw_rate", "f_i"):
+        np.testing.assert_array_equal(getattr(whole, name)[1:2], getattr(one, name))
+
+
+@pytest.mark.parametrize("gains", [{"q_i": 0.0}, {"q_i": -1.0}, {"q_i": float("inf")}])
+def test_a_weight_that_makes_no_sense_is_named(gains: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"lqi\.q_i: .*; allowed: a number from 1e-06 to 1e\+06 1/\(m s\)\^2"):
+        LQI(**gains)
+
+
+def test_speeds_outside_the_schedule_are_named() -> None:
+    with pytest.raises(InputError, match="95 m/s; allowed"):
+        prepared(LQI(), [20.0, 95.0])

@@ -1,0 +1,165 @@
+"""Preview LQR against Riccati equations with a shift register, the linear MPC without limits, and a bend that begins."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC
+from controllers.preview_lqr import PreviewLQR
+from ldctoolkit import BicycleModel, LinearLaw, Plant, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.errors import InputError
+
+DT = 0.05
+DESIGNS = [
+    PreviewLQR(),
+    PreviewLQR(horizon=1),
+    PreviewLQR(horizon=7, q_y=0.1, q_y_rate=0.5, q_psi=40.0, q_psi_rate=3.0, r_delta=3000.0),
+    PreviewLQR(horizon=12, q_y=30.0, q_psi=0.0, r_delta=5.0),
+]
+HEAVY = VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)
+
+
+def weights(design: PreviewLQR) -> np.ndarray:
+    return np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+
+
+@pytest.mark.parametrize("design", DESIGNS, ids=["default", "N = 1", "gentle", "sharp"])
+@pytest.mark.parametrize("vehicle", [VehicleParameters(), HEAVY], ids=["Table I", "heavy"])
+def test_gains_equal_the_riccati_recursion_on_the_register_of_yaw_rates(
+    design: PreviewLQR, vehicle: VehicleParameters
+) -> None:
+    """The problem as it is stated: states (x, r_0 .. r_N), the register shifts and holds its last entry, the cost is
+    that of the deviations, no change of variables. Holding is an uncontrollable eigenvalue 1, at which solvers of the
+    algebraic equation refuse, but the deviations of a held bend cost nothing, so the recursion from P = 0 converges. It
+    is iterated until the slowest closed-loop mode (0.99 a sample at worst here) has decayed to rounding; 1e-9 of the
+    largest gain covers what rounding 10,000 steps may add up to.
+    """
+    N = design.horizon
+    plant = Plant.build(BicycleModel(vehicle), [9.0, 21.0, 34.0], DT)
+    law = design.prepare(plant)
+    steady, step = plant.steady_state(), plant.step
+    for i in range(plant.n):
+        size = 4 + N + 1
+        A, B = np.zeros((size, size)), np.zeros((size, 1))
+        A[:4, :4], B[:4, 0] = step.A[i], step.B[i]
+        A[:4, 4], A[:4, 5] = step.E_0[i], step.E_1[i]
+        A[4:-1, 5:] = np.eye(N)
+        A[-1, -1] = 1.0
+        x_dev = np.zeros((4, size))
+        x_dev[:, :4] = np.eye(4)
+        x_dev[2, 4] = -steady.e_psi[i]
+        u_dev = np.zeros((1, size))
+        u_dev[0, 4:6] = -0.5 * steady.delta[i]
+        Q = x_dev.T @ weights(design) @ x_dev + design.r_delta * u_dev.T @ u_dev
+        S, R = design.r_delta * u_dev.T, design.r_delta
+        P = np.zeros((size, size))
+        for _ in range(10_000):
+            coupling = A.T @ P @ B + S
+            following = Q + A.T @ P @ A - coupling @ coupling.T / (R + B.T @ P @ B)
+            done = np.abs(following - P).max() <= 1e-14 * np.abs(P).max()
+            P = following
+            if done:
+                break
+        K = ((A.T @ P @ B + S).T / (R + B.T @ P @ B))[0]
+        ours = np.concatenate([law.F[i], law.G_yaw_rate[i]])
+        np.testing.assert_allclose(ours, -K, rtol=0, atol=1e-9 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("design", DESIGNS[1:], ids=["N = 1", "gentle", "sharp"])
+def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR) -> None:
+    """States (x~, w_0 .. w_(N-1)) with w_j = r_(j+1) - r_j: zeros are shifted in, so holding needs no marginal mode and
+    python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR.
+    """
+    N = design.horizon
+    v = np.exp(np.random.default_rng(1).uniform(np.log(2.0), np.log(80.0), 8))
+    plant = Plant.build(BicycleModel(), v, DT)
+    law = design.prepare(plant)
+    steady, step = plant.steady_state(), plant.step
+    for i in range(plant.n):
+        A, B = np.zeros((4 + N, 4 + N)), np.zeros((4 + N, 1))
+        A[:4, :4], B[:4, 0] = step.A[i], step.B[i]
+        A[:4, 4] = 0.5 * step.B[i] * steady.delta[i] + step.E_1[i] - np.array([0.0, 0.0, steady.e_psi[i], 0.0])
+        A[4:-1, 5:] = np.eye(N - 1)
+        Q = np.zeros((4 + N, 4 + N))
+        Q[:4, :4] = weights(design)
+        K, _, _ = control.dlqr(A, B, Q, np.array([[design.r_delta]]))
+        r = np.random.default_rng(i).normal(size=N + 1)
+        x = np.random.default_rng(i + 100).normal(size=4)
+        deviation = x - np.array([0.0, 0.0, steady.e_psi[i] * r[0], 0.0])
+        expected = -K[0] @ np.concatenate([deviation, np.diff(r)]) + 0.5 * steady.delta[i] * (r[0] + r[1])
+        assert law.F[i] @ x + law.G_yaw_rate[i] @ r == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("horizon", [1, 20, 100])
+def test_it_is_the_linear_mpc_far_from_its_limits(horizon: int) -> None:
+    """Limits so wide that none is near: the same command to rounding of sums of N terms."""
+    rng = np.random.default_rng(horizon)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, 30), DT)
+    x = rng.normal(size=(30, 4)) * [0.2, 0.1, 0.01, 0.03]
+    r = rng.normal(0, 0.02, (30, 1)) + rng.normal(0, 0.01, (30, 1)) * np.arange(horizon + 1) / horizon
+    mpc = LinearMPC(horizon=horizon, q_psi=5.0, r_delta=300.0, delta_max=1.0, rate_max=10.0).prepare(plant)
+    theirs, _, status = mpc.step(np.zeros(30), x, Preview(r, np.zeros_like(r)), np.zeros(30), mpc.init(30))
+    law = PreviewLQR(horizon=horizon, q_psi=5.0, r_delta=300.0).prepare(plant)
+    np.testing.assert_allclose(law.preview_times, mpc.preview_times, rtol=0, atol=0)
+    np.testing.assert_array_equal(status, 0)
+    np.testing.assert_allclose((law.F * x).sum(axis=1) + (law.G_yaw_rate * r).sum(axis=1), theirs, rtol=0, atol=1e-13)
+
+
+def test_feedback_and_constant_bends_are_those_of_the_lqr() -> None:
+    plant = Plant.build(BicycleModel(), [8.0, 20.0, 33.0], DT)
+    law, plain = PreviewLQR(horizon=50).prepare(plant), LQR().prepare(plant)
+    # gain alone and gain with cost have the same bits
+    np.testing.assert_array_equal(law.F, plain.F)
+    np.testing.assert_allclose(law.G_yaw_rate.sum(axis=1), plain.G_yaw_rate[:, 0], rtol=1e-12)
+
+
+def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.ndarray:
+    """The sum of the design's cost over a lane yaw rate r (steps + 1) that ends in a constant, from rest."""
+    steady, step = plant.steady_state(), plant.step
+    x, total = np.zeros((plant.n, 4)), np.zeros(plant.n)
+    ahead = law.preview_times.size
+    held = np.concatenate([r, np.full(ahead, r[-1])])
+    for k in range(r.size - 1):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate @ held[k : k + ahead]
+        z = x.copy()
+        z[:, 2] -= steady.e_psi * r[k]
+        u = delta - 0.5 * steady.delta * (r[k] + r[k + 1])
+        total += np.einsum("ni,ij,nj->n", z, weights(design), z) + design.r_delta * u**2
+        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + step.E_0 * r[k] + step.E_1 * r[k + 1]
+    return total
+
+
+def test_the_further_it_sees_the_less_a_bend_costs() -> None:
+    """A bend that begins 3 s ahead; without preview the law is the LQR."""
+    plant = Plant.build(BicycleModel(), [12.0, 30.0], DT)
+    r = 0.08 * np.clip((np.arange(401) - 60) / 10.0, 0.0, 1.0)
+    costs = [cost(plant, d, d.prepare(plant), r) for d in (PreviewLQR(horizon=N) for N in (1, 3, 10, 30, 60))]
+    plain = cost(plant, PreviewLQR(), LQR().prepare(plant), r)
+    for shorter, longer in zip([plain, *costs], costs, strict=False):
+        assert (longer < shorter).all()
+    assert (costs[-1] < 0.5 * plain).all()
+
+
+def test_rows_do_not_depend_on_the_set() -> None:
+    v = np.random.default_rng(2).uniform(7, 36, 37)
+    whole = PreviewLQR().prepare(Plant.build(BicycleModel(), v, DT))
+    one = PreviewLQR().prepare(Plant.build(BicycleModel(), v[11:12], DT))
+    np.testing.assert_array_equal(whole.F[11:12], one.F)
+    np.testing.assert_array_equal(whole.G_yaw_rate[11:12], one.G_yaw_rate)
+
+
+def test_in_the_closed_loop_it_is_the_mpc_without_limits() -> None:
+    """The compiled loop against the loop for other laws; sums in another order over some hundred samples."""
+    scenarios = Scenarios.from_arrays(T=[2.0, 4.0, 3.0], d_y=[0.4, 0.6, 0.5], v_mean=[14.0, 30.0, 22.0], c_0=1e-3)
+    wide = LinearMPC(horizon=15, delta_max=1.0, rate_max=10.0)
+    linear, general = simulate(PreviewLQR(horizon=15), scenarios), simulate(wide, scenarios)
+    assert general.failed_solves.sum() == 0
+    np.testing.assert_allclose(linear.S, general.S, rtol=1e-10)
+
+
+@pytest.mark.parametrize("horizon", [0, 101, 2.5])
+def test_a_horizon_that_makes_no_sense_is_named(horizon: float) -> None:
+    with pytest.raises(InputError, match=r"preview_lqr\.horizon: .*; allowed: a whole number from 1 to 100 samples"):
+        PreviewLQR(horizon=horizon)  # type: ignore[arg-type]
