@@ -1,0 +1,7 @@
+"""Review of a design before a study: poles, margins, sampling, limits, conditioning, steady bends."""
+
+from ldctoolkit.review.design_review import BEND, SPEEDS, Review, review
+from ldctoolkit.review.findings import Finding, Severity, Thresholds
+from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers
+
+__all__ = ["BEND", "MISMATCH", "SPEEDS", "Finding", "LoopNumbers", "Review", "Severity", "Thresholds", "review"]

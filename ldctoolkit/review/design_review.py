@@ -1,0 +1,154 @@
+"""The review of one design: every check at every speed, and the findings that follow."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import Controller
+from ldctoolkit.errors import InputError, plain
+from ldctoolkit.gains import GainValue
+from ldctoolkit.law_checks import check_controller
+from ldctoolkit.option_checks import is_number
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.review.findings import Finding, Thresholds
+from ldctoolkit.review.law_model import linear_view
+from ldctoolkit.review.limits import Situation, limit_findings
+from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
+from ldctoolkit.review.sentences import law_findings, loop_findings, plant_notes
+from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle.bicycle import checked_speeds
+
+SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
+"""Speeds [m/s] that are looked at by default."""
+
+BEND = 2.0
+"""Lateral acceleration [m/s^2] of the steady bend."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Review:
+    """What the review of a design found.
+
+    Attributes
+    ----------
+    law : str
+        Registry name.
+    title : str
+    gains : tuple of (name, value)
+        Every gain of the design.
+    dt : float [s]
+        Sample time.
+    loop : LoopNumbers or None
+        None for a design that leaves the recorded path alone.
+    findings : tuple of Finding
+        Faults first.
+    """
+
+    law: str
+    title: str
+    gains: tuple[tuple[str, GainValue], ...]
+    dt: float
+    loop: LoopNumbers | None
+    findings: tuple[Finding, ...]
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """The findings that are faults."""
+        return tuple(finding for finding in self.findings if finding.severity == "fault")
+
+
+def review(
+    controller: Controller,
+    *,
+    model: BicycleModel | None = None,
+    dt: float = 0.05,
+    options: PlantOptions | None = None,
+    speeds: npt.ArrayLike = SPEEDS,
+    a_y: float = BEND,
+    y_s: float = 0.0,
+    delta_prev: tuple[float, float] | None = None,
+    thresholds: Thresholds | None = None,
+) -> Review:
+    """Check a design before it is run: poles, margins, sampling, limits, conditioning, bends.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    model : BicycleModel, optional
+        Nominal vehicle; the default one by default.
+    dt : float [s]
+        Sample time, > 0.
+    options : PlantOptions, optional
+        Actuator and camera of the plant; what the review leaves out is told in a note.
+    speeds : (n,) [m/s]
+        Where to look.
+    a_y : float [m/s^2]
+        Lateral acceleration of the steady bend, > 0.
+    y_s : float [m]
+        Trigger threshold, >= 0.
+    delta_prev : (float, float), optional
+        Largest steering angle [rad] at a trigger, and the speed [m/s] there; by default what holds the bend at the
+        speed where that is most.
+    thresholds : Thresholds, optional
+        Where findings start.
+
+    Returns
+    -------
+    Review
+
+    Raises
+    ------
+    InputError
+        For an argument outside what is allowed.
+    LdcError
+        If the design cannot be prepared.
+
+    Examples
+    --------
+    >>> from ldctoolkit import controller_class
+    >>> found = review(controller_class("lqr")(), speeds=[20.0, 30.0])
+    >>> found.faults, bool(found.loop.stable.all())
+    ((), True)
+    """
+    check_controller(controller)
+    options = PlantOptions() if options is None else options
+    thresholds = Thresholds() if thresholds is None else thresholds
+    model = BicycleModel() if model is None else model
+    dt, a_y = _positive("dt", dt, "s"), _positive("a_y", a_y, "m/s^2")
+    if not is_number(plain(y_s)) or y_s < 0:
+        raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
+    v = checked_speeds(speeds)
+    plant = Plant.build(model, v, dt)
+    identity = (
+        controller.name,
+        controller.title,
+        tuple((g.name, getattr(controller, g.name)) for g in controller.gains()),
+    )
+    view = linear_view(controller, plant)
+    if view is None:
+        sentence = f"{controller.title} leaves the recorded path alone: there is no loop to review."
+        return Review(*identity, dt, None, (Finding("note", "recorded_path", sentence),))
+    findings = [*law_findings(view, v)]
+    numbers = None
+    if view.finite.all():
+        numbers = loop_numbers(controller, view, plant, options, a_y)
+        findings += loop_findings(numbers, controller, dt, a_y, thresholds)
+    steady = plant.steady_state().delta * a_y / v
+    i = int(np.argmax(np.abs(steady)))
+    angle, at = (abs(float(steady[i])), float(v[i])) if delta_prev is None else delta_prev
+    trigger = model.parameters.edge_offset + float(y_s)
+    findings += limit_findings(controller, Situation(v, dt, steady, a_y, angle, at, trigger, options.actuator))
+    findings += plant_notes(options)
+    order = {"fault": 0, "warning": 1, "note": 2}
+    return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))
+
+
+def _positive(name: str, value: object, unit: str) -> float:
+    given = plain(value)
+    if not is_number(given) or not given > 0:
+        raise InputError(f"{name}: {given!r} {unit}; allowed: a finite number > 0")
+    return float(given)

@@ -1,0 +1,210 @@
+"""A law as a linear system at straight, centred driving: exactly for linear laws, numerically for all others.
+
+Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r), where r is the lane's yaw rate in a bend of constant
+curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time. At each
+sample delta = C s + D u and s+ = A s + B u.
+
+A `SteeringLaw` is asked for its answers to small pulses, up and down, at one sample of a run that is quiet otherwise;
+half the difference is its pulse response. The first answer gives D. Where later ones are not zero the law has a memory,
+and A, B, C are the smallest system with that response (J.-N. Juang, R. S. Pappa, *An eigensystem realization algorithm
+for modal parameter identification and model reduction*, 1985).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.errors import LdcError
+from ldctoolkit.law_checks import check_law, check_step
+from ldctoolkit.vehicle import Plant
+
+FloatArray = npt.NDArray[np.float64]
+
+PULSE: Final = np.array([1e-2, 1e-2, 1e-3, 1e-3, 1e-3, 1e-3])
+"""Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: a hundredth of a metre, six hundredths of a degree."""
+
+LARGER: Final = 10.0
+"""The answers to pulses so many times larger tell whether the law is linear there."""
+
+_SAMPLES = 17
+"""Samples of a pulse response."""
+
+_MEMORY = 1e-4
+"""Part of the first answer below which a later one is no memory but rounding."""
+
+_ORDER = 1e-3
+"""Part of the largest singular value below which another one is no state."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LawModel:
+    """A law as a linear system at one speed.
+
+    Attributes
+    ----------
+    A : (k, k)
+    B : (k, 6)
+    C : (k,)
+    D : (6,)
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearView:
+    """A law at n speeds as linear systems, and how far that is true.
+
+    Attributes
+    ----------
+    models : tuple of LawModel
+        One a speed.
+    exact : bool
+        The law is linear by its type.
+    quiet : (n,) bool
+        Its command at straight, centred driving is zero.
+    finite : (n,) bool
+        All its answers are numbers.
+    nonlinearity : (n,)
+        Largest relative difference between answers to small pulses and to `LARGER` ones.
+    unexplained : (n,)
+        Part of the pulse response, relative to its largest value, that the model's memory does not give.
+    """
+
+    models: tuple[LawModel, ...]
+    exact: bool
+    quiet: npt.NDArray[np.bool_]
+    finite: npt.NDArray[np.bool_]
+    nonlinearity: FloatArray
+    unexplained: FloatArray
+
+    @property
+    def order(self) -> int:
+        """Largest number of states of the law's memory."""
+        return max(len(model.A) for model in self.models)
+
+
+def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
+    """A design as linear systems at the plant's n speeds.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    plant : Plant
+        Nominal vehicle at the speeds to look at.
+
+    Returns
+    -------
+    LinearView or None
+        None for a design that leaves the recorded path alone.
+
+    Raises
+    ------
+    LdcError
+        If the design cannot be prepared, or its law does not keep to the interface.
+    """
+    law = _prepared(controller, plant)
+    if isinstance(law, RecordedPath):
+        return None
+    if isinstance(law, LinearLaw):
+        return _exact(law, plant)
+    return _identified(controller, plant)
+
+
+def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
+    try:
+        made = controller.prepare(plant)
+    except LdcError:
+        raise
+    except Exception as error:  # a controller may be anybody's code
+        raise LdcError(f"controller {controller.name!r}: prepare raised {type(error).__name__}: {error}") from error
+    return check_law(made, plant.n, controller.name)
+
+
+def _exact(law: LinearLaw, plant: Plant) -> LinearView:
+    n = plant.n
+    bend = law.G_yaw_rate.sum(axis=1) + law.G_heading @ law.preview_times
+    D = np.column_stack([law.F, law.f_u, bend])
+    f_i = np.zeros(n) if law.f_i is None else law.f_i
+    k = int(f_i.any())
+    integral = np.zeros((k, 6))
+    integral[:, :1] = plant.dt
+    models = tuple(LawModel(np.eye(k), integral, f_i[i : i + 1][:k], D[i]) for i in range(n))
+    finite = np.isfinite(D).all(axis=1) & np.isfinite(f_i)
+    return LinearView(models, True, np.ones(n, dtype=np.bool_), finite, np.zeros(n), np.zeros(n))
+
+
+def _identified(controller: Controller, plant: Plant) -> LinearView:
+    n = plant.n
+    # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
+    signs = np.concatenate([np.eye(6), -np.eye(6)])
+    pulses = np.concatenate([np.zeros((1, 6)), signs * PULSE, LARGER * signs * PULSE])
+    answers = _answers(controller, plant, pulses)  # (samples, 25, n)
+    finite = np.isfinite(answers).all(axis=(0, 1))
+    answers = np.where(finite, answers, 0.0)
+    small, large = (0.5 * (answers[:, i : i + 6] - answers[:, i + 6 : i + 12]) for i in (1, 13))
+    largest = np.maximum(np.abs(small).max(axis=(0, 1)), 1e-300)
+    nonlinearity = np.abs(large / LARGER - small).max(axis=(0, 1)) / largest
+    fits = [_with_memory(small[:, :, i]) for i in range(n)]
+    return LinearView(
+        models=tuple(model for model, _ in fits),
+        exact=False,
+        quiet=np.asarray(np.abs(answers[:, 0]).max(axis=0) <= 1e-9),
+        finite=np.asarray(finite, dtype=np.bool_),
+        nonlinearity=np.asarray(nonlinearity, dtype=np.float64),
+        unexplained=np.array([rest for _, rest in fits]),
+    )
+
+
+def _answers(controller: Controller, plant: Plant, pulses: FloatArray) -> FloatArray:
+    """Commands after a pulse at the first sample, (samples, pulses, n)."""
+    q, n = pulses.shape[0], plant.n
+    law = _prepared(controller, Plant.build(plant.model, np.tile(plant.v, q), plant.dt))
+    if not isinstance(law, SteeringLaw):
+        raise LdcError(f"controller {controller.name!r}: prepare gives laws of different kinds for other speeds")
+    first = np.repeat(pulses, n, axis=0)
+    times = np.asarray(law.preview_times, dtype=np.float64)
+    state = law.init(q * n)
+    answers = np.zeros((_SAMPLES, q, n))
+    for k in range(_SAMPLES):
+        u = first if k == 0 else np.zeros_like(first)
+        ahead = Preview(np.tile(u[:, 5:], (1, times.size)), u[:, 5:] * times)
+        try:
+            result = law.step(np.full(q * n, k * plant.dt), u[:, :4].copy(), ahead, u[:, 4].copy(), state)
+        except LdcError:
+            raise
+        except Exception as error:
+            raise LdcError(f"controller {controller.name!r}: step raised {type(error).__name__}: {error}") from error
+        delta, state, _ = check_step(result, q * n, controller.name)
+        answers[k] = delta.reshape(q, n)
+    return answers
+
+
+def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
+    """The smallest system with a pulse response (samples, 6) to pulses of the size `PULSE`, and what it leaves out."""
+    D, later = response[0], response[1:]
+    scale = np.abs(response).max()
+    if not np.abs(later).max() > _MEMORY * scale:
+        return LawModel(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros(0), D / PULSE), 0.0
+    half = later.shape[0] // 2
+    hankel = np.array([later[i : i + half].ravel() for i in range(half)])
+    shifted = np.array([later[i + 1 : i + 1 + half].ravel() for i in range(half)])
+    U, s, Vt = np.linalg.svd(hankel, full_matrices=False)
+    k = int((s > _ORDER * s[0]).sum())
+    root = np.sqrt(s[:k])
+    A = (U[:, :k] / root).T @ shifted @ (Vt[:k] / root[:, None]).T
+    B, C = root[:, None] * Vt[:k, :6], U[0, :k] * root
+    told, state = np.zeros_like(later), B
+    for i in range(later.shape[0]):
+        told[i] = C @ state
+        state = A @ state
+    return LawModel(A, B / PULSE, C, D / PULSE), float(np.abs(told - later).max() / scale)

@@ -1,0 +1,169 @@
+"""Limits that contradict each other: those of the law, of the actuator, of the bend, of the departure."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ldctoolkit.control import Controller
+from ldctoolkit.plant_options import Actuator
+from ldctoolkit.review.findings import Finding
+from ldctoolkit.review.sampled_loop import FloatArray
+
+_NO_HORIZON = 1.0
+"""Time [s] within which a law without a horizon should have its limits back."""
+
+_ROUNDING = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Situation:
+    """What limits are held against.
+
+    Attributes
+    ----------
+    v : (n,) [m/s]
+    dt : float [s]
+    steady : (n,) [rad]
+        Steering angle that holds the bend.
+    a_y : float [m/s^2]
+        Lateral acceleration of the bend.
+    delta_prev : float [rad]
+        Largest angle at which the wheels stand at a trigger.
+    delta_prev_v : float [m/s]
+        Speed there.
+    e_y_trigger : float [m]
+        e_y at the trigger.
+    actuator : Actuator
+    """
+
+    v: FloatArray
+    dt: float
+    steady: FloatArray
+    a_y: float
+    delta_prev: float
+    delta_prev_v: float
+    e_y_trigger: float
+    actuator: Actuator
+
+
+def limit_findings(controller: Controller, situation: Situation) -> Iterator[Finding]:
+    """Every contradiction between the limits that a design declares and what it will meet.
+
+    Parameters
+    ----------
+    controller : Controller
+        Gains named `delta_max`, `rate_max`, `horizon`, `a_y_max` and `e_y_max` are read; a limit that is 0 or infinite
+        is off.
+    situation : Situation
+
+    Yields
+    ------
+    Finding
+    """
+    own = {g.name: getattr(controller, g.name) for g in controller.gains()}
+    limits = {name: _on(own.get(name)) for name in ("delta_max", "rate_max", "a_y_max", "e_y_max")}
+    yield from _against_actuator(limits, situation.actuator)
+    yield from _bend(limits["delta_max"], situation)
+    yield from _start(limits, own.get("horizon"), situation)
+    if limits["a_y_max"] is not None:
+        yield from _acceleration(limits["a_y_max"], limits["delta_max"], situation)
+    if limits["e_y_max"] is not None and limits["e_y_max"] <= situation.e_y_trigger:
+        yield Finding(
+            "warning",
+            "corridor",
+            f"The law's corridor e_y_max = {limits['e_y_max']:g} m is left already at the trigger, where e_y is "
+            f"{situation.e_y_trigger:.3g} m. Widen e_y_max or trigger earlier.",
+            limits["e_y_max"],
+            situation.e_y_trigger,
+        )
+
+
+def _on(value: object) -> float | None:
+    """A limit that is set."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        return None
+    return float(value)
+
+
+def _against_actuator(limits: dict[str, float | None], actuator: Actuator) -> Iterator[Finding]:
+    for name, unit, word in (("delta_max", "rad", "angle"), ("rate_max", "rad/s", "rate")):
+        law, wheel = limits[name], getattr(actuator, name)
+        if law is not None and wheel is not None and law > wheel * (1 + _ROUNDING):
+            yield Finding(
+                "warning",
+                f"actuator_{word}",
+                f"The law counts on {name} = {law:g} {unit}, the actuator gives {wheel:g} {unit}: what lies between is "
+                f"commanded and not steered. Set {name} of the law to at most {wheel:g}.",
+                law,
+                wheel,
+            )
+
+
+def _tightest(one: float | None, other: float | None) -> float | None:
+    both = [limit for limit in (one, other) if limit is not None]
+    return min(both) if both else None
+
+
+def _bend(delta_max: float | None, s: Situation) -> Iterator[Finding]:
+    """The angle that a bend needs, against the limit of law and actuator."""
+    limit = _tightest(delta_max, s.actuator.delta_max)
+    i = int(np.argmax(np.abs(s.steady)))
+    needed = abs(float(s.steady[i]))
+    if limit is not None and needed > limit * (1 + _ROUNDING):
+        yield Finding(
+            "fault",
+            "angle_in_bend",
+            f"At {s.v[i]:.3g} m/s a bend of {s.a_y:g} m/s^2 needs {needed:.3g} rad of steering; the limit delta_max is "
+            f"{limit:.3g} rad. Raise delta_max or leave out such speeds.",
+            needed,
+            limit,
+            float(s.v[i]),
+        )
+
+
+def _start(limits: dict[str, float | None], horizon: object, s: Situation) -> Iterator[Finding]:
+    """Wheels that stand beyond the limit at the trigger, and cannot be brought back in one sample."""
+    delta_max = _tightest(limits["delta_max"], s.actuator.delta_max)
+    rate_max = _tightest(limits["rate_max"], s.actuator.rate_max)
+    if delta_max is None or rate_max is None:
+        return
+    excess, step = s.delta_prev - delta_max, rate_max * s.dt
+    if not excess > step * (1 + _ROUNDING):
+        return
+    samples = math.ceil(excess / step - _ROUNDING)
+    whole = isinstance(horizon, int) and not isinstance(horizon, bool)
+    reach = horizon if isinstance(horizon, int) and whole else math.ceil(_NO_HORIZON / s.dt)
+    within = f"{'its horizon is' if whole else 'a second has'} {reach} samples"
+    yield Finding(
+        "fault",
+        "initial_angle",
+        f"At {s.delta_prev_v:.3g} m/s the wheels may stand at {s.delta_prev:.3g} rad when the law takes over: beyond "
+        f"delta_max = {delta_max:g} rad by more than rate_max dt = {step:.3g} rad. No command keeps both limits, for "
+        f"{samples} samples ({within}). Raise delta_max or rate_max.",
+        s.delta_prev,
+        delta_max + step,
+        s.delta_prev_v,
+    )
+
+
+def _acceleration(a_y_max: float, delta_max: float | None, s: Situation) -> Iterator[Finding]:
+    limit = _tightest(delta_max, s.actuator.delta_max)
+    if limit is None:
+        return
+    reached = limit * s.a_y / np.maximum(np.abs(s.steady), 1e-12)
+    below = reached < a_y_max
+    if below.any():
+        i = int(np.argmin(reached))
+        yield Finding(
+            "note",
+            "acceleration_limit",
+            f"Up to {s.v[below].max():.3g} m/s steady cornering at delta_max = {limit:g} rad stays below a_y_max = "
+            f"{a_y_max:g} m/s^2 ({reached[i]:.2g} m/s^2 at {s.v[i]:.3g} m/s): delta_max counts there.",
+            float(reached[i]),
+            a_y_max,
+            float(s.v[i]),
+        )
