@@ -18,7 +18,8 @@ cannot overshoot whatever dt/T_t is. The derivative is taken from the measured r
 of psi_l' is left out of it.
 
 Use it where a designer would: few gains with a plain meaning, no model but the steady bend. The gains are fixed over
-speed; the defaults damp every pole by 0.7 or more from 10 to 40 m/s on the default vehicle. The integral acts on e_p:
+speed; the defaults damp every pole by 0.5 or more from 10 to 40 m/s on the default vehicle
+and leave room for a steering lag. The integral acts on e_p:
 on a vehicle that is not the nominal one a bend leaves e_y = -T_lp v times the error of e_psi_ss psi_l', millimetres. It
 also has to be emptied again, so that an offset at the trigger ends in a shallow, slow overshoot; K_i = 0 has none.
 """
@@ -60,16 +61,16 @@ class PID(Controller):
     Examples
     --------
     >>> PID(K_i=0.0).K_p
-    -0.04
+    -0.015
     """
 
     name: ClassVar[str] = "pid"
     title: ClassVar[str] = "PID"
 
-    K_p: float = gain(-0.04, unit="rad/m", lower=-1.0, upper=0.0, description="gain on the offset at the preview point")
-    K_i: float = gain(-0.004, unit="rad/(m s)", lower=-1.0, upper=0.0, description="gain on its integral")
+    K_p: float = gain(-0.015, unit="rad/m", lower=-1.0, upper=0.0, description="gain on the offset at the preview point")
+    K_i: float = gain(-0.001, unit="rad/(m s)", lower=-1.0, upper=0.0, description="gain on its integral")
     K_d: float = gain(-0.004, unit="rad s/m", lower=-1.0, upper=0.0, description="gain on its rate")
-    T_lp: float = gain(1.2, unit="s", lower=0.0, upper=10.0, description="preview time")
+    T_lp: float = gain(1.5, unit="s", lower=0.0, upper=10.0, description="preview time")
     T_t: float = gain(1.0, unit="s", lower=1e-3, upper=1e3, scale="log", description="tracking time against windup")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
 

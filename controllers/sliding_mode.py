@@ -71,8 +71,8 @@ class SlidingMode(Controller):
     name: ClassVar[str] = "sliding_mode"
     title: ClassVar[str] = "Super-twisting"
 
-    lambda_: float = gain(1.0, unit="1/s", lower=0.0, upper=10.0, description="decay rate on the sliding surface")
-    k_1: float = gain(1.5, unit="m^0.5/s^1.5", lower=0.0, upper=100.0, description="gain on the root of s")
+    lambda_: float = gain(1.5, unit="1/s", lower=0.0, upper=10.0, description="decay rate on the sliding surface")
+    k_1: float = gain(2.0, unit="m^0.5/s^1.5", lower=0.0, upper=100.0, description="gain on the root of s")
     k_2: float = gain(0.5, unit="m/s^3", lower=0.0, upper=100.0, description="rate of the integral part")
     T_lp: float = gain(0.3, unit="s", lower=0.0, upper=5.0, description="preview time of the controlled point")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")

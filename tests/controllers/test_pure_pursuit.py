@@ -1,0 +1,203 @@
+"""Pure pursuit against the geometry of the arc, of circular lanes, and an integral of the lane by quadrature."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from controllers.pure_pursuit import PurePursuit, PurePursuitLaw
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.errors import InputError
+
+DT = 0.05
+L_R, WHEEL_BASE = 1.47, 2.9
+
+
+def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
+    return Plant.build(model or BicycleModel(), np.array(v), DT)
+
+
+def clothoid(law: PurePursuitLaw, r: np.ndarray, slope: np.ndarray) -> Preview:
+    """A lane whose yaw rate is r + slope t."""
+    t = law.preview_times
+    return Preview(r[:, None] + slope[:, None] * t, r[:, None] * t + 0.5 * slope[:, None] * t**2)
+
+
+def command(law: PurePursuitLaw, x: np.ndarray, preview: Preview) -> np.ndarray:
+    n = x.shape[0]
+    delta, state, status = law.step(np.zeros(n), x, preview, np.zeros(n), law.init(n))
+    assert state is None
+    np.testing.assert_array_equal(status, EventStatus.OK)
+    return delta
+
+
+def test_coulters_formula_on_a_straight_lane_by_hand() -> None:
+    """Parallel to the lane at 0.6 m, l_d = 12 m: goal 12 m ahead, 0.6 m to the right; 1/R = 2 y/D^2."""
+    law = PurePursuit(T_lp=0.6, delta_max=1.0).prepare(plant_at(20.0))
+    delta = command(law, np.array([[0.6, 0.0, 0.0, 0.0]]), clothoid(law, np.zeros(1), np.zeros(1)))
+    assert delta[0] == pytest.approx(math.atan(-2.9 * 2 * 0.6 / (12.0**2 + 0.6**2)), abs=1e-15)
+
+
+@pytest.mark.parametrize("radius", [400.0, -300.0])
+def test_the_goal_on_a_circular_lane(radius: float) -> None:
+    """From the circle itself; the law draws it as a parabola, off by s^4/(8 R^3) across, s^3/(6 R^2) along."""
+    v, e_y, e_psi, l_d = 20.0, 0.5, -0.03, 24.0
+    law = PurePursuit(T_lp=1.2, delta_max=1.0).prepare(plant_at(v))
+    s = l_d - L_R
+    goal = np.array([radius * math.sin(s / radius), radius * (1 - math.cos(s / radius))])
+    rear = np.array([-L_R * math.cos(e_psi), e_y - L_R * math.sin(e_psi)])
+    to_goal = goal - rear
+    alpha = math.atan2(to_goal[1], to_goal[0]) - e_psi
+    expected = math.atan(2 * WHEEL_BASE * math.sin(alpha) / np.hypot(*to_goal))
+    delta = command(law, np.array([[e_y, 0.1, e_psi, 0.2]]), clothoid(law, np.array([v / radius]), np.zeros(1)))
+    assert delta[0] == pytest.approx(expected, abs=2e-5)
+
+
+@given(
+    e_y=st.floats(-2, 2), e_psi=st.floats(-0.3, 0.3), r=st.floats(-0.3, 0.3), v=st.floats(5, 45), T_lp=st.floats(0.3, 3)
+)
+def test_the_arc_goes_through_the_goal(e_y: float, e_psi: float, r: float, v: float, T_lp: float) -> None:
+    """The circle of curvature tan(delta)/L that leaves the rear axle along the heading, in the lane's frame."""
+    law = PurePursuit(T_lp=T_lp, delta_max=1.0).prepare(plant_at(v))
+    preview = clothoid(law, np.array([r]), np.zeros(1))
+    delta = command(law, np.array([[e_y, 0.0, e_psi, 0.0]]), preview)[0]
+    if abs(delta) > 0.99:
+        return  # at the limit it goes elsewhere
+    s = max(8.0, T_lp * v) - L_R
+    goal = np.array([s, v * 0.5 * r * (s / v) ** 2])
+    rear = np.array([-L_R * math.cos(e_psi), e_y - L_R * math.sin(e_psi)])
+    normal = np.array([-math.sin(e_psi), math.cos(e_psi)])
+    curvature = math.tan(delta) / WHEEL_BASE
+    # |goal - centre| = |radius|, multiplied by the curvature so that a straight line is no exception
+    to_goal = goal - rear
+    assert curvature * to_goal @ to_goal - 2.0 * to_goal @ normal == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_lane_ahead_is_exact_while_curvature_is_linear_in_time() -> None:
+    rng = np.random.default_rng(3)
+    v = np.concatenate([[1.0, 4.0, 90.0], rng.uniform(6, 40, 20)])
+    law = PurePursuit(T_lp=1.234, l_min=7.0).prepare(plant_at(*v))
+    r, slope = rng.normal(0, 0.05, v.size), rng.normal(0, 0.05, v.size)
+    T = (np.maximum(7.0, 1.234 * v) - L_R) / v
+    assert law.preview_times[-1] >= T.max() > law.preview_times[-2]
+    expected = v * (r * T**2 / 2 + slope * T**3 / 6)
+    np.testing.assert_allclose(law.lane_offset(clothoid(law, r, slope)), expected, rtol=1e-12, atol=1e-14)
+
+
+def test_where_the_curvature_stops_changing_it_is_nearly_exact() -> None:
+    """The end of the seen lane anywhere within an interval; an unusually sharp one: 0.02 rad/s^2 at 30 m/s."""
+    v, slope = 30.0, 0.02
+    law = PurePursuit(T_lp=1.5).prepare(plant_at(v))
+    t = law.preview_times
+    T = (45.0 - L_R) / v
+    for end in np.linspace(0.3, 1.4, 30):
+        heading = np.where(t < end, 0.5 * slope * t**2, slope * end * (t - 0.5 * end))
+        preview = Preview(slope * np.minimum(t, end)[None], heading[None])
+        exact = slope * (quad(lambda u: (T - u) * u, 0, end)[0] + quad(lambda u, e=end: (T - u) * e, end, T)[0])
+        assert law.lane_offset(preview)[0] == pytest.approx(v * exact, abs=3e-5)
+
+
+def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
+    """Commands of a run against the lane's curvature integrated twice by quadrature."""
+    scenarios = Scenarios.from_arrays(T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 5.5], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3])
+    out = simulate(PurePursuit(delta_max=1.0), scenarios, y_s=0.1, trajectories=True)
+    paths = out.trajectories
+    assert paths is not None
+    for i in range(2):
+        v, T = scenarios.v_mean[i], scenarios.T[i]
+        s = max(8.0, v) - L_R
+        for k in (0, 9, 30):
+            now, (e_y, _, e_psi, _) = paths.t[i, k], paths.x[i, k]
+
+            def r(t: float, i: int = i, v: float = v, T: float = T) -> float:
+                return float(v * (scenarios.c_0[i] + scenarios.dc[i] * min(t / T, 1.0)))
+
+            end = now + s / v
+            lane = v * quad(lambda u: (end - u) * r(u), now, end, points=[min(max(T, now), end)])[0]  # noqa: B023
+            dx, dy = s + L_R * math.cos(e_psi), lane - e_y + L_R * math.sin(e_psi)
+            alpha = math.atan2(dy, dx) - e_psi
+            expected = math.atan(2 * WHEEL_BASE * math.sin(alpha) / math.hypot(dx, dy))
+            assert paths.delta[i, k] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_scenario_does_not_notice_a_slow_neighbour() -> None:
+    """The slow one needs many more lookahead times."""
+    alone, both = PurePursuit().prepare(plant_at(30.0)), PurePursuit().prepare(plant_at(30.0, 2.0))
+    assert both.preview_times.size > 3 * alone.preview_times.size
+    x = np.array([[0.7, 0.1, 0.02, 0.0]] * 2)
+    r, slope = np.array([0.03, 0.01]), np.array([0.013, 0.0])
+    one = command(alone, x[:1], clothoid(alone, r[:1], slope[:1]))
+    np.testing.assert_array_equal(command(both, x, clothoid(both, r, slope))[:1], one)
+
+
+def test_rows_do_not_mix() -> None:
+    rng = np.random.default_rng(2)
+    law = PurePursuit(delta_max=1.0).prepare(plant_at(*rng.uniform(3, 40, 9)))
+    x, preview = rng.normal(0, 0.1, (9, 4)), clothoid(law, *rng.normal(0, 0.02, (2, 9)))
+    delta = command(law, x, preview)
+    for rows in (np.array([1, 4, 6]), np.array([8])):
+        some, _ = law.take(rows, None)
+        np.testing.assert_array_equal(some.preview_times, law.preview_times)
+        part = Preview(preview.yaw_rate[rows], preview.heading[rows])
+        np.testing.assert_array_equal(command(some, x[rows], part), delta[rows])
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.1])
+def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
+    v = np.linspace(10, 40, 31)
+    plant = Plant.build(BicycleModel(), v, dt)
+    law, loop, small = PurePursuit().prepare(plant), np.zeros((v.size, 4, 4)), 1e-5
+    straight = clothoid(law, np.zeros(v.size), np.zeros(v.size))
+    for i in range(4):
+        x = np.zeros((v.size, 4))
+        x[:, i] = small
+        delta = command(law, x, straight)
+        loop[:, :, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+    s = np.log(np.linalg.eigvals(loop).astype(complex)) / dt
+    assert (s.real < -0.7).all()
+    assert (-s.real / np.abs(s)).min() > 0.45
+
+
+NUMBER = st.floats(-3.0, 3.0)
+
+
+@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, slope=NUMBER, v=st.floats(1.0, 90.0))
+def test_mirrored_input_gives_the_mirrored_command(x: tuple[float, ...], r: float, slope: float, v: float) -> None:
+    law = PurePursuit().prepare(plant_at(v))
+    preview = clothoid(law, np.array([r]), np.array([slope]))
+    mirrored = Preview(-preview.yaw_rate, -preview.heading)
+    one, other = command(law, np.array([x]), preview), command(law, -np.array([x]), mirrored)
+    np.testing.assert_array_equal(one, -other)
+    assert abs(one[0]) <= 0.1
+
+
+def test_it_brings_departures_back() -> None:
+    scenarios = Scenarios.from_arrays(
+        T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
+    )
+    out = simulate(PurePursuit(), scenarios, y_s=0.1, settle=10.0, trajectories=True)
+    assert (out.status == EventStatus.OK).all()
+    assert (out.reduction > 0.2).all()
+    paths = out.trajectories
+    assert paths is not None
+    for i in range(4):
+        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
+        # what side slip leaves in a bend: tan(delta) = L c where delta_ss = L c + understeer is needed
+        assert abs(e_y[-1]) < (0.01 if scenarios.c_0[i] == 0 else 0.15)
+        assert e_y.min() > -0.3
+    assert np.nanmax(np.abs(paths.delta)) <= 0.1
+
+
+def test_designs_are_values_and_checked() -> None:
+    assert pickle.loads(pickle.dumps(PurePursuit(T_lp=2.0))) == PurePursuit(T_lp=2.0)
+    with pytest.raises(InputError, match=r"pure_pursuit\.T_lp: -1\.0; allowed: a number from 0 to 10 s"):
+        PurePursuit(T_lp=-1.0)
+    long = BicycleModel(VehicleParameters(l_r=3.0))
+    with pytest.raises(InputError, match=r"pure_pursuit\.l_min: 2 m; allowed: more than l_r = 3 m"):
+        PurePursuit(l_min=2.0).prepare(plant_at(20.0, model=long))
