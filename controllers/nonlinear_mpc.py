@@ -1,0 +1,239 @@
+"""Nonlinear model predictive control on the bicycle with saturating tyres.
+
+At every sample it minimises, over the next N commands, the sum of x~' Q x~ + r_delta u~^2 with the terminal cost
+x~_N' P x~_N, subject to the nonlinear bicycle (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 2.3) with
+the Magic Formula (Pacejka, *Tyre and Vehicle Dynamics*, section 4.3) at friction mu and at the scenario's constant
+speed; x~ and u~ are deviations from the nonlinear bicycle's steady cornering at the lane yaw rate previewed for that
+sample, P solves the Riccati equation of the linear plant. Hard limits: |u| <= delta_max and
+|u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous command. Soft limits, held by exact penalties: lateral acceleration,
+lateral jerk, lane corridor. Positive to the left (ISO 8855), radians.
+
+Method: multiple shooting (H. Bock, K. Plitt, *A multiple shooting algorithm for direct solution of optimal control
+problems*, 1984) and sequential quadratic programming to convergence; `controllers._nmpc_solver` has the steps. Each
+scenario starts from its own last solution, shifted by a sample, or from the LQR's path where that is better.
+
+Ladder. (1) The solution. (2) Where the previous command is so far beyond delta_max that the rate limit does not allow
+a return within one sample, the limit of the angle is relaxed to what the rate allows; the solution goes back as
+fast as it can. (3) Where the iterations do not end in a solution: the LQR with steady cornering, clipped to delta_max
+and moved towards by at most rate_max dt. Rungs 2 and 3 are counted as `EventStatus.SOLVER_FAILED`.
+
+When to use it: near the tyres' limits, low friction or harsh limits, where the linear MPC plans forces that the tyres
+do not have. Elsewhere `linear_mpc` commands the same at a fraction of the cost.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar, final
+
+import numpy as np
+import numpy.typing as npt
+
+from controllers._nmpc_model import FloatArray, pack, steady_cornering
+from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
+from controllers.riccati import regulator
+from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
+
+# units of the soft limits' violations: m/s^2, m/s^3, m
+_SCALES = (1.0, 10.0, 0.1)
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class NonlinearMPC(Controller):
+    """Nonlinear MPC, solved to convergence at every sample.
+
+    Parameters
+    ----------
+    horizon : int [samples]
+        N.
+    q_y, q_y_rate, q_psi, q_psi_rate, r_delta : float
+        Weights as in `LQR`.
+    delta_max : float [rad]
+        Limit of the steering angle.
+    rate_max : float [rad/s]
+        Limit of the steering rate.
+    a_y_max : float [m/s^2]
+        Soft limit of the lateral acceleration, just after each command and at each sample's end; 0 for none.
+    jerk_max : float [m/s^3]
+        Soft limit of the change of lateral acceleration from one command to the next, over dt; 0 for none.
+    e_y_max : float [m]
+        Soft limit of |e_y| at each sample's end; 0 for none.
+    mu : float [1]
+        Friction coefficient that the law believes in.
+
+    Examples
+    --------
+    >>> NonlinearMPC(horizon=10, mu=0.3).delta_max
+    0.1
+    """
+
+    name: ClassVar[str] = "nonlinear_mpc"
+    title: ClassVar[str] = "Nonlinear MPC"
+
+    horizon: int = gain(20, unit="samples", lower=1, upper=100, description="prediction horizon N")
+    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
+    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
+    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
+    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
+    r_delta: float = gain(100.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
+    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
+    rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
+    a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of |a_y|, 0 for none")
+    jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1e3, description="soft limit of the jerk, 0 for none")
+    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=10.0, description="soft limit of |e_y|, 0 for none")
+    mu: float = gain(1.0, unit="1", lower=0.05, upper=2.0, description="friction coefficient of the law's tyres")
+
+    def prepare(self, plant: Plant) -> NonlinearMPCLaw:
+        """Solve the Riccati equation and gather each scenario's numbers."""
+        q = (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate)
+        lq = regulator(plant, q, self.r_delta)
+        columns = pack(plant, self.mu, q, self.r_delta, lq.P, lq.K, self.rate_max * plant.dt)
+        return NonlinearMPCLaw(design=self, plant=plant, columns=columns, soft=_soft_limits(self, plant.dt))
+
+
+def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
+    """Rows of the limits that are on, each in units of its scale."""
+    N = design.horizon
+    eye, none = np.eye(N), np.zeros((N, N))
+    jerk = np.diff(eye, axis=0, prepend=0.0) / dt
+    first = np.zeros(N)
+    first[0] = -1.0 / dt
+    blocks = [
+        (design.a_y_max, _SCALES[0], [np.hstack([eye, none, none]), np.hstack([none, eye, none])], np.zeros(2 * N)),
+        (design.jerk_max, _SCALES[1], [np.hstack([jerk, none, none])], first),
+        (design.e_y_max, _SCALES[2], [np.hstack([none, none, eye])], np.zeros(N)),
+    ]
+    on = [block for block in blocks if block[0] > 0]
+    if not on:
+        return None
+    rows = np.concatenate([np.concatenate(parts) / scale for _, scale, parts, _ in on])
+    bound = np.concatenate([np.full(before.size, limit / scale) for limit, scale, _, before in on])
+    before = np.concatenate([before / scale for _, scale, _, before in on])
+    # far above what a unit of violation can be worth to the cost
+    weight = 1e3 * (design.q_y + design.q_psi * 1e-2 + design.r_delta * 1e-2)
+    return SoftLimits(rows=rows, bound=bound, before=before, weight=weight)
+
+
+@dataclasses.dataclass(frozen=True)
+class NonlinearMPCState:
+    """What one step leaves for the next, a row for each scenario.
+
+    Attributes
+    ----------
+    U : (n, N) [rad]
+        Last commands planned.
+    ready : (n,) bool
+        Whether they are a solution.
+    rung : (n,) int8
+        1 to 3, the rung of the ladder that the last command came from; 0 before the first.
+    iterations : (n,) int
+        Of the last solve.
+    residual : (n,) [rad]
+        Largest change of a command in its last iteration.
+    cost : (n,)
+        Of the last plan: the sum of weighted squares, without penalties.
+    """
+
+    U: FloatArray
+    ready: npt.NDArray[np.bool_]
+    rung: npt.NDArray[np.int8]
+    iterations: npt.NDArray[np.int64]
+    residual: FloatArray
+    cost: FloatArray
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class NonlinearMPCLaw(SteeringLaw):
+    """The nonlinear MPC of n scenarios.
+
+    Attributes
+    ----------
+    design : NonlinearMPC
+    plant : Plant
+    columns : (n, k)
+        Each scenario's numbers, `controllers._nmpc_model.LAYOUT`.
+    soft : SoftLimits or None
+    """
+
+    design: NonlinearMPC
+    plant: Plant
+    columns: FloatArray
+    soft: SoftLimits | None
+
+    @property
+    def preview_times(self) -> FloatArray:
+        """Now and the N samples ahead."""
+        return np.asarray(np.arange(self.design.horizon + 1) * self.plant.dt, dtype=np.float64)
+
+    def init(self, n: int) -> NonlinearMPCState:
+        """No plan yet."""
+        zero = np.zeros(n)
+        return NonlinearMPCState(
+            U=np.zeros((n, self.design.horizon)),
+            ready=np.zeros(n, dtype=np.bool_),
+            rung=np.zeros(n, dtype=np.int8),
+            iterations=np.zeros(n, dtype=np.int64),
+            residual=zero,
+            cost=zero.copy(),
+        )
+
+    def take(
+        self, rows: npt.NDArray[np.int64], state: NonlinearMPCState
+    ) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
+        """Only some scenarios, each with its last plan."""
+        p = self.plant
+        step = dataclasses.replace(
+            p.step, **{f.name: getattr(p.step, f.name)[rows] for f in dataclasses.fields(p.step)}
+        )
+        plant = dataclasses.replace(p, v=p.v[rows], step=step)
+        kept = {f.name: getattr(state, f.name)[rows] for f in dataclasses.fields(state)}
+        return dataclasses.replace(self, plant=plant, columns=self.columns[rows]), NonlinearMPCState(**kept)
+
+    def step(
+        self,
+        t: FloatArray,
+        x: FloatArray,
+        preview: Preview,
+        delta_prev: FloatArray,
+        state: NonlinearMPCState,
+    ) -> tuple[FloatArray, NonlinearMPCState, npt.NDArray[np.int8]]:
+        """First command of the optimal plan, for every scenario."""
+        d, N, n = self.design, self.design.horizon, delta_prev.size
+        after = NonlinearMPCState(**{f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)})
+        delta = np.empty(n)
+        r = preview.yaw_rate
+        steady = steady_cornering(self.plant, d.mu, np.concatenate([r, 0.5 * (r[:, :-1] + r[:, 1:])], axis=1))
+        e_ref, u_ref = steady.e_psi[:, : N + 1], steady.delta[:, N + 1 :]
+        rate = d.rate_max * self.plant.dt
+        reach = np.outer(np.ones(n), np.arange(1, N + 1) * rate)
+        high = np.maximum(d.delta_max, delta_prev[:, None] - reach)
+        low = np.minimum(-d.delta_max, delta_prev[:, None] + reach)
+        relaxed = np.abs(delta_prev) > d.delta_max + rate
+        work = workspace(N)
+        for i in range(n):
+            work.x_0[:], work.delta_prev[0], work.c[:] = x[i], delta_prev[i], self.columns[i]
+            work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
+            work.low[:], work.high[:] = low[i], high[i]
+            found = self._solve(work, state.U[i] if state.ready[i] else None, i)
+            wanted = float(found.U[0])
+            if found.solved:
+                after.U[i] = found.U
+                after.rung[i] = 2 if relaxed[i] else 1
+            else:
+                after.rung[i] = 3
+                K = self.columns[i, -5:-1]
+                wanted = float(u_ref[i, 0] - K @ x[i] + K[2] * e_ref[i, 0])
+                wanted = min(max(wanted, low[i, 0]), high[i, 0]) if np.isfinite(wanted) else 0.0
+            after.ready[i] = found.solved
+            after.iterations[i], after.residual[i], after.cost[i] = found.iterations, found.step, found.cost
+            wanted = min(max(wanted, low[i, 0]), high[i, 0])
+            # a sum with 0 turns -0 into 0
+            delta[i] = min(max(wanted, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
+        status = np.where(after.rung == 1, EventStatus.OK, EventStatus.SOLVER_FAILED).astype(np.int8)
+        return delta, after, status
+
+    def _solve(self, work: Workspace, last: FloatArray | None, i: int) -> Solution:
+        warm = None if last is None else np.append(last[1:], last[-1])
+        return work.solve(warm, 0.0, self.soft)
