@@ -1,8 +1,8 @@
 """Condition of the condensed Hessian of a linear MPC, built from its gains and not from what its solver sees.
 
 With the states eliminated, x = Phi x_0 + Gamma u, the cost sum x'Q x + r u^2 with the terminal cost x'P x of the
-Riccati equation has the Hessian Gamma' diag(Q, .., Q, P) Gamma + r I (J. M. Maciejowski, *Predictive Control with Constraints*,
-section 3.1). Its condition number says how many digits a solver loses on it.
+Riccati equation has the Hessian Gamma' diag(Q, .., Q, P) Gamma + r I (J. M. Maciejowski, *Predictive Control with
+Constraints*, section 3.1). Its condition number says how many digits a solver loses on it.
 """
 
 from __future__ import annotations

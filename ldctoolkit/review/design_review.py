@@ -16,8 +16,9 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.findings import Finding, Thresholds
 from ldctoolkit.review.law_model import linear_view
 from ldctoolkit.review.limits import Situation, limit_findings
+from ldctoolkit.review.loop_checks import loop_findings
 from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
-from ldctoolkit.review.sentences import law_findings, loop_findings, plant_notes
+from ldctoolkit.review.notes import law_findings, plant_notes
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.bicycle import checked_speeds
 
@@ -26,6 +27,9 @@ SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
 
 BEND = 2.0
 """Lateral acceleration [m/s^2] of the steady bend."""
+
+TIGHTEST = 50.0
+"""Radius [m] of the tightest bend: below 10 m/s it is this one, with less lateral acceleration."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,12 +91,12 @@ def review(
     speeds : (n,) [m/s]
         Where to look.
     a_y : float [m/s^2]
-        Lateral acceleration of the steady bend, > 0.
+        Lateral acceleration of the steady bend, > 0; its radius is at least `TIGHTEST`.
     y_s : float [m]
         Trigger threshold, >= 0.
     delta_prev : (float, float), optional
-        Largest steering angle [rad] at a trigger, and the speed [m/s] there; by default what holds the bend at the
-        speed where that is most.
+        Largest steering angle [rad] at a trigger, and the speed [m/s] there; by default the angle that holds the bend,
+        at the speed where that is most.
     thresholds : Thresholds, optional
         Where findings start.
 
@@ -133,15 +137,16 @@ def review(
         sentence = f"{controller.title} leaves the recorded path alone: there is no loop to review."
         return Review(*identity, dt, None, (Finding("note", "recorded_path", sentence),))
     findings = [*law_findings(view, v)]
+    bend = np.minimum(a_y / v, v / TIGHTEST)
     numbers = None
     if view.finite.all():
-        numbers = loop_numbers(controller, view, plant, options, a_y)
-        findings += loop_findings(numbers, controller, dt, a_y, thresholds)
-    steady = plant.steady_state().delta * a_y / v
+        numbers = loop_numbers(controller, view, plant, options, bend)
+        findings += loop_findings(numbers, controller, dt, thresholds)
+    steady = plant.steady_state().delta * bend
     i = int(np.argmax(np.abs(steady)))
     angle, at = (abs(float(steady[i])), float(v[i])) if delta_prev is None else delta_prev
     trigger = model.parameters.edge_offset + float(y_s)
-    findings += limit_findings(controller, Situation(v, dt, steady, a_y, angle, at, trigger, options.actuator))
+    findings += limit_findings(controller, Situation(v, dt, steady, bend * v, angle, at, trigger, options.actuator))
     findings += plant_notes(options)
     order = {"fault": 0, "warning": 1, "note": 2}
     return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))

@@ -25,10 +25,10 @@ from ldctoolkit.vehicle import Plant
 
 FloatArray = npt.NDArray[np.float64]
 
-PULSE: Final = np.array([1e-2, 1e-2, 1e-3, 1e-3, 1e-3, 1e-3])
-"""Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: a hundredth of a metre, six hundredths of a degree."""
+PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
+"""Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""
 
-LARGER: Final = 10.0
+LARGER: Final = 30.0
 """The answers to pulses so many times larger tell whether the law is linear there."""
 
 _SAMPLES = 17

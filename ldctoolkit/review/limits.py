@@ -29,7 +29,7 @@ class Situation:
     dt : float [s]
     steady : (n,) [rad]
         Steering angle that holds the bend.
-    a_y : float [m/s^2]
+    a_y : (n,) [m/s^2]
         Lateral acceleration of the bend.
     delta_prev : float [rad]
         Largest angle at which the wheels stand at a trigger.
@@ -43,7 +43,7 @@ class Situation:
     v: FloatArray
     dt: float
     steady: FloatArray
-    a_y: float
+    a_y: FloatArray
     delta_prev: float
     delta_prev_v: float
     e_y_trigger: float
@@ -117,8 +117,8 @@ def _bend(delta_max: float | None, s: Situation) -> Iterator[Finding]:
         yield Finding(
             "fault",
             "angle_in_bend",
-            f"At {s.v[i]:.3g} m/s a bend of {s.a_y:g} m/s^2 needs {needed:.3g} rad of steering; the limit delta_max is "
-            f"{limit:.3g} rad. Raise delta_max or leave out such speeds.",
+            f"At {s.v[i]:.3g} m/s a bend of {s.a_y[i]:.3g} m/s^2 needs {needed:.3g} rad of steering; the limit "
+            f"delta_max is {limit:.3g} rad. Raise delta_max or leave out such speeds.",
             needed,
             limit,
             float(s.v[i]),

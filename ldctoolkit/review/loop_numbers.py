@@ -27,6 +27,8 @@ class LoopNumbers:
     Attributes
     ----------
     v : (n,) [m/s]
+    bend : (n,) [rad/s]
+        Lane yaw rate of the steady bend.
     stable : (n,) bool
     radius : (n,)
         Largest |z| of the closed loop's poles.
@@ -52,6 +54,7 @@ class LoopNumbers:
     """
 
     v: FloatArray
+    bend: FloatArray
     stable: npt.NDArray[np.bool_]
     radius: FloatArray
     damping: FloatArray
@@ -69,7 +72,7 @@ class LoopNumbers:
 
 
 def loop_numbers(
-    controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, a_y: float
+    controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, bend: FloatArray
 ) -> LoopNumbers:
     """Every number at every speed of a plant.
 
@@ -83,8 +86,8 @@ def loop_numbers(
         Nominal vehicle at n speeds.
     options : PlantOptions
         Actuator and camera are read.
-    a_y : float [m/s^2]
-        Lateral acceleration of the steady bend.
+    bend : (n,) [rad/s]
+        Lane yaw rate of the steady bend.
 
     Returns
     -------
@@ -102,7 +105,7 @@ def loop_numbers(
         row: list[float] = [p.stable, p.radius, p.damping, p.slowest]
         if p.stable:
             m = margins(loop.open, dt)
-            r = a_y / plant.v[i]
+            r = float(bend[i])
             row += [m.gain, m.gain_reduction, m.phase, m.delay, m.disk, m.crossover]
             row += [bandwidth(A[i], B[i], actuator.lag, side, dt), loop.steady_offset() * r]
             row += [_worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options) * r]
@@ -111,9 +114,10 @@ def loop_numbers(
         rows.append(row)
     columns = np.array(rows, dtype=float).T
     condition = hessian_condition(controller, plant)
-    names = [field.name for field in dataclasses.fields(LoopNumbers)][2:-1]
+    names = [field.name for field in dataclasses.fields(LoopNumbers)][3:-1]
     return LoopNumbers(
         v=plant.v.copy(),
+        bend=bend,
         stable=columns[0].astype(bool),
         hessian_condition=condition,
         **dict(zip(names, columns[1:], strict=True)),

@@ -114,8 +114,8 @@ def margins(opened: System, dt: float) -> Margins:
 
     Notes
     -----
-    L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers on it: its
-    way through polynomials loses its digits to the double integrator and to the delay's many states. L is real at the
+    L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers there;
+    its way through polynomials loses its digits to the double integrator and to a delay's many states. L is real at the
     Nyquist frequency, which that routine cannot see as a crossing; it is added here.
     """
     import control

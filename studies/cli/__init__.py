@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from ldctoolkit import LdcError, __version__
-from studies.cli import controllers, extract, fit, models, rank, report, run, sample
+from studies.cli import controllers, extract, fit, models, rank, report, review, run, sample
 
-_COMMANDS = (extract, fit, sample, run, rank, report, controllers, models)
+_COMMANDS = (extract, fit, sample, review, run, rank, report, controllers, models)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 2 for wrong input, with one message on stderr; 130 after an interrupt.
+        0; 2 for wrong input, with one message on stderr; 3 where a command is done but says that a design is at fault;
+        130 after an interrupt.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.getLogger("studies").propagate = False
     try:
         chosen = parser().parse_args(arguments)
-        chosen.run(chosen)
+        code: int = chosen.run(chosen) or 0
         sys.stdout.flush()
     except LdcError as error:
         print(f"ldc: error: {error}", file=sys.stderr)
@@ -66,4 +67,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the reader (head, less) has gone; Python would complain once more while closing stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    return 0
+    return code

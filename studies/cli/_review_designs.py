@@ -1,0 +1,180 @@
+"""What ``ldc review`` reviews: a law with its gains, or the designs of a study."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ldctoolkit.errors import InputError, UnknownNameError, nearest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ldctoolkit import Controller
+    from ldctoolkit.gains import Gain
+    from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.simulation import Takeover
+    from studies.design import Design
+    from studies.spec import Study
+
+_MOST_SCENARIOS = 1000
+"""Departures to a side that are drawn to see at which speeds and steering angles a study triggers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """One design to review.
+
+    Attributes
+    ----------
+    label : str
+    ids : tuple of str
+        Designs of the study that it stands for; empty for a law by itself.
+    controller : Controller
+    arguments : dict
+        Of `ldctoolkit.review.review`.
+    """
+
+    label: str
+    ids: tuple[str, ...]
+    controller: Controller
+    arguments: dict[str, Any]
+
+
+def subjects(chosen: argparse.Namespace) -> list[Subject]:
+    """The designs that the command line names, each set of gains once.
+
+    Raises
+    ------
+    LdcError
+        For a name that is neither law nor study, or options that do not go together.
+    """
+    from ldctoolkit import controller_names
+    from studies.ready import catalog_names, load_study
+
+    if chosen.design in controller_names():
+        if chosen.only:
+            raise InputError("--design: goes with a study; a law's gains are given with --gain")
+        return [_law(chosen)]
+    known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
+    if not known and not _is_file(chosen.design):
+        names = (*controller_names(), *catalog_names())
+        raise UnknownNameError(f"{chosen.design!r}: neither a law, nor a study; {nearest(chosen.design, names)}")
+    if chosen.gain:
+        raise InputError("--gain: goes with the name of a law; a study has its own gains")
+    return list(_of_study(load_study(chosen.design), chosen))
+
+
+def _is_file(path: str) -> bool:
+    from pathlib import Path
+
+    return Path(path).is_file()
+
+
+def _law(chosen: argparse.Namespace) -> Subject:
+    from ldctoolkit import controller_class
+    from ldctoolkit.gains import find_gain
+    from ldctoolkit.plant_options import PlantOptions
+    from studies.cli._ranges import each_once
+
+    kind = controller_class(chosen.design)
+    each_once("--gain", chosen.gain)
+    gains = {name: _value(find_gain(kind, name, kind.name), text) for name, text in chosen.gain or ()}
+    given = ", ".join(f"{name}={text}" for name, text in chosen.gain or ())
+    arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
+    if chosen.dt is not None:
+        arguments["dt"] = chosen.dt
+    speeds = _speeds(chosen, None)
+    if speeds is not None:
+        arguments["speeds"] = speeds
+    return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
+
+
+def _value(declared: Gain, text: str) -> Any:
+    """The text of a gain as what it stands for; what it cannot be is left to the gain's own check."""
+    if isinstance(declared.default, bool):
+        return {"true": True, "false": False}.get(text, text)
+    if isinstance(declared.default, str):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _plant(chosen: argparse.Namespace, options: PlantOptions) -> PlantOptions:
+    """The plant with what the command line says of its actuator."""
+    given = {name: getattr(chosen, name) for name in ("delay", "lag", "rate_max", "delta_max")}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return dataclasses.replace(options, actuator=dataclasses.replace(options.actuator, **changed))
+
+
+def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> np.ndarray | None:
+    import numpy as np
+
+    ends = chosen.speed or default
+    if ends is None:
+        return None
+    low, high = ends
+    return np.linspace(low, high, chosen.points if high > low else 1)
+
+
+def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from ldctoolkit import BicycleModel
+    from ldctoolkit.simulation import Takeover
+    from studies.runner import study_model
+
+    designs = _chosen(study.designs, chosen.only)
+    settings, wanted = study.simulation, study.scenarios
+    left, right = min(wanted.left, _MOST_SCENARIOS), min(wanted.right, _MOST_SCENARIOS)
+    scenarios = study_model(study).sample(left, right, seed=study.seed, given=wanted.given)
+    model = BicycleModel(study.vehicle, settings.convention[0])
+    options = _plant(chosen, study.plant)
+    dt = settings.dt if chosen.dt is None else chosen.dt
+    triggers = {
+        y_s: Takeover.build(scenarios, model, y_s=y_s, dt=settings.dt, options=study.plant, seed=study.seed)
+        for y_s in sorted({design.y_s for design in designs})
+    }
+    speeds = _speeds(chosen, _range(list(triggers.values())))
+    groups: dict[tuple[Any, ...], list[Design]] = {}
+    for design in designs:
+        groups.setdefault((design.law, design.gains), []).append(design)
+    for same in groups.values():
+        thresholds = [design.y_s for design in same]
+        arguments: dict[str, Any] = {"model": model, "dt": dt, "options": options, "y_s": max(thresholds)}
+        if speeds is not None:
+            arguments["speeds"] = speeds
+        largest = _largest_angle([triggers[y_s] for y_s in thresholds])
+        if largest is not None:
+            arguments["delta_prev"] = largest
+        name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
+        yield Subject(name, tuple(d.id for d in same), same[0].controller(settings.convention[0]), arguments)
+
+
+def _chosen(designs: tuple[Design, ...], only: str | None) -> list[Design]:
+    if only is None:
+        return list(designs)
+    found = [design for design in designs if only in (design.id, design.label)]
+    if not found:
+        names = [design.label for design in designs]
+        close = nearest(only, names) if len(names) <= 20 else f"allowed: an id or a label of the {len(names)} designs"
+        raise UnknownNameError(f"--design {only!r}: no such design; {close}")
+    return found
+
+
+def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
+    """Lowest and highest speed at the triggers; None where nothing triggers."""
+    speeds = [takeover.plant.v for takeover in triggers if takeover.m]
+    if not speeds:
+        return None
+    return min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
+
+
+def _largest_angle(triggers: list[Takeover]) -> tuple[float, float] | None:
+    """Largest steering angle at the triggers and the speed there."""
+    found = [
+        (abs(float(t.delta_0[i])), float(t.plant.v[i])) for t in triggers if t.m for i in [abs(t.delta_0).argmax()]
+    ]
+    return max(found) if found else None
