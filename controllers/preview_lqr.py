@@ -17,8 +17,8 @@ car steering control*, Vehicle System Dynamics 35 (supplement), 2001. It is also
 
 Frame: ISO 8855, positive to the left, radians. Assumptions: the nominal vehicle at the speed of the trigger, all states
 and the lane ahead seen, no limits. Use it where the lane's curvature changes during a departure: it steers before the
-bend begins. N dt beyond the closed loop's settling time adds nothing; on a constant bend it is the plain LQR; N of a few
-samples, on a curvature that goes on changing, may do worse, for the last value in sight is taken to be held.
+bend begins. N dt beyond the closed loop's settling time adds nothing; on a constant bend it is the plain LQR. Where
+curvature goes on changing, a few samples of preview may do worse than none: what is seen last is taken to be held.
 """
 
 from __future__ import annotations

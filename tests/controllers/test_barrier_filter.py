@@ -1,0 +1,502 @@
+"""Barrier filter: its closed form against a QP, what it promises in the closed loop, and the laws inside."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import qpsolvers
+import scipy.sparse as sp
+
+from controllers import LQR, LinearMPC, PreviewProportional
+from controllers.barrier_filter import BarrierFilter, BarrierLaw
+from controllers.lqi import LQI
+from controllers.preview_lqr import PreviewLQR
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    Preview,
+    RecordedPath,
+    Scenarios,
+    SteeringLaw,
+    gain,
+    option,
+    register,
+    registry,
+    simulate,
+)
+from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
+from ldctoolkit.plant_options import Actuator, PlantOptions
+from studies import Study
+
+DT = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class DriftingLaw(SteeringLaw):
+    """A law with state, a status and no `take` unless asked for; it gives NaN at one sample."""
+
+    K: float
+    cut: bool
+    broken_at: int
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.array([0.3, 0.0])
+
+    def init(self, n: int) -> Any:
+        return np.zeros(n), 0
+
+    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
+        drift, k = state
+        assert preview.yaw_rate.shape == (t.size, 2)
+        delta = self.K * x[:, 0] + drift + 0.01 * preview.heading[:, 0] + 0.1 * delta_prev
+        if k == self.broken_at:
+            delta = np.full(t.size, np.nan)
+        status = np.where(x[:, 0] > 1.2, EventStatus.SOLVER_FAILED, EventStatus.OK)
+        return delta, (drift + 1e-4 * x[:, 0], k + 1), status
+
+    def take(self, rows: Any, state: Any) -> Any:
+        return (self, (state[0][rows], state[1])) if self.cut else None
+
+
+@dataclasses.dataclass(frozen=True)
+class Drifting(Controller):
+    """A third party's law."""
+
+    name: ClassVar[str] = "drifting"
+    title: ClassVar[str] = "Drifting"
+
+    K: float = gain(-0.005, unit="rad/m", lower=-1.0, upper=0.0, description="gain on e_y")
+    cut: bool = gain(True, unit="1", description="can be cut down")
+    broken_at: int = gain(-1, unit="1", lower=-1, upper=1000, description="sample at which it gives NaN")
+
+    def prepare(self, plant: Plant) -> Any:
+        return DriftingLaw(self.K, self.cut, self.broken_at)
+
+
+@dataclasses.dataclass(frozen=True)
+class LeavesAlone(Controller):
+    """A third party's law that has no command."""
+
+    name: ClassVar[str] = "leaves_alone"
+    title: ClassVar[str] = "Leaves alone"
+
+    def prepare(self, plant: Plant) -> RecordedPath:
+        return RecordedPath()
+
+
+@dataclasses.dataclass(frozen=True)
+class OneForAllLaw(SteeringLaw):
+    """One number where n are due."""
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None: ...
+
+    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
+        return np.float64(0.01), state, np.zeros(t.size, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class OneForAll(Controller):
+    """A third party's law that is broken."""
+
+    name: ClassVar[str] = "one_for_all"
+    title: ClassVar[str] = "One for all"
+
+    def prepare(self, plant: Plant) -> OneForAllLaw:
+        return OneForAllLaw()
+
+
+@pytest.fixture(autouse=True)
+def third_parties() -> Iterator[None]:
+    laws = (Drifting, LeavesAlone, OneForAll)
+    for law in laws:
+        register(law)
+    yield
+    for law in laws:
+        registry._registered.pop(law.name)
+
+
+def situations(n: int, seed: int, size: float = 1.0) -> tuple[Plant, np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, n), DT)
+    x = size * rng.normal(size=(n, 4)) * [1.0, 0.5, 0.03, 0.1]
+    return plant, x, rng.normal(0, 0.05, (n, 2)), rng.uniform(-0.05, 0.05, n)
+
+
+def ahead(times: np.ndarray, r: np.ndarray) -> Preview:
+    """A lane whose yaw rate goes from r_0 to r_1 in a sample and stays there; the turn is made up."""
+    share = np.minimum(times / DT, 1.0)
+    yaw_rate = r[:, :1] * (1.0 - share) + r[:, 1:] * share
+    return Preview(yaw_rate, r[:, 1:] * times)
+
+
+def command(design: BarrierFilter, plant: Plant, x: np.ndarray, r: np.ndarray, prev: np.ndarray) -> np.ndarray:
+    law = design.prepare(plant)
+    delta, _, _ = law.step(np.zeros(plant.n), x, ahead(law.preview_times, r), prev, law.init(plant.n))
+    return delta
+
+
+@pytest.mark.parametrize(("gamma_1", "gamma_2", "delta_max"), [(0.2, 0.3, 0.1), (0.05, 0.9, 0.03), (1.0, 1.0, 1.0)])
+def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: float, delta_max: float) -> None:
+    """Clarabel on the QP with both barriers and the limit written out one by one; at tolerances of 1e-12 on the square
+    of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad.
+    """
+    design = BarrierFilter(inner="lqr", gamma_1=gamma_1, gamma_2=gamma_2, delta_max=delta_max)
+    plant, x, r, prev = situations(150, seed=1, size=0.8)
+    delta = command(design, plant, x, r, prev)
+    law = LQR().prepare(plant)
+    wanted = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r[:, 0]
+    step, e = plant.step, design.e_y_max
+    compared = moved = 0
+    for i in range(plant.n):
+        free = step.A[i] @ x[i] + step.E_0[i] * r[i, 0] + step.E_1[i] * r[i, 1]
+        G, h = [], []
+        for side in (1.0, -1.0):
+            now = gamma_1 * (e - side * x[i, 0]) - DT * side * x[i, 1]
+            after = gamma_1 * (e - side * free[0]) - DT * side * free[1]  # and -side (gamma_1 B_0 + dt B_1) delta
+            G.append(side * (gamma_1 * step.B[i, 0] + DT * step.B[i, 1]))
+            h.append(after - (1.0 - gamma_2) * now)
+        # rows of comparable size: the solver's tolerance is absolute
+        G, h = np.array(G) / abs(G[0]), np.array(h) / abs(G[0])
+        box = delta_max * np.ones(1)
+        problem = qpsolvers.Problem(
+            sp.csc_matrix([[2.0]]), np.array([-2.0 * wanted[i]]), sp.csc_matrix(G[:, None]), h, lb=-box, ub=box
+        )
+        least, most = -h[1], h[0]
+        assert least < most  # both sides at once can always be met
+        if least > delta_max or most < -delta_max:
+            assert delta[i] == (delta_max if least > delta_max else -delta_max)
+            continue
+        solution = qpsolvers.solve_problem(
+            problem, solver="clarabel", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12
+        )
+        assert solution.found
+        assert delta[i] == pytest.approx(solution.x[0], abs=1e-6)
+        compared += 1
+        moved += abs(delta[i] - wanted[i]) > 1e-3
+    assert compared > 60
+    assert moved > 10
+
+
+def departures(n: int, seed: int, side: int = 1) -> Scenarios:
+    rng = np.random.default_rng(seed)
+    return Scenarios.from_arrays(
+        side=np.full(n, side),
+        T=rng.uniform(1.5, 6, n),
+        d_y=rng.uniform(0.3, 0.9, n),
+        v_mean=rng.uniform(6, 38, n),
+        c_0=rng.normal(0, 1e-3, n),
+        dc=rng.normal(0, 1e-3, n),
+    )
+
+
+@pytest.mark.parametrize(
+    ("gammas", "beyond"),
+    [({}, 1e-4), ({"gamma_1": 0.1, "gamma_2": 0.1}, 1e-4), ({"gamma_1": 0.5, "gamma_2": 0.5}, 3e-4)],
+)
+def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float) -> None:
+    """From psi >= 0 at the trigger, on the ideal plant, with an angle that suffices. psi >= 0 holds at every sample, up
+    to the corner that the curvature has at T, inside one of them; |e_y| <= e_y_max also in between, up to what the bend
+    of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
+    """
+    design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
+    scenarios = departures(250, seed=2)
+    out = simulate(design, scenarios, settle=8.0, trajectories=True)
+    alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
+    paths = out.trajectories
+    assert paths is not None
+    e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
+    psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
+    feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
+    assert feasible.size > 60
+    # T, where a sample ends early, is in the paths but no sample
+    k = np.rint((paths.t - paths.t[:, :1]) / DT)
+    at_sample = np.abs((paths.t - paths.t[:, :1]) / DT - k) < 1e-6
+    assert np.nanmin(np.where(at_sample[feasible], psi[:, feasible], np.nan)) >= -1e-5
+    rows = paths.rows[feasible]
+    edge = 0.85
+    deepest = np.maximum(out.companions.deepest + edge, out.companions.overshoot + edge)[rows]
+    assert deepest.max() <= design.e_y_max + beyond
+    unfiltered = (alone.companions.deepest + edge)[rows]
+    assert (unfiltered > design.e_y_max + 0.05).sum() > 5
+
+
+def test_outside_the_corridor_it_comes_back_exponentially() -> None:
+    """Where psi < 0 at the trigger it shrinks by gamma_2 a sample, and h by about gamma_1 then."""
+    design = BarrierFilter(e_y_max=1.0, inner_gains="K_y=0, K_psi=0", delta_max=1.0)
+    plant = Plant.build(BicycleModel(), [10.0, 20.0, 35.0], DT)
+    law = design.prepare(plant)
+    x, r = np.tile([1.5, 0.3, 0.01, 0.0], (3, 1)), np.full((3, 2), 0.02)
+    psi = []
+    for _ in range(60):
+        psi.append(design.gamma_1 * (1.0 - x[:, 0]) - DT * x[:, 1])
+        lane = ahead(law.preview_times, r)
+        delta, _, _ = law.step(np.zeros(3), x, lane, np.zeros(3), law.init(3))
+        step = plant.step
+        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * 0.02
+    expected = psi[0] * (1.0 - design.gamma_2) ** np.arange(60)[:, None]
+    assert (np.array(psi) >= expected - 1e-12).all()
+    # as an equation while the law inside, which does nothing, would go further out
+    np.testing.assert_allclose(psi[:4], expected[:4], rtol=1e-9)
+    assert (x[:, 0] < 1.01).all()
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.05, 0.1])
+def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
+    """With one condition held as an equation the four states go on as a linear system; its modes decay at all speeds
+    and settings, so the filter does not buy the corridor with a growing oscillation.
+    """
+    v = np.exp(np.linspace(0.0, np.log(90.0), 25))
+    plant = Plant.build(BicycleModel(), v, dt)
+    for gamma_1 in (0.02, 0.2, 0.6, 1.0):
+        for gamma_2 in (0.05, 0.3, 1.0):
+            law = BarrierFilter(gamma_1=gamma_1, gamma_2=gamma_2).prepare(plant)
+            loop = plant.step.A + plant.step.B[:, :, None] * law.centre[:, None, :4]
+            assert np.abs(np.linalg.eigvals(loop)).max() < 0.9999
+
+
+@pytest.mark.parametrize(
+    ("inner", "gains", "alone"),
+    [
+        ("preview_proportional", "K_y=-0.02, T_lp=0.5, convention=as_printed", None),
+        ("lqi", "q_i=1", LQI(q_i=1.0)),
+        ("preview_lqr", " horizon = 7 ", PreviewLQR(horizon=7)),
+        ("drifting", "", Drifting()),
+        ("drifting", "cut=false", Drifting(cut=False)),
+        ("linear_mpc", "horizon=6", LinearMPC(horizon=6)),
+    ],
+)
+def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alone: Controller | None) -> None:
+    """A corridor of 10 m. A law that is stepped: the same bits. A linear one: its sum, made in another order."""
+    wide = BarrierFilter(inner=inner, inner_gains=gains, e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
+    alone = alone or PreviewProportional(K_y=-0.02, T_lp=0.5, convention="as_printed")
+    scenarios = departures(40, seed=3)
+    ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, alone))
+    assert ours.trajectories is not None
+    assert theirs.trajectories is not None
+    linear = isinstance(alone.prepare(Plant.build(BicycleModel(), [20.0], DT)), LinearLaw)
+    if linear:
+        np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
+        np.testing.assert_allclose(ours.trajectories.delta, theirs.trajectories.delta, atol=1e-11)
+    else:
+        np.testing.assert_array_equal(ours.S, theirs.S)
+        np.testing.assert_array_equal(ours.trajectories.delta, theirs.trajectories.delta)
+    np.testing.assert_array_equal(ours.status, theirs.status)
+    np.testing.assert_array_equal(ours.failed_solves, theirs.failed_solves)
+
+
+def test_a_linear_law_inside_is_the_sum_to_the_bit_where_nothing_is_cut() -> None:
+    plant, x, r, prev = situations(20, seed=4, size=0.05)
+    delta = command(BarrierFilter(inner="lqr"), plant, x, r, prev)
+    law = LQR().prepare(plant)
+    expected = law.f_u * prev
+    for i in range(4):
+        expected += law.F[:, i] * x[:, i]
+    np.testing.assert_array_equal(delta, expected + (law.G_yaw_rate[:, 0] * r[:, 0] + 0.0))
+
+
+@hypothesis.given(
+    x=st.tuples(*(st.floats(-a, a) for a in (3.0, 2.0, 0.2, 0.5))),
+    r=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    prev=st.floats(-0.2, 0.2),
+    inner=st.sampled_from(["preview_proportional", "lqr", "lqi", "drifting"]),
+)
+@hypothesis.settings(max_examples=60, deadline=None)
+def test_mirrored_input_gives_the_mirrored_command_within_the_limit(x: Any, r: Any, prev: float, inner: str) -> None:
+    plant = Plant.build(BicycleModel(), [9.0, 30.0], DT)
+    design = BarrierFilter(inner=inner, delta_max=0.08)
+    X, R, P = np.tile(x, (2, 1)), np.tile(r, (2, 1)), np.full(2, prev)
+    delta = command(design, plant, X, R, P)
+    np.testing.assert_array_equal(command(design, plant, -X, -R, -P), -delta)
+    assert (np.abs(delta) <= 0.08).all()
+
+
+def test_both_sides_of_the_road_are_the_same() -> None:
+    """Mirrored departures; the road's frame is that of the camera only, so to the bit."""
+    left, right = (simulate(BarrierFilter(), departures(60, seed=5, side=side)) for side in (1, -1))
+    np.testing.assert_array_equal(left.S, right.S)
+
+
+def test_a_command_that_is_not_finite_is_held_filtered_and_counted() -> None:
+    """The command before, moved into the corridor's interval: not merely held, as it is for the law alone."""
+    plant, x, r, prev = situations(40, seed=6)
+    design = BarrierFilter(inner="drifting", inner_gains="broken_at=0", e_y_max=0.8)
+    law = design.prepare(plant)
+    delta, _, status = law.step(np.zeros(40), x, ahead(law.preview_times, r), prev, law.init(40))
+    assert (status == EventStatus.SOLVER_FAILED).all()
+    lower, upper = law.interval(x, r)
+    np.testing.assert_array_equal(delta, np.clip(np.clip(prev, lower, upper), -0.1, 0.1))
+    assert (delta != prev).sum() > 5
+    out = simulate(dataclasses.replace(design, inner_gains="broken_at=3"), departures(5, seed=7))
+    assert (out.failed_solves[out.triggered] >= 1).all()
+
+
+@pytest.mark.parametrize("inner", ["lqi", "drifting"])
+def test_what_remains_of_a_batch_sees_no_difference(inner: str) -> None:
+    n = 12
+    plant, _, _, _ = situations(n, seed=8)
+    design = BarrierFilter(inner=inner, e_y_max=0.6)
+    whole: Any = design.prepare(plant)
+    part, rows = whole, np.arange(n)
+    state, own = whole.init(n), whole.init(n)
+    p = whole.preview_times.size
+    for k, kept in enumerate(([0, 2, 3, 5, 6, 9, 11], [1, 2, 6], [2])):
+        rng = np.random.default_rng(k)
+        x, yaw, turn, prev = (
+            rng.normal(size=(n, 4)),
+            rng.normal(size=(n, p)),
+            rng.normal(size=(n, p)),
+            rng.normal(size=n),
+        )
+        before = x.copy()
+        delta, state, status = whole.step(np.zeros(n), x, Preview(yaw, turn), prev, state)
+        np.testing.assert_array_equal(x, before)
+        ours, own, ours_status = part.step(
+            np.zeros(rows.size), x[rows], Preview(yaw[rows], turn[rows]), prev[rows], own
+        )
+        np.testing.assert_array_equal(ours, delta[rows])
+        np.testing.assert_array_equal(ours_status, status[rows])
+        part, own = part.take(np.array(kept), own)
+        rows = rows[kept]
+
+
+def test_where_the_law_inside_cannot_be_cut_down_nor_can_the_filter() -> None:
+    plant, *_ = situations(4, seed=9)
+    law = BarrierFilter(inner="drifting", inner_gains="cut=false").prepare(plant)
+    assert law.take(np.array([1]), law.init(4)) is None
+
+
+def test_the_same_state_gives_the_same_step_twice() -> None:
+    """The integral of an LQI inside is not changed in place."""
+    plant, x, _, prev = situations(6, seed=10)
+    law = BarrierFilter(inner="lqi").prepare(plant)
+    preview = Preview(np.zeros((6, 3)), np.zeros((6, 3)))
+    _, state, _ = law.step(np.zeros(6), x, preview, prev, law.init(6))
+    first, after, _ = law.step(np.zeros(6), x, preview, prev, state)
+    again, _, _ = law.step(np.zeros(6), x, preview, prev, state)
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(state, DT * x[:, 0])
+    np.testing.assert_array_equal(after, state + DT * x[:, 0])
+
+
+def test_the_limit_has_priority_and_points_to_the_corridor() -> None:
+    """Far outside, with little angle: the limit on the side that leads back."""
+    plant = Plant.build(BicycleModel(), [20.0, 20.0], DT)
+    x = np.array([[3.0, 1.0, 0.0, 0.0], [-3.0, -1.0, 0.0, 0.0]])
+    delta = command(BarrierFilter(delta_max=0.02), plant, x, np.zeros((2, 2)), np.zeros(2))
+    np.testing.assert_array_equal(delta, [-0.02, 0.02])
+
+
+def test_it_runs_on_a_plant_that_is_not_ideal() -> None:
+    """An actuator: nothing is promised but finite numbers and the limit of the command."""
+    options = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.4))
+    out = simulate(BarrierFilter(), departures(30, seed=11), options=options)
+    assert np.isfinite(out.S).all()
+    assert (out.companions.delta_peak[out.triggered] <= 0.1 + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"inner": "lqq"}, UnknownNameError, r"barrier_filter\.inner: 'lqq': no such controller; did you mean 'lq"),
+        (
+            {"inner": "none"},
+            InputError,
+            r"barrier_filter\.inner: 'none'; allowed: a law that steers, the recorded path",
+        ),
+        (
+            {"inner": "barrier_filter"},
+            InputError,
+            r"barrier_filter\.inner: 'barrier_filter'; allowed: a law other than",
+        ),
+        ({"inner": 3}, InputError, r"barrier_filter\.inner: 3; allowed: text"),
+        ({"inner_gains": None}, InputError, r"barrier_filter\.inner_gains: None; allowed: text"),
+        (
+            {"inner_gains": "K_x=-0.1"},
+            UnknownNameError,
+            r"inner_gains: preview_proportional\.K_x: no such gain; did you",
+        ),
+        ({"inner_gains": "K_y"}, InputError, r"inner_gains: 'K_y'; allowed: gain=value, separated by commas"),
+        ({"inner_gains": "K_y=-0.1,,"}, InputError, r"inner_gains: ''; allowed: gain=value"),
+        ({"inner_gains": "K_y=-0.1, K_y=-0.2"}, InputError, r"inner_gains: 'K_y' is given twice"),
+        ({"inner_gains": "K_y=fast"}, InputError, r"inner_gains: preview_proportional\.K_y: 'fast'; allowed: a number"),
+        ({"inner_gains": "K_y=nan"}, InputError, r"inner_gains: preview_proportional\.K_y: nan; allowed: a number"),
+        (
+            {"inner_gains": "K_y=0.5"},
+            InputError,
+            r"inner_gains: preview_proportional\.K_y: 0\.5; allowed: .* from -1 to 0",
+        ),
+        (
+            {"inner_gains": "convention=new"},
+            InputError,
+            r"preview_proportional\.convention: 'new'; allowed: as_printed",
+        ),
+        ({"inner": "drifting", "inner_gains": "cut=yes"}, InputError, r"drifting\.cut: 'yes'; allowed: true or false"),
+        (
+            {"inner": "drifting", "inner_gains": "broken_at=1.5"},
+            InputError,
+            r"drifting\.broken_at: 1\.5; .* whole number",
+        ),
+        ({"e_y_max": 0.0}, InputError, r"barrier_filter\.e_y_max: 0\.0; allowed: a number from 0\.1 to 10 m"),
+        ({"gamma_1": 1.5}, InputError, r"barrier_filter\.gamma_1: 1\.5"),
+        ({"gamma_2": 0.0}, InputError, r"barrier_filter\.gamma_2: 0\.0"),
+    ],
+)
+def test_mistakes_are_named(given: dict[str, Any], error: type[LdcError], message: str) -> None:
+    with pytest.raises(error, match=message):
+        BarrierFilter(**given)
+
+
+def test_a_third_party_that_does_not_fit_is_named() -> None:
+    plant, x, r, prev = situations(3, seed=12)
+    with pytest.raises(InputError, match=r"barrier_filter\.inner: 'leaves_alone' prepared a RecordedPath; allowed"):
+        BarrierFilter(inner="leaves_alone").prepare(plant)
+    with pytest.raises(InputError, match=r"law 'one_for_all': step returned shapes \(\), \(3,\); allowed: \(3,\)"):
+        command(BarrierFilter(inner="one_for_all"), plant, x, r, prev)
+
+
+def test_a_design_is_plain_data() -> None:
+    design = BarrierFilter(inner="lqr", inner_gains="r_delta=3e3")
+    assert pickle.loads(pickle.dumps(design)) == design
+    assert {g.name: getattr(design, g.name) for g in design.gains()}["inner_gains"] == "r_delta=3e3"
+    assert isinstance(design.prepare(Plant.build(BicycleModel(), [20.0], DT)), BarrierLaw)
+
+
+def test_a_study_file_may_set_and_sweep_the_law_inside() -> None:
+    block = {"law": "barrier_filter", "gains": {"inner": "lqr", "inner_gains": ["r_delta=100", "r_delta=3000"]}}
+    designs = Study.from_dict({"name": "small", "design": [block]}).designs
+    assert [d.controller() for d in designs] == [
+        BarrierFilter(inner="lqr", inner_gains=f"r_delta={r}") for r in (100, 3000)
+    ]
+    block["gains"]["inner"] = 3  # type: ignore[index]
+    with pytest.raises(StudyError, match=r"design\[0\]\.gains\.inner.* 3; allowed: text"):
+        Study.from_dict({"name": "small", "design": [block]})
+
+
+@pytest.mark.parametrize(
+    ("annotation", "default", "message"),
+    [
+        ("str", 5.0, r"default of D\.word: 5\.0; allowed: text"),
+        ("float", "any", r"D\.word: an option on a field of type float; allowed: str"),
+    ],
+)
+def test_an_option_of_any_text_that_contradicts_itself(annotation: str, default: Any, message: str) -> None:
+    fields = [("word", annotation, option(default, choices=None, description=""))]
+    base = {"name": "d", "title": "D", "prepare": lambda self, plant: RecordedPath()}
+    D = dataclasses.make_dataclass("D", fields, bases=(Controller,), namespace=base, frozen=True)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=message):
+        D()
