@@ -95,7 +95,7 @@ def run(chosen: argparse.Namespace) -> int:
                 advance(done, len(wanted))
             reviewed.append((subject.label, subject.ids, review(subject.controller, **subject.arguments)))
     if len(reviewed) == 1:
-        _print_loop(*reviewed[0])
+        _print_loop(reviewed[0][0], reviewed[0][2])
     else:
         _print_overview(reviewed)
     for label, _, found in reviewed:
@@ -129,10 +129,10 @@ _COLUMNS = (
 def _shown(value: float, factor: float, form: str) -> str:
     if math.isnan(value):
         return "-"
-    return "inf" if math.isinf(value) else format(value * factor + 0.0, form)
+    return "inf" if math.isinf(value) else format(round(value * factor, 9) + 0.0, form)
 
 
-def _print_loop(label: str, ids: tuple[str, ...], review: Review) -> None:
+def _print_loop(label: str, review: Review) -> None:
     """Every speed of one design."""
     from rich.table import Table
 
@@ -169,7 +169,8 @@ def _print_overview(reviewed: Reviewed) -> None:
         if review.loop is not None and not review.loop.stable.all():
             cells = ["unstable", *cells[1:]]
         elif review.loop is not None:
-            cells = [_shown(_worst(getattr(review.loop, name), name), *form) for _, name, *form in shown]
+            loop = review.loop
+            cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
         table.add_row(label, *cells, str(len(review.faults)), str(warnings))
     console().print(table)
