@@ -200,6 +200,5 @@ class BarrierLaw(SteeringLaw):
         taken = self.inner.take(rows, state)
         if taken is None:
             return None
-        inner, kept = taken
-        part = {"centre": self.centre[rows], "half_width": self.half_width[rows]}
-        return dataclasses.replace(self, inner=inner, **part), kept
+        part = dataclasses.replace(self, inner=taken[0], centre=self.centre[rows], half_width=self.half_width[rows])
+        return part, taken[1]

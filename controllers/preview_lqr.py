@@ -86,7 +86,7 @@ class PreviewLQR(Controller):
         G[:, 1:] += g
         return LinearLaw(
             F=-lq.K,
-            preview_times=np.arange(self.horizon + 1) * plant.dt,
+            preview_times=np.arange(self.horizon + 1, dtype=np.float64) * plant.dt,
             G_yaw_rate=G,
             G_heading=np.zeros_like(G),
             f_u=np.zeros(plant.n),
