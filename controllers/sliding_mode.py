@@ -14,16 +14,22 @@ meets delta_ss,
 
     delta = delta_ss psi_l' + (dt u - c (A - I) x~ - c D (psi_l'+ - psi_l'))/(c B),
 
-so that s+ = s + dt u, exactly, on the nominal vehicle and lane. It does not chatter, because u is the implicit one (B.
-Brogliato, A. Polyakov, D. Efimov, *The implicit discretization of the super-twisting sliding-mode control algorithm*,
-IEEE TAC 65(8), 2020): s+ and w+ take the place of s and w on the right, with the solution, b = s + dt w,
+so that s+ = s + dt u, exactly, on the nominal vehicle and lane. It does not chatter, because u comes from a proper
+implicit discretisation, as R. Seeber and B. Andritsch call it (*Proper implicit discretization of the super-twisting
+controller - without and with actuator saturation*, Automatica 173, 2025): with y and g = sign y, any number from -1 to
+1 at y = 0, from
 
-    |s+| = q^2,  q = -dt k_1/2 + sqrt(dt^2 k_1^2/4 + max(|b| - dt^2 k_2, 0)),  sign s+ = sign b,  u = (s+ - s)/dt.
+    y + dt k_1 |y|^(1/2) sign y + dt^2 k_2 g = s,    w+ = w - dt k_2 g,    u = w+ + (y - s)/dt,
 
-Delta is clipped to +-delta_max. Against windup w follows the conditioned algorithm (R. Seeber, M. Reichhartinger,
-*Conditioned super-twisting algorithm for systems with saturated control action*, Automatica 116, 2020), dw/dt = -k_2
-sign(w - u) with the u that the clipped delta stands for: w moves towards that u, by at most dt k_2 a sample. Without
-clipping this is the w+ of the implicit algorithm.
+y and w follow the implicit Euler scheme of the disturbed equations above. The first one is solved by |y| = q^2, q =
+sqrt((dt k_1/2)^2 + max(|s| - dt^2 k_2, 0)) - dt k_1/2. Once it slides, w is minus the disturbance of the sample before
+and s the change of the disturbance over a sample times dt: a constant one leaves s = 0. (The implicit step of B.
+Brogliato, A. Polyakov, D. Efimov, IEEE TAC 65(8), 2020, without y, leaves s = dt times the disturbance.)
+
+Delta is clipped to +-delta_max. Against windup w is conditioned (R. Seeber, M. Reichhartinger, *Conditioned
+super-twisting algorithm for systems with saturated control action*, Automatica 116, 2020): it moves as it would have if
+the u that the clipped delta stands for had been asked for, w+ = w + (u - w)/2, by at most dt k_2. Where delta is not
+clipped this is the w+ above.
 
 Positive to the left (ISO 8855), radians. Use it where the vehicle is badly known: w takes up any disturbance whose rate
 stays below k_2 (rule of the book: k_1 = 1.5 k_2^(1/2), k_2 = 1.1 times that rate). T_lp keeps the zero dynamics damped:
@@ -155,7 +161,7 @@ class SlidingModeLaw(SteeringLaw):
         u = super_twisting(s, state, dt, d.k_1, d.k_2)
         delta = np.clip(hold + dt * u / self.cB, -d.delta_max, d.delta_max)
         applied = (delta - hold) * self.cB / dt
-        w = state + np.clip(applied - state, -dt * d.k_2, dt * d.k_2)
+        w = conditioned(state, applied, dt, d.k_2)
         return delta, w, np.full(delta.size, EventStatus.OK, dtype=np.int8)
 
 
@@ -184,17 +190,44 @@ def super_twisting(s: FloatArray, w: FloatArray, dt: float, k_1: float, k_2: flo
     Returns
     -------
     (n,)
-        u, constant over the step: s + dt u is the next s.
+        u, constant over the step.
 
     Examples
     --------
-    Near the surface the next s is zero:
+    Near the surface the root plays no part:
 
     >>> import numpy as np
     >>> super_twisting(np.array([1e-3]), np.zeros(1), 0.05, 1.5, 0.5)
-    array([-0.02])
+    array([-0.04])
     """
-    b = s + dt * w
     half = 0.5 * dt * k_1
-    root = np.sqrt(half * half + np.maximum(np.abs(b) - dt * dt * k_2, 0.0)) - half
-    return np.asarray((np.copysign(root * root, b) - s) / dt, dtype=np.float64)
+    root = np.sqrt(half * half + np.maximum(np.abs(s) - dt * dt * k_2, 0.0)) - half
+    y = np.copysign(root * root, s)
+    return np.asarray(w - np.clip(s / dt, -dt * k_2, dt * k_2) + (y - s) / dt, dtype=np.float64)
+
+
+def conditioned(w: FloatArray, u: FloatArray, dt: float, k_2: float) -> FloatArray:
+    """The next integral part, given the u that came about.
+
+    Parameters
+    ----------
+    w : (n,)
+        Integral part.
+    u : (n,)
+        What `super_twisting` gave, or what a limit left of it.
+    dt : float [s]
+        Sample time.
+    k_2 : float
+        Gain, >= 0.
+
+    Returns
+    -------
+    (n,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> conditioned(np.zeros(2), np.array([-0.04, 3.0]), 0.05, 0.5)
+    array([-0.02 ,  0.025])
+    """
+    return np.asarray(w + np.clip(0.5 * (u - w), -dt * k_2, dt * k_2), dtype=np.float64)

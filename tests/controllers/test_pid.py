@@ -202,9 +202,7 @@ NUMBER = st.floats(-3.0, 3.0)
 
 
 @given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, state=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(
-    x: tuple[float, ...], r: float, state: float, v: float
-) -> None:
+def test_mirrored_input_gives_the_mirrored_command(x: tuple[float, ...], r: float, state: float, v: float) -> None:
     law = PID().prepare(plant_at(v))
     one = command(law, np.array([x]), np.array([r]), np.array([state]))
     other = command(law, -np.array([x]), -np.array([r]), -np.array([state]))

@@ -105,7 +105,9 @@ def test_where_the_curvature_stops_changing_it_is_nearly_exact() -> None:
 
 def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
     """Commands of a run against the lane's curvature integrated twice by quadrature."""
-    scenarios = Scenarios.from_arrays(T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 5.5], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3])
+    scenarios = Scenarios.from_arrays(
+        T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 5.5], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3]
+    )
     out = simulate(PurePursuit(delta_max=1.0), scenarios, y_s=0.1, trajectories=True)
     paths = out.trajectories
     assert paths is not None
