@@ -1,0 +1,342 @@
+"""The review finds what was planted, and leaves sound designs alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import control
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LdcError,
+    LinearLaw,
+    Plant,
+    Preview,
+    SteeringLaw,
+    controller_class,
+    controller_names,
+    gain,
+)
+from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Actuator, PlantOptions, Sensors
+from ldctoolkit.review import Finding, Review, Thresholds, review
+from ldctoolkit.review.law_model import linear_view
+
+
+def named(found: Review, name: str) -> Finding:
+    return next(finding for finding in found.findings if finding.name == name)
+
+
+def names(found: Review) -> set[str]:
+    return {finding.name for finding in found.findings if finding.severity != "note"}
+
+
+def test_a_sound_design_has_nothing_to_object_to() -> None:
+    found = review(LQR())
+    assert found.findings == ()
+    assert found.loop is not None
+    assert found.loop.stable.all()
+    assert (found.loop.gain_margin > 6).all()
+    # a full-state LQR in continuous time has at least 60 deg; sampling takes half a sample of phase
+    lost = found.loop.crossover * 0.5 * found.dt
+    assert (found.loop.phase_margin > math.pi / 3 - 1.2 * lost - 0.02).all()
+
+
+def test_planted_an_unstable_gain() -> None:
+    found = review(PreviewProportional(K_y=-1.0, K_psi=-0.05))
+    fault = named(found, "stability")
+    assert fault.severity == "fault"
+    assert fault.value > 1
+    assert fault.sentence.startswith(f"At {fault.v:.3g} m/s the closed loop is unstable")
+    assert "Lower K_y, K_psi" in fault.sentence
+    assert found.loop is not None
+    assert np.isnan(found.loop.gain_margin[~found.loop.stable]).all()
+
+
+def test_planted_an_initial_angle_beyond_the_limits() -> None:
+    """At 10 m/s a bend of 2 m/s^2 takes delta = 2.9 m/(50 m) + ..., far beyond 0.02 + 0.1 0.05 rad."""
+    found = review(LinearMPC(delta_max=0.02, rate_max=0.1), speeds=[10.0, 20.0])
+    fault = named(found, "initial_angle")
+    needed = float(BicycleModel().steady_state([10.0]).delta[0]) * 0.2
+    assert fault.severity == "fault"
+    assert fault.value == pytest.approx(needed, rel=1e-12)
+    assert f"for {math.ceil((needed - 0.02) / 0.005)} samples (its horizon is 20 samples)" in fault.sentence
+    assert named(found, "angle_in_bend").severity == "fault"
+    assert not names(review(LinearMPC(), speeds=[10.0, 20.0]))
+
+
+def test_an_initial_angle_that_is_given() -> None:
+    """|delta_prev| = 0.11 and delta_max = 0.1: within reach of one sample at 0.2 rad/s, not at 0.19."""
+    design = LinearMPC(rate_max=0.2)
+    assert not names(review(design, delta_prev=(0.11, 22.0), speeds=[20.0]))
+    found = review(LinearMPC(rate_max=0.19), delta_prev=(0.11, 22.0), speeds=[20.0])
+    assert named(found, "initial_angle").v == 22.0
+
+
+def test_planted_a_bandwidth_above_nyquist() -> None:
+    design = PreviewProportional(K_y=-1.0, K_psi=-5.0)
+    assert "sampling" not in {f.name for f in review(design, dt=0.01).findings}
+    found = review(design, dt=0.2)
+    fault = named(found, "sampling")
+    assert fault.severity == "fault"
+    assert fault.value > 0.5
+    assert "above the Nyquist frequency" in fault.sentence
+    between = named(review(design, dt=0.05), "sampling")
+    assert (between.severity, between.allowed) == ("warning", 0.1)
+
+
+@dataclasses.dataclass(frozen=True)
+class NoFeedforward(Controller):
+    """An LQR that does not look at the lane; its bias follows by hand."""
+
+    name: ClassVar[str] = "no_feedforward"
+    title: ClassVar[str] = "No feedforward"
+    r_delta: float = gain(100.0, unit="1/rad^2", lower=1.0, upper=1e6, description="weight on delta^2")
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        law = LQR(r_delta=self.r_delta).prepare(plant)
+        return dataclasses.replace(law, G_yaw_rate=np.zeros((plant.n, 1)))
+
+
+def test_planted_a_bias_in_a_bend() -> None:
+    """Steady cornering: F_y e_y + F_psi e_psi_ss r = delta_ss r."""
+    v = 30.0
+    found = review(NoFeedforward(), speeds=[v])
+    plant = Plant.build(BicycleModel(), [v], 0.05)
+    F, steady = NoFeedforward().prepare(plant).F[0], plant.steady_state()
+    by_hand = (steady.delta[0] - F[2] * steady.e_psi[0]) / F[0] * 2.0 / v
+    assert found.loop is not None
+    assert found.loop.e_y_bend[0] == pytest.approx(by_hand, rel=1e-9)
+    assert review(LQR(), speeds=[v]).findings == ()
+    fault = named(review(NoFeedforward(r_delta=1000.0), speeds=[10.0]), "bend")
+    assert fault.severity == "fault"
+    assert fault.value > 0.3
+    assert "a steady bend of 2 m/s^2 leaves an offset of" in fault.sentence
+
+
+def test_delay_and_lag_are_in_the_loop() -> None:
+    """A whole delay costs its own time of the delay margin, and enough of it makes the loop unstable."""
+    bare = review(LQR(), speeds=[30.0]).loop
+    late = review(LQR(), speeds=[30.0], options=PlantOptions(actuator=Actuator(delay=0.05))).loop
+    frames = review(LQR(), speeds=[30.0], options=PlantOptions(sensors=Sensors(delay=0.2)))
+    assert bare is not None
+    assert late is not None
+    assert late.delay_margin[0] == pytest.approx(bare.delay_margin[0] - 0.05, abs=1e-4)
+    assert late.gain_margin[0] < bare.gain_margin[0]
+    too_late = PlantOptions(actuator=Actuator(delay=float(bare.delay_margin[0]) + 0.01))
+    assert named(review(LQR(), speeds=[30.0], options=too_late), "stability").severity == "fault"
+    assert frames.faults
+    assert "left_out" in {finding.name for finding in frames.findings}
+
+
+def test_margins_below_their_thresholds() -> None:
+    """The same number is a warning or a fault as the thresholds say, and the sentence names value and bound."""
+    value = float(review(LQR(), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
+    warned = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
+    finding = named(warned, "gain_margin")
+    assert finding.severity == "warning"
+    assert finding.value == pytest.approx(value)
+    assert f"a gain margin of {value:.3g} dB; allowed: at least {value + 1:.3g} dB" in finding.sentence
+    assert "Raise r_delta" in finding.sentence
+    faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
+    assert named(faulty, "gain_margin").severity == "fault"
+
+
+def test_limits_against_the_actuator_and_the_corridor() -> None:
+    found = review(LinearMPC(), options=PlantOptions(actuator=Actuator(delta_max=0.08, rate_max=0.1)), speeds=[25.0])
+    assert {"actuator_angle", "actuator_rate"} <= names(found)
+    same = PlantOptions(actuator=Actuator(delta_max=0.1, rate_max=0.2))
+    assert not names(review(LinearMPC(), options=same, speeds=[25.0]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Soft(NoFeedforward):
+    """Declares limits, and does not keep them: the review reads what is declared."""
+
+    name: ClassVar[str] = "soft"
+    delta_max: float = gain(0.1, unit="rad", lower=0.0, upper=1.0, description="limit")
+    a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=100.0, description="soft limit, 0 for none")
+    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=10.0, description="corridor, 0 for none")
+
+
+def test_soft_limits_that_contradict() -> None:
+    assert not {"corridor", "acceleration_limit"} & {f.name for f in review(Soft(), speeds=[20.0]).findings}
+    found = review(Soft(e_y_max=1.0), y_s=0.2, speeds=[20.0])
+    assert named(found, "corridor").allowed == pytest.approx(0.85 + 0.2)
+    assert "corridor" not in names(review(Soft(e_y_max=1.1), y_s=0.2, speeds=[20.0]))
+    # delta_max = 0.1 rad at 10 m/s reaches 0.1/delta_ss v = 3.4 m/s^2
+    note = named(review(Soft(a_y_max=4.0), speeds=[10.0, 30.0]), "acceleration_limit")
+    assert note.severity == "note"
+    assert note.value == pytest.approx(0.1 / BicycleModel().steady_state([10.0]).delta[0] * 10.0, rel=1e-9)
+
+
+def test_the_condensed_hessian_is_that_of_the_cost() -> None:
+    """Its entries by differences of the cost itself, which is quadratic: exact up to rounding."""
+    v, N, r = 33.0, 6, 4.0
+    found = review(LinearMPC(horizon=N, r_delta=r, q_psi=2.0), speeds=[v]).loop
+    plant = Plant.build(BicycleModel(), [v], 0.05)
+    A, B, Q = plant.step.A[0], plant.step.B[0], np.diag([1.0, 0.0, 2.0, 0.0])
+    P = control.dlqr(A, B[:, None], Q, [[r]])[1]
+
+    def cost(u: np.ndarray) -> float:
+        x, total = np.zeros(4), 0.0
+        for k in range(N):
+            x = A @ x + B * u[k]
+            total += float(x @ (P if k == N - 1 else Q) @ x) + r * u[k] ** 2
+        return total
+
+    unit = np.eye(N)
+    H = np.array([[cost(a + b) - cost(a) - cost(b) for b in unit] for a in unit]) / 2.0
+    assert found is not None
+    assert found.hessian_condition[0] == pytest.approx(np.linalg.cond(H), rel=1e-6)
+
+
+def test_a_hessian_that_is_too_stiff() -> None:
+    found = review(LinearMPC(horizon=100, r_delta=1e-3, q_y=1e6), speeds=[40.0])
+    assert named(found, "hessian").value > 1e6
+    assert found.loop is not None
+    assert np.isnan(review(LQR(), speeds=[40.0]).loop.hessian_condition).all()  # type: ignore[union-attr]
+
+
+def test_the_mpc_is_its_lqr_near_straight_driving() -> None:
+    """Numerically linearised, the MPC far from its limits has the LQR's loop; tolerance: differences at 1e-3."""
+    mpc, lqr = review(LinearMPC(r_delta=300.0)).loop, review(LQR(r_delta=300.0)).loop
+    assert mpc is not None
+    assert lqr is not None
+    for name in ("radius", "gain_margin", "phase_margin", "disk_margin", "bandwidth"):
+        np.testing.assert_allclose(getattr(mpc, name), getattr(lqr, name), rtol=1e-6)
+
+
+def test_nobody_at_the_wheel() -> None:
+    found = review(NoControl())
+    assert found.loop is None
+    assert [f.sentence for f in found.findings] == [
+        "No control leaves the recorded path alone: there is no loop to review."
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class RememberingLaw(SteeringLaw):
+    """PI on the offset with a first-order filter on the heading and a weight on its previous command."""
+
+    dt: float
+    n: int
+    constant: float
+    broken: bool
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.array([0.0, 1.0])
+
+    def init(self, n: int) -> Any:
+        return np.zeros((n, 2))
+
+    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
+        integral, slow = state[:, 0], state[:, 1]
+        delta = -0.1 * x[:, 0] - 0.02 * x[:, 1] - 0.03 * integral - 0.8 * slow - 0.3 * x[:, 2] + 0.2 * delta_prev
+        delta = delta + 0.1 * preview.yaw_rate[:, 0] + 0.05 * preview.heading[:, 1] + self.constant
+        if self.broken:
+            delta = delta * np.nan
+        following = np.column_stack([integral + self.dt * x[:, 0], 0.7 * slow + 0.3 * x[:, 2]])
+        return delta, following, np.full(delta.size, EventStatus.OK, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Remembering(Controller):
+    """See `RememberingLaw`."""
+
+    name: ClassVar[str] = "remembering"
+    title: ClassVar[str] = "Remembering"
+    constant: float = gain(0.0, unit="rad", lower=-1.0, upper=1.0, description="what it adds to every command")
+    broken: bool = gain(False, unit="1", description="give NaN")
+
+    def prepare(self, plant: Plant) -> RememberingLaw:
+        return RememberingLaw(plant.dt, plant.n, self.constant, self.broken)
+
+
+def test_a_memory_is_identified_from_pulses() -> None:
+    """Transfer function of the identified model against the law's own, written down; all six inputs."""
+    dt = 0.05
+    view = linear_view(Remembering(), Plant.build(BicycleModel(), [15.0, 30.0], dt))
+    assert view is not None
+    assert view.order == 2
+    for model in view.models:
+        for z in np.exp(1j * np.array([0.05, 0.4, 1.5, 3.0])):
+            H = model.D + model.C @ np.linalg.solve(z * np.eye(2) - model.A, model.B)
+            told = [-0.1 - 0.03 * dt / (z - 1), -0.02, -0.3 - 0.8 * 0.3 / (z - 0.7), 0.0, 0.2, 0.1 + 0.05 * 1.0]
+            np.testing.assert_allclose(H, told, atol=1e-8)  # the pulses' size over rounding
+    assert np.all(view.unexplained < 1e-8)
+
+
+def test_an_integral_takes_the_bias_away() -> None:
+    """Remembering integrates e_y: no offset in a bend, on any tyres."""
+    found = review(Remembering(), speeds=[10.0, 15.0]).loop
+    assert found is not None
+    assert found.stable.all()
+    np.testing.assert_allclose(found.e_y_bend, 0.0, atol=1e-7)
+    np.testing.assert_allclose(found.e_y_bend_mismatched, 0.0, atol=1e-7)
+
+
+def test_laws_that_steer_for_nothing_or_give_no_numbers() -> None:
+    assert named(review(Remembering(constant=0.01), speeds=[20.0]), "quiet").severity == "fault"
+    found = review(Remembering(broken=True), speeds=[20.0])
+    assert named(found, "finite").severity == "fault"
+    assert found.loop is None
+
+
+@dataclasses.dataclass(frozen=True)
+class Raising(Controller):
+    """Raises where it is prepared."""
+
+    name: ClassVar[str] = "raising"
+    title: ClassVar[str] = "Raising"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        raise RuntimeError("no map")
+
+
+def test_a_law_that_raises_is_named() -> None:
+    with pytest.raises(LdcError, match="controller 'raising': prepare raised RuntimeError: no map"):
+        review(Raising())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"dt": 0.0}, "dt: 0.0 s; allowed"),
+        ({"a_y": -1.0}, r"a_y: -1.0 m/s\^2; allowed"),
+        ({"y_s": math.nan}, "y_s: nan m; allowed"),
+        ({"speeds": [0.0]}, r"v\[0\] = 0 m/s; allowed"),
+        ({"speeds": [100.0]}, "100 m/s; allowed for scheduled gains"),
+    ],
+)
+def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        review(LQR(), **wrong)
+    with pytest.raises(InputError, match="controller: the class LQR"):
+        review(LQR)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
+def test_wrong_thresholds_are_named(pair: Any) -> None:
+    with pytest.raises(InputError, match=r"thresholds\.gain_margin: .*; allowed"):
+        Thresholds(gain_margin=pair)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", controller_names())
+def test_every_known_law_can_be_reviewed(name: str) -> None:
+    """The zoo by default gains: numbers, and no loop that is unstable on the ideal plant."""
+    found = review(controller_class(name)(), speeds=[10.0, 25.0, 40.0])
+    if found.loop is None:
+        return
+    assert "stability" not in {f.name for f in found.findings}
+    assert "finite" not in {f.name for f in found.findings}
+    assert np.isfinite(found.loop.e_y_bend).all()

@@ -1,0 +1,197 @@
+"""The sampled loop behind a review: against integration, the closed loop that studies run, and loops worked by hand."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from controllers import LQR, PreviewProportional
+from ldctoolkit import BicycleModel, Controller, Plant, Scenarios, simulate
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
+from ldctoolkit.review import review
+from ldctoolkit.review.law_model import LawModel
+from ldctoolkit.review.loop_numbers import _cameras
+from ldctoolkit.review.margins import bandwidth, margins, poles
+from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
+
+V = 27.0
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.13])
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.12])
+def test_the_sampled_vehicle_is_the_continuous_one(lag: float, delay: float) -> None:
+    """Random held commands through delay and lag, integrated numerically; tolerance: ten times the integrator's."""
+    dt, K = 0.05, 8
+    A, B, E = (matrix[0] for matrix in BicycleModel().matrices([V]))
+    commands = np.random.default_rng(1).normal(0, 0.02, K)
+    r = 0.07
+
+    def command(t: float) -> float:
+        k = math.floor((t - delay) / dt)
+        return float(commands[k]) if 0 <= k < K else 0.0
+
+    def rate(t: float, s: np.ndarray) -> np.ndarray:
+        delta = s[4] if lag else command(t)
+        return np.append(A @ s[:4] + B * delta + E * r, (command(t) - s[4]) / lag if lag else 0.0)
+
+    # one piece between two jumps, a little inside so that each piece sees one command
+    ends = np.unique(np.round(np.concatenate([np.arange(K + 1) * dt, np.arange(K + 1) * dt + delay]), 12))
+    ends = ends[ends <= K * dt + 1e-9]
+    s, path = np.zeros(5), [np.zeros(4)]
+    for a, b in itertools.pairwise(ends):
+        middle = 0.5 * (a + b)
+        s = solve_ivp(lambda t, y, m=middle: rate(m, y), (a, b), s, rtol=1e-11, atol=1e-13).y[:, -1]
+        if abs(b / dt - round(b / dt)) < 1e-9:
+            path.append(s[:4].copy())
+    vehicle = sampled_vehicle(A, B, E, dt, Actuator(lag=lag, delay=delay))
+    state = np.zeros(vehicle.A.shape[0])
+    for k in range(K):
+        state = vehicle.A @ state + vehicle.B @ [commands[k], r]
+        np.testing.assert_allclose(vehicle.C @ state, path[k + 1], rtol=1e-9, atol=1e-11)
+
+
+PLANTS = {
+    "ideal": PlantOptions(),
+    "actuator": PlantOptions(actuator=Actuator(lag=0.08, delay=0.07)),
+    "camera": PlantOptions(actuator=Actuator(lag=0.08), sensors=Sensors(delay=0.1)),
+    "filter": PlantOptions(actuator=Actuator(delay=0.03), sensors=Sensors(delay=0.05, kalman=KalmanFilter())),
+}
+
+
+def loop_of(design: LQR, options: PlantOptions, v: float, dt: float = 0.05) -> Loop:
+    plant = Plant.build(BicycleModel(), [v], dt)
+    A, B, E = plant.model.matrices(plant.v)
+    law = design.prepare(plant)
+    model = LawModel(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros(0), np.append(law.F[0], [0.0, law.G_yaw_rate[0, 0]]))
+    return Loop.of(
+        sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), controller_side(model, _cameras(plant, options)[0])
+    )
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_closed_loop_of_studies_has_these_poles(name: str) -> None:
+    """Once start effects have left the registers, e_y obeys the recursion of the characteristic polynomial.
+
+    Tolerance: rounding of the sum, whose largest term is a binomial of the polynomial's degree (10 to 15) times e_y.
+    """
+    design, options = LQR(r_delta=300.0), PLANTS[name]
+    straight = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V])
+    run = simulate(design, straight, y_s=0.2, options=options, trajectories=True, settle=2.0)
+    assert run.trajectories is not None
+    path = run.trajectories
+    e_y = path.x[0, :, 0]
+    samples = np.abs((path.t[0] - path.t[0, 0]) / 0.05 % 1.0 - 0.5) > 0.5 - 1e-6  # T and the end are no samples
+    e_y = e_y[samples & np.isfinite(e_y)]
+    polynomial = np.poly(loop_of(design, options, V).closed_A)
+    tail = e_y[8:]
+    residual = np.convolve(tail, polynomial, mode="valid")
+    assert residual.size > 20
+    scale = np.convolve(np.abs(tail), np.abs(polynomial), mode="valid").max()
+    assert np.abs(residual).max() < 1e-11 * scale
+    other = np.poly(loop_of(LQR(r_delta=330.0), options, V).closed_A)
+    assert np.abs(np.convolve(tail, other, mode="valid")).max() > 1e-8 * scale
+
+
+def integrator(k: float, h: float) -> System:
+    """L(z) = k h/(z (z - 1)): an integrator behind one sample of delay."""
+    return System(np.array([[1.0, h], [0.0, 0.0]]), np.array([[0.0], [k]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+
+
+@pytest.mark.parametrize("k", [1.0, 3.0])
+def test_margins_of_an_integrator_with_a_delay(k: float) -> None:
+    """By hand: |L| = k h/(2 sin(w h/2)), arg L = -90 deg - 3 w h/2; so GM = 1/(k h), PM = 90 deg - 3 w_c h/2.
+
+    Tolerance: the grid of frequencies is a spline's, 1 % apart.
+    """
+    h = 0.1
+    found = margins(integrator(k, h), h)
+    w_c = 2.0 / h * math.asin(k * h / 2.0)
+    PM = math.pi / 2.0 - 1.5 * w_c * h
+    assert found.gain == pytest.approx(20 * math.log10(1.0 / (k * h)), rel=1e-5)
+    assert found.gain_reduction == math.inf
+    assert found.crossover == pytest.approx(w_c, rel=1e-6)
+    assert found.phase == pytest.approx(PM, rel=1e-6)
+    assert found.delay == pytest.approx(PM / w_c, rel=1e-6)
+    # disk margin: 1/max |S - 1/2| = 2 min |1 + L|/|1 - L|, on a fine grid of its own
+    z = np.exp(1j * np.linspace(1e-3, math.pi, 200001))
+    L = k * h / (z * (z - 1.0))
+    assert found.disk == pytest.approx(float((2.0 * np.abs(1 + L) / np.abs(1 - L)).min()), rel=1e-3)
+
+
+def test_a_crossing_at_the_nyquist_frequency_counts() -> None:
+    """L = k h/(z - 1) gets real and negative only there: GM = 2/(k h)."""
+    h, k = 0.1, 5.0
+    found = margins(System(np.eye(1), np.array([[k * h]]), np.eye(1), np.zeros((1, 1))), h)
+    assert found.gain == pytest.approx(20 * math.log10(2.0 / (k * h)), rel=1e-9)
+
+
+def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
+    """PI on an unstable pole: L = g (z - b)/((z - 1)(z - a)), a > 1, is stable for gains between two bounds only.
+
+    Characteristic polynomial z^2 + (g - 1 - a) z + a - g b: Jury asks a - g b < 1 and 2 + 2 a > g (1 + b).
+    """
+    a, b, g = 1.2, 0.9, 1.0
+    A = np.array([[1.0 + a, -a], [1.0, 0.0]])
+    found = margins(System(A, np.array([[1.0], [0.0]]), g * np.array([[1.0, -b]]), np.zeros((1, 1))), 0.1)
+    assert found.gain_reduction == pytest.approx(20 * math.log10(g / ((a - 1) / b)), abs=1e-3)
+    assert found.gain == pytest.approx(20 * math.log10((2 + 2 * a) / (1 + b) / g), abs=1e-3)
+
+
+def test_no_loop_has_no_bounds() -> None:
+    found = margins(System(np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1))), 0.1)
+    assert (found.gain, found.phase, found.delay) == (math.inf,) * 3
+
+
+def test_poles_are_those_that_the_continuous_ones_sample() -> None:
+    dt, s = 0.05, complex(-0.8, 3.0)
+    A = np.array([[s.real, s.imag], [-s.imag, s.real]])
+    angle = s.imag * dt
+    closed = math.exp(s.real * dt) * np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    found = poles(closed, dt)
+    assert found.stable
+    assert found.damping == pytest.approx(-s.real / abs(s), rel=1e-12)
+    assert found.slowest == pytest.approx(1 / 0.8, rel=1e-9)
+    assert not poles(np.diag([1.0, 0.5]), dt).stable
+    assert not poles(np.diag([-1.01, 0.5]), dt).stable
+    assert poles(np.zeros((2, 2)), dt).slowest == 0.0
+    assert A.shape == (2, 2)
+
+
+def test_the_bandwidth_is_that_of_the_loop_before_sampling() -> None:
+    """Feedback of the yaw rate alone on a plant with one integrator: K b/w = 1 at w = K b, here beyond Nyquist."""
+    dt, b, K = 0.5, 20.0, 2.0
+    A, B = np.zeros((4, 4)), np.array([0.0, 0.0, 0.0, b])
+    D = np.array([0.0, 0.0, 0.0, -K, 0.0, 0.0])
+    law = LawModel(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros(0), D)
+    side = controller_side(law, Camera(0, None, np.eye(4), np.zeros(4), np.zeros(4)))
+    assert bandwidth(A, B, 0.0, side, dt) == pytest.approx(K * b, rel=1e-5)
+    lagged = bandwidth(A, B, 0.1, side, dt)  # K b = w sqrt(1 + (w/10)^2)
+    assert lagged * math.hypot(1.0, 0.1 * lagged) == pytest.approx(K * b, rel=1e-5)
+    assert bandwidth(A, 0 * B, 0.0, side, dt) == 0.0
+
+
+def settled(design: Controller, options: PlantOptions) -> float:
+    """e_y a long time after a bend of constant curvature began, from the closed loop that studies run."""
+    bend = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V], c_0=[2.0 / V**2])
+    run = simulate(design, bend, y_s=0.2, options=options, trajectories=True, settle=40.0)
+    assert run.trajectories is not None
+    return float(run.trajectories.x[0, -1, 0])
+
+
+@pytest.mark.parametrize("design", [LQR(r_delta=1000.0), PreviewProportional()], ids=lambda d: d.name)
+def test_bends_are_those_of_the_closed_loop(design: Controller) -> None:
+    """Nominal, and the worst of four simulated vehicles; tolerance: the rest of the transient, e^-20 and less."""
+    actuator = Actuator(lag=0.05, delay=0.03)
+    found = review(design, options=PlantOptions(actuator=actuator), speeds=[V]).loop
+    assert found is not None
+    assert found.e_y_bend[0] == pytest.approx(settled(design, PlantOptions(actuator=actuator)), abs=1e-7)
+    corners = [
+        settled(design, PlantOptions(actuator=actuator, mismatch=Mismatch(C_af=(f, f), C_ar=(r, r))))
+        for f in (0.8, 1.2)
+        for r in (0.8, 1.2)
+    ]
+    assert found.e_y_bend_mismatched[0] == pytest.approx(max(corners, key=abs), abs=1e-7)
