@@ -15,9 +15,9 @@ beside it: e_f = e_y + l_f sin e_psi - c l_f^2/2 and e_psi_f = e_psi - c l_f wit
 - delta_1 - delta_2 is the last change of the steering angle that is known: of the command of the step before against
   the one before that. It answers a lag of the steering and is off by default, as the ideal plant has none.
 
-Use it as the reference of practice: nearly model free, stable from any offset on a kinematic vehicle. At motorway speed
-it needs k_d_yaw (without it the yaw motion is damped by less than 0.3 at 40 m/s; with the default everything that
-outlives a sample is damped by 0.8 or more from 10 to 40 m/s on the default vehicle). The heading error counts in full at any
+Use it as the reference of practice: nearly model free, stable from any offset on a kinematic vehicle. At motorway
+speed it needs k_d_yaw: without it the yaw motion is damped by less than 0.3 at 40 m/s on the default vehicle, with the
+default whatever outlives a sample is damped by 0.8 or more from 10 to 40 m/s. The heading error counts in full at any
 speed, so that at motorway speed a slow steering or camera makes the loop unstable.
 """
 
