@@ -12,12 +12,12 @@ _OURS = tuple(Path(__file__).resolve().parent.parent / package for package in ("
 _LONGEST = 500
 
 
-def raised(error: Exception) -> str:
+def raised(error: BaseException) -> str:
     """What was raised, with the law's own file and line; messages of the toolkit as they are.
 
     Parameters
     ----------
-    error : Exception
+    error : BaseException
 
     Returns
     -------
@@ -38,7 +38,7 @@ def raised(error: Exception) -> str:
     return words if isinstance(error, LdcError) else f"{words}{_place(error)}"
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     """File name and line, the innermost in the file that the toolkit called."""
     frames = list(itertools.dropwhile(_is_ours, traceback.extract_tb(error.__traceback__)))
     inside = [frame for frame in frames if frame.filename == frames[0].filename]

@@ -14,13 +14,19 @@ from ldctoolkit.errors import InputError
 from studies.bootstrap import bootstrap_means, percentile_interval
 from studies.design import Design
 from studies.release import ReleaseFigures
-from studies.results import Case, CaseResults, StudyResults
+from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.spec import Study
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+
+_OFTEN = 0.1
+"""Share of a design's interventions with a failed solve from which on a reader is told at once."""
+
+_NAMED = 3
+"""Designs that a warning names."""
 
 _SAME = 1e-6
 """Differences of mean S [m s] below this are solver tolerance, not design."""
@@ -72,6 +78,8 @@ class Ranking:
         Of the intervals.
     warnings : tuple of str
         What a reader must know before comparing designs.
+    failed : tuple of FailedDesign
+        Designs whose law failed: they have no rank and no figures.
     """
 
     case: Case
@@ -103,6 +111,7 @@ class Ranking:
     bootstrap: int
     confidence: float
     warnings: tuple[str, ...]
+    failed: tuple[FailedDesign, ...] = ()
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -207,6 +216,7 @@ class Ranking:
             bootstrap=bootstrap,
             confidence=confidence,
             warnings=tuple(_warnings(case, results.designs, int((~drivable).sum()))),
+            failed=results.failed,
         )
 
     def best_of_each_law(self) -> tuple[int, ...]:
@@ -267,3 +277,16 @@ def _warnings(case: CaseResults, designs: Sequence[Design], left_out: int) -> It
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Designs with different y_s are not comparable here; use the departure window."
         )
+    often = [name for name in map(_failing, designs, case.failed_solves, case.status) if name]
+    if often:
+        more = f"; and {len(often) - _NAMED} more designs" if len(often) > _NAMED else ""
+        yield f"Commands that were not finite, or came from a law's fallback: {'; '.join(often[:_NAMED])}{more}."
+
+
+def _failing(design: Design, failed_solves: IntArray, status: IntArray) -> str:
+    """The design and how often it failed, if that is often; else empty."""
+    driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    failing = int((failed_solves[driven] > 0).sum())
+    if not driven.any() or failing < _OFTEN * driven.sum():
+        return ""
+    return f"{design.label} in {failing:,} of {int(driven.sum()):,} interventions"

@@ -1,4 +1,7 @@
-"""``ranking.csv``: every design of every case, one row each, units in the names of the columns."""
+"""``ranking.csv``: every design of every case, one row each, units in the names of the columns.
+
+A design whose law failed has a row without rank and figures; the column ``failure`` says why.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ldctoolkit import controller_class
+from studies.design import Design
 from studies.files import write_text
 from studies.ranking import Ranking
 from studies.release import COLUMNS
@@ -37,8 +41,13 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
 
 
 def _gain_columns(rankings: Iterable[Ranking]) -> list[str]:
-    laws = dict.fromkeys(design.law for ranking in rankings for design in ranking.designs)
+    laws = dict.fromkeys(design.law for ranking in rankings for design in _every(ranking))
     return list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
+
+
+def _every(ranking: Ranking) -> Iterator[Design]:
+    yield from ranking.designs
+    yield from (one.design for one in ranking.failed)
 
 
 def _columns_of(law: str) -> list[str]:
@@ -74,19 +83,22 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
         "failed_solves": ranking.failed_solves,
         **{column: getattr(ranking.release, name) for name, column in COLUMNS.items()},
     }
-    for i, design in enumerate(ranking.designs):
+    reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
+    for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
+        ranked = i < len(ranking)
         values = dict.fromkeys(gains, "") | dict(
             zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
         )
         yield {
             "window": ranking.case.window,
             "convention": ranking.case.convention,
-            "rank": int(ranking.rank[i]),
+            "rank": int(ranking.rank[i]) if ranked else "",
             "design": design.id,
             "law": design.law,
             "y_s_m": repr(design.y_s),
             **{f"gain_{name}": value for name, value in values.items()},
-            **{name: _field(column[i].item()) for name, column in numbers.items()},
+            **{name: _field(column[i].item()) if ranked else "" for name, column in numbers.items()},
+            "failure": reason,
         }
 
 

@@ -84,22 +84,45 @@ def per_scenario(companions: Companions, change: Any) -> Companions:
 
 
 @dataclasses.dataclass(frozen=True)
+class FailedDesign:
+    """A design without results, because its law raised or gave what no law may give.
+
+    Attributes
+    ----------
+    design : Design
+    reason : str
+        One sentence: what happened.
+    """
+
+    design: Design
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """The design and the reason: ``"design 0123456789ab (Boom, y_s=0.2 m, K=5): ZeroDivisionError: K is 5"``."""
+        return f"design {self.design.id} ({self.design.label}): {self.reason}"
+
+
+@dataclasses.dataclass(frozen=True)
 class StudyResults:
     """Everything a finished study knows.
 
     Attributes
     ----------
     designs : tuple of Design
-        d designs, in the study's own order.
+        d designs, in the study's own order, without those that failed.
     scenarios : Scenarios
         The n scenarios that every design was run on: left ones first.
     cases : tuple of CaseResults
         The first one is the study's primary case.
+    failed : tuple of FailedDesign
+        Designs whose law failed, in any case: they are in no array here, and never ranked.
     """
 
     designs: tuple[Design, ...]
     scenarios: Scenarios
     cases: tuple[CaseResults, ...]
+    failed: tuple[FailedDesign, ...] = ()
 
     def drivable(self) -> StudyResults:
         """The same without the scenarios that some design could not be driven on in some case; often all of it."""
@@ -107,4 +130,4 @@ class StudyResults:
         if rows.all():
             return self
         cases = tuple(case.take(rows) for case in self.cases)
-        return StudyResults(self.designs, self.scenarios.take(np.flatnonzero(rows)), cases)
+        return StudyResults(self.designs, self.scenarios.take(np.flatnonzero(rows)), cases, self.failed)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Scenarios
-from ldctoolkit.errors import StoreError
+from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import Companions
-from studies.results import CaseResults, StudyResults
+from studies.results import CaseResults, FailedDesign, StudyResults
 from studies.spec import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -70,6 +71,22 @@ class RunResult:
     law_time: LawTime | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class FailedRun:
+    """A run that a law's own fault ended.
+
+    Attributes
+    ----------
+    key : (str, str)
+        Design id and convention.
+    reason : str
+        One sentence.
+    """
+
+    key: RunKey
+    reason: str
+
+
 class RunTable:
     """Room for every run of a study, taken once, so that no run is in memory twice.
 
@@ -113,38 +130,73 @@ class RunTable:
             values[at] = getattr(run.companions, name)
         self._there.add(run.key)
 
-    def results(self, scenarios: Scenarios, times: Mapping[RunKey, LawTime], *, source: str) -> StudyResults:
-        """Everything in the study's own order; the arrays are this table's, not copies.
+    def results(
+        self,
+        scenarios: Scenarios,
+        times: Mapping[RunKey, LawTime],
+        failures: Mapping[RunKey, str],
+        *,
+        source: str,
+    ) -> StudyResults:
+        """Everything in the study's own order; the arrays are this table's, and copies only if a design failed.
 
         Parameters
         ----------
         scenarios : Scenarios
         times : mapping of RunKey to LawTime
             Those that are known.
+        failures : mapping of RunKey to str
+            Why runs that are not here failed.
         source : str
             What a message names first.
 
         Raises
         ------
         StoreError
-            If runs are missing.
+            If runs are missing that did not fail.
+        LdcError
+            If every design failed.
         """
-        missing = len(self._place) - len(self._there)
+        lost: dict[RunKey, str] = {}
+        for key in self._place:
+            if key not in self._there and key in failures:
+                lost[key] = failures[key]
+        missing = len(self._place) - len(self._there) - len(lost)
         if missing:
             raise StoreError(f"{source}: {missing} of {len(self._place)} runs are not there yet; run the study again")
         study, cases = self._study, []
+        failed = _failed_designs(study, lost)
+        if len(failed) == len(study.designs):
+            raise LdcError(f"{source}: every design failed; the first, {failed[0].sentence}")
+        gone = {one.design.id for one in failed}
+        designs = tuple(design for design in study.designs if design.id not in gone)
+        kept = np.flatnonzero([design.id not in gone for design in study.designs]) if gone else slice(None)
         for case in study.cases:
             w, c = study.simulation.window.index(case.window), study.simulation.convention.index(case.convention)
-            known = [times.get((design.id, case.convention)) for design in study.designs]
+            companions: dict[str, Any] = {name: values[c, kept] for name, values in self._companions.items()}
+            known = [times.get((design.id, case.convention)) for design in designs]
             cases.append(
                 CaseResults(
                     case=case,
-                    S=self._S[w, c],
-                    S_uncorrected=self._S_uncorrected[w, c],
-                    status=self._status[c],
-                    companions=Companions(**{name: values[c] for name, values in self._companions.items()}),
-                    failed_solves=self._failed[c],
+                    S=self._S[w, c, kept],
+                    S_uncorrected=self._S_uncorrected[w, c, kept],
+                    status=self._status[c, kept],
+                    companions=Companions(**companions),
+                    failed_solves=self._failed[c, kept],
                     law_time=np.array([np.nan if one is None else one.per_command for one in known]),
                 )
             )
-        return StudyResults(designs=study.designs, scenarios=scenarios, cases=tuple(cases))
+        return StudyResults(designs=designs, scenarios=scenarios, cases=tuple(cases), failed=failed)
+
+
+def _failed_designs(study: Study, lost: Mapping[RunKey, str]) -> tuple[FailedDesign, ...]:
+    """Designs with a run that failed, in the study's own order."""
+    conventions = study.simulation.convention
+    failed = []
+    for design in study.designs:
+        where = tuple(convention for convention in conventions if (design.id, convention) in lost)
+        if where:
+            # it may fail in one reading of the paper only
+            only = f"in the convention {', '.join(where)}: " if len(where) < len(conventions) else ""
+            failed.append(FailedDesign(design, only + lost[design.id, where[0]]))
+    return tuple(failed)

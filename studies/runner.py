@@ -22,7 +22,7 @@ from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.manifest import Manifest
 from studies.model_notes import model_notes
 from studies.results import StudyResults
-from studies.run_table import RunResult, RunTable
+from studies.run_table import FailedRun, RunResult, RunTable
 from studies.simulate_designs import Block, Job, Simulator, start_worker, work
 from studies.spec import Study
 from studies.store import Store
@@ -76,7 +76,8 @@ def run_study(
     Returns
     -------
     StudyResults
-        The same bits for any number of workers, block size and start method.
+        The same bits for any number of workers, block size and start method. Designs whose law raised, or gave what
+        no law may give, are in `StudyResults.failed` with the reason; the others are not touched by it.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def run_study(
     ModelError, UnknownNameError
         If the scenario model cannot be used.
     LdcError
-        If a controller raises; the message names the design. What was finished stays stored.
+        If every design fails; the message names the first and what it raised.
 
     Examples
     --------
@@ -125,7 +126,11 @@ def run_study(
     finally:
         seconds = time.monotonic() - started
         store.write_manifest(store.manifest.ended(seconds=seconds, workers=count, complete=complete))
-    return done.results(scenarios, store.times, source=str(directory))
+    results = done.results(scenarios, store.times, store.failures, source=study.name)
+    if results.failed:
+        share, first = f"{len(results.failed)} of {len(study.designs)}", results.failed[0].sentence
+        _log.warning("%s designs failed and are not ranked; the first, %s", share, first)
+    return results
 
 
 def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -> ScenarioModel:
@@ -158,7 +163,7 @@ def _blocks(study: Study, done: RunTable, size: int) -> list[Block]:
 
 def _run(
     study: Study, scenarios: Scenarios, blocks: Sequence[Block], workers: int, start_method: StartMethod | None
-) -> Generator[list[RunResult], None, None]:
+) -> Generator[list[RunResult | FailedRun], None, None]:
     job = Job(
         scenarios=scenarios,
         vehicle=study.vehicle,
@@ -177,7 +182,7 @@ def _run(
 
 def _run_in_processes(
     job: Job, blocks: Sequence[Block], workers: int, start_method: StartMethod | None
-) -> Generator[list[RunResult], None, None]:
+) -> Generator[list[RunResult | FailedRun], None, None]:
     context = multiprocessing.get_context(start_method)
     kinds = tuple(controller_class(law) for law in sorted({d.law for block in blocks for d in block.designs}))
     if context.get_start_method() != "fork":
@@ -238,18 +243,21 @@ def _single_threaded_blas() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _collect(finished: Iterator[list[RunResult]], store: Store, done: RunTable, total: int, show: bool) -> None:
+def _collect(
+    finished: Iterator[list[RunResult | FailedRun]], store: Store, done: RunTable, total: int, show: bool
+) -> None:
     """Store runs as they come, a part every few seconds; whatever happens, what is finished is stored."""
-    waiting: list[RunResult] = []
+    waiting: list[RunResult | FailedRun] = []
     stored = time.monotonic()
     try:
         with _progress_bar(total, show) as advance:
-            for runs in finished:
-                waiting += runs
-                for run in runs:
-                    done.put(run)
-                advance(len(runs))
-                rows = sum(run.status.size for run in waiting)
+            for ended in finished:
+                waiting += ended
+                for run in ended:
+                    if isinstance(run, RunResult):
+                        done.put(run)
+                advance(len(ended))
+                rows = sum(run.status.size for run in waiting if isinstance(run, RunResult))
                 if rows > _ROWS_A_PART or time.monotonic() - stored > _STORE_EVERY:
                     store.add(waiting)
                     waiting, stored = [], time.monotonic()

@@ -21,12 +21,14 @@ from ldctoolkit import (
     controller_names,
     register,
 )
+from ldctoolkit.law_errors import raised
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import InitialYawRate, Run, Takeover, Window, drive_many
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import per_scenario
-from studies.run_table import LawTime, RunResult
+from studies.run_table import FailedRun, LawTime, RunResult
+from studies.steadiness import first_departures, kept_state
 
 _TAKEOVERS_KEPT = 4
 
@@ -75,6 +77,7 @@ class Simulator:
     def __init__(self, job: Job) -> None:
         self.job = job
         self._takeovers: dict[tuple[float, Convention], Takeover] = {}
+        self._kept_state: dict[str, str] = {}
 
     def takeover(self, y_s: float, convention: Convention) -> Takeover:
         """The scenarios at their triggers."""
@@ -94,19 +97,15 @@ class Simulator:
             )
         return self._takeovers[key]
 
-    def run(self, block: Block) -> list[RunResult]:
-        """Every design of a block.
-
-        Raises
-        ------
-        LdcError
-            Naming the design whose controller raised or gave numbers that are not finite.
-        """
+    def run(self, block: Block) -> list[RunResult | FailedRun]:
+        """Every design of a block; one whose law raises, gives what no law may give, or keeps state, has failed."""
+        self.takeover(block.designs[0].y_s, block.convention)  # what this raises is no fault of a law
         try:
-            return self._together(block)
-        except Exception:  # a controller may be anybody's code
+            results: list[RunResult | FailedRun] = [*self._together(block)]
+        except (Exception, SystemExit):  # a controller may be anybody's code
             # which design it was is not known: one after the other, the one that raises is named
-            return [self._named(design, block.convention) for design in block.designs]
+            results = [self._alone(design, block.convention) for design in block.designs]
+        return [self._steady(*pair, block.convention) for pair in zip(block.designs, results, strict=True)]
 
     def _together(self, block: Block) -> list[RunResult]:
         """All designs in one go over the scenarios, as far as their laws allow."""
@@ -115,12 +114,26 @@ class Simulator:
         runs = drive_many(controllers, takeover, threads=1)
         return [self._result(design, block.convention, run) for design, run in zip(block.designs, runs, strict=True)]
 
-    def _named(self, design: Design, convention: Convention) -> RunResult:
+    def _alone(self, design: Design, convention: Convention) -> RunResult | FailedRun:
         try:
             return self._together(Block(convention, (design,)))[0]
-        except Exception as error:
-            kind = "" if isinstance(error, LdcError) else f"{type(error).__name__}: "
-            raise LdcError(f"design {design.id} ({design.label}): {kind}{error}") from error
+        except (Exception, SystemExit) as error:
+            return FailedRun((design.id, convention), raised(error))
+
+    def _steady(self, design: Design, result: RunResult | FailedRun, convention: Convention) -> RunResult | FailedRun:
+        """The result, unless the law keeps state between runs, which its first design that runs is asked for."""
+        if isinstance(result, FailedRun):
+            return result
+        if design.law not in self._kept_state:
+            few = first_departures(self.takeover(design.y_s, convention))
+            if few is None:
+                return result
+            try:
+                self._kept_state[design.law] = kept_state(design.controller(convention), few)
+            except (Exception, SystemExit) as error:  # it did not raise the first time
+                self._kept_state[design.law] = f"driven a second time: {raised(error)}"
+        reason = self._kept_state[design.law]
+        return FailedRun(result.key, reason) if reason else result
 
     def _result(self, design: Design, convention: Convention, run: Run) -> RunResult:
         # two windows are two ways to score the same run
@@ -183,7 +196,7 @@ def _end(signum: int, frame: object) -> None:  # noqa: ARG001
     _ended = True
 
 
-def work(block: Block) -> list[RunResult]:
+def work(block: Block) -> list[RunResult | FailedRun]:
     """One block, in a worker process."""
     global _computing
     if _simulator is None:

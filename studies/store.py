@@ -5,13 +5,15 @@
     DIR/manifest.json            what was asked for, with which versions, on which machine
     DIR/scenarios.parquet        the scenarios that every design was run on
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
+    DIR/failures.json            designs whose law failed, and why; not there if none did
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
 
 Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name follows from the runs it
 holds, so that writing the same runs again gives the same file. A run is a design under one convention, identified by
 the design's content. What a killed study had stored survives it, and the next run into the same folder computes only
-what is missing. A folder that holds another study, model, seed or toolkit version is refused. Absolute paths, the host
-and the user are not recorded.
+what is missing; a design that failed is missing, and so is tried again. A folder that holds another study, model, seed
+or toolkit version is refused. Absolute paths, the host and the user are not recorded, unless a law's own error message
+names them.
 """
 
 from __future__ import annotations
@@ -28,10 +30,11 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS, Companions
 from ldctoolkit.simulation import Window
+from studies.failures import FAILURES, read_failures, write_failures
 from studies.files import read_parquet, read_scenarios, scenario_table, write_parquet
 from studies.manifest import Manifest, read_manifest, refuse_other, write_manifest
 from studies.results import StudyResults
-from studies.run_table import LawTime, RunKey, RunResult, RunTable
+from studies.run_table import FailedRun, LawTime, RunKey, RunResult, RunTable
 from studies.timing import FILE_NAME, read_times, write_times
 
 if TYPE_CHECKING:
@@ -52,6 +55,8 @@ class Store:
         Messages about files that could not be read when the folder was opened for writing; they were removed.
     times : dict of RunKey to LawTime
         How long the laws of stored runs took, as far as it is known.
+    failures : dict of RunKey to str
+        Why runs failed that are not stored.
     """
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
@@ -59,6 +64,7 @@ class Store:
         self.manifest = manifest
         self.broken: tuple[str, ...] = ()
         self.times: dict[RunKey, LawTime] = {}
+        self.failures: dict[RunKey, str] = {}
         self._study = manifest.read_study()
         self._windows: tuple[Window, ...] = self._study.simulation.window
 
@@ -104,17 +110,23 @@ class Store:
         write_manifest(self.folder, manifest)
         self.manifest = manifest
 
-    def add(self, runs: Sequence[RunResult]) -> None:
-        """Store finished runs as one part, and the times of their laws."""
-        if not runs:
-            return
-        keys = hashlib.sha256(json.dumps([run.key for run in runs]).encode()).hexdigest()[:16]
-        write_parquet(self.folder / "results" / f"part-{keys}.parquet", self._table(runs))
-        self.times |= {run.key: run.law_time for run in runs if run.law_time is not None}
-        write_times(self.folder, self.times)
+    def add(self, ended: Sequence[RunResult | FailedRun]) -> None:
+        """Store finished runs as one part, the times of their laws, and why others failed."""
+        runs = [run for run in ended if isinstance(run, RunResult)]
+        if runs:
+            keys = hashlib.sha256(json.dumps([run.key for run in runs]).encode()).hexdigest()[:16]
+            write_parquet(self.folder / "results" / f"part-{keys}.parquet", self._table(runs))
+            self.times |= {run.key: run.law_time for run in runs if run.law_time is not None}
+            write_times(self.folder, self.times)
+        failures = self.failures | {run.key: run.reason for run in ended if isinstance(run, FailedRun)}
+        for run in runs:
+            failures.pop(run.key, None)  # it failed in an earlier run
+        if failures != self.failures:
+            write_failures(self.folder, failures)
+            self.failures = failures
 
     def load(self, *, repair: bool = False) -> RunTable:
-        """All stored runs; their times are in `times` afterwards.
+        """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards.
 
         Parameters
         ----------
@@ -138,15 +150,22 @@ class Store:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
-        try:
-            self.times = read_times(self.folder)
-        except StoreError as error:
-            if not repair:
-                raise
-            messages.append(str(error))
-            (self.folder / FILE_NAME).unlink()
+        for read, name in ((self._read_times, FILE_NAME), (self._read_failures, FAILURES)):
+            try:
+                read()
+            except StoreError as error:
+                if not repair:
+                    raise
+                messages.append(str(error))
+                (self.folder / name).unlink()
         self.broken = tuple(messages)
         return table
+
+    def _read_times(self) -> None:
+        self.times = read_times(self.folder)
+
+    def _read_failures(self) -> None:
+        self.failures = read_failures(self.folder)
 
     def results(self) -> StudyResults:
         """Everything in memory.
@@ -157,7 +176,7 @@ class Store:
             If something is missing or broken.
         """
         scenarios = read_scenarios(self.folder / "scenarios.parquet")
-        return self.load().results(scenarios, self.times, source=str(self.folder))
+        return self.load().results(scenarios, self.times, self.failures, source=str(self.folder))
 
     def _schema(self) -> dict[str, Any]:
         import polars as pl

@@ -19,6 +19,7 @@ from studies.results import StudyResults
 from studies.spec import Study
 
 _TOP_OF_OTHER_CASES = 3
+_MOST_FAILED = 20
 
 
 def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
@@ -32,6 +33,21 @@ def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
         for warning in ranking.warnings:
             out.print(f"Warning: {warning}", style="yellow")
         out.print()
+    _print_failed(rankings[0])
+
+
+def _print_failed(ranking: Ranking) -> None:
+    """Designs that have no rank, and why; a law's words are no markup."""
+    out, failed = console(), ranking.failed
+    if not failed:
+        return
+    out.print(f"{len(failed)} design{'s' if len(failed) > 1 else ''} failed and {'are' if len(failed) > 1 else 'is'} "
+              "not ranked:", style="yellow")  # fmt: skip
+    for one in failed[:_MOST_FAILED]:
+        out.print(f"  {one.sentence}", markup=False, highlight=False, soft_wrap=True)
+    if len(failed) > _MOST_FAILED:
+        out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
+    out.print()
 
 
 def write_ranking(folder: Path, rankings: Sequence[Ranking]) -> Path:

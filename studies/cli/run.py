@@ -14,7 +14,8 @@ def add_parser(commands: Subparsers) -> None:
         "run",
         help="run a study: rank designs, write the report",
         description="Run every design of a study on the same scenarios. Writes DIR/report.html and DIR/ranking.csv; "
-        "running again into the same DIR computes only what is missing.",
+        "running again into the same DIR computes only what is missing. Exit code 3: done, but the law of some design "
+        "failed; the ranking and the report name it.",
     )
     parser.add_argument(
         "study", metavar="STUDY", help="name in the catalog (paper, reality, trigger-and-gains) or a TOML file"
@@ -27,7 +28,11 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> None:
+SOME_FAILED = 3
+"""Exit code where the study has results, but not of every design."""
+
+
+def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from studies.cli._results import print_rankings, write_ranking, write_study_report
     from studies.manifest import read_manifest
@@ -57,3 +62,4 @@ def run(chosen: argparse.Namespace) -> None:
     report_path = write_study_report(folder, study, manifest, results, rankings)
     print(f"ranking: {ranking_path}")
     print(f"report:  {report_path}")
+    return SOME_FAILED if results.failed else 0
