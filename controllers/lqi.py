@@ -40,7 +40,7 @@ class LQI(Controller):
     q_psi_rate : float [s^2/rad^2]
         Weight on (de_psi/dt)^2.
     q_i : float [1/(m s)^2]
-        Weight on the square of the integral of e_y; one below about 1e-10 q_y is refused when the gains are prepared.
+        Weight on the square of the integral of e_y.
     r_delta : float [1/rad^2]
         Weight on delta^2.
 

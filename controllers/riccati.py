@@ -1,11 +1,15 @@
 """Discrete-time LQR gains as smooth functions of speed, from python-control's Riccati solver.
 
-The Riccati equation is solved at a few dozen speeds and not once a scenario: `ldctoolkit.scheduled`.
+The Riccati equation is solved at a few dozen speeds and not once a scenario: `ldctoolkit.scheduled`. With weights many
+orders of magnitude apart the solver's answers scatter too much for that; Newton's method (G. Hewer, *An iterative
+technique for the computation of the steady state gains for the discrete optimal regulator*, IEEE TAC 16(4), 1971) then
+brings them to rounding: each step is one linear equation, the error is squared, and a stable loop stays stable.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import numpy.typing as npt
@@ -96,7 +100,17 @@ def integral_feedback(plant: Plant, q: Weights, q_i: float, r: float) -> FloatAr
 
 def _scheduled(plant: Plant, q: Weights, r: float, columns: slice) -> FloatArray:
     what = f"LQR gains for q = {q}, r = {r}, dt = {plant.dt:g} s"
-    return scheduled(_Riccati(plant.model, plant.dt, q, r), plant.v, what, columns=columns)
+    return scheduled(_resolved(_Riccati(plant.model, plant.dt, q, r), what), plant.v, what, columns=columns)
+
+
+@functools.lru_cache(maxsize=256)
+def _resolved(solve: _Riccati, what: str) -> _Riccati:
+    """The solver's answers as they are wherever these can be scheduled, refined elsewhere."""
+    try:
+        scheduled(solve, np.empty(0), what)
+    except LdcError:
+        return dataclasses.replace(solve, refined=True)
+    return solve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,13 +121,17 @@ class _Riccati:
     dt: float
     q: Weights
     r: float
+    refined: bool = False
 
     def __call__(self, v: FloatArray) -> FloatArray:
         step = self.model.discretize(v, self.dt)
         what = f"q = {self.q}, r = {self.r}, dt = {self.dt:g} s"
         rows = []
         for i in range(v.size):
-            K, P = _dlqr(step.A[i], step.B[i], self.q, self.r, f"at {v[i]:.3g} m/s for {what}")
+            where = f"at {v[i]:.3g} m/s for {what}"
+            K, P = _dlqr(step.A[i], step.B[i], self.q, self.r, where)
+            if self.refined:
+                K, P = _refined(step.A[i], step.B[i], self.q, self.r, K, where)
             rows.append(np.concatenate([K, P.ravel()]))
         return np.array(rows)
 
@@ -136,7 +154,9 @@ class _IntegralRiccati:
         rows = []
         for i in range(v.size):
             A[:4, :4], B[:4] = step.A[i], step.B[i]
-            rows.append(_dlqr(A, B, (*self.q, self.q_i), self.r, f"at {v[i]:.3g} m/s for {what}")[0])
+            where, q = f"at {v[i]:.3g} m/s for {what}", (*self.q, self.q_i)
+            K, _ = _dlqr(A, B, q, self.r, where)
+            rows.append(_refined(A, B, q, self.r, K, where)[0])
         return np.array(rows)
 
 
@@ -149,3 +169,20 @@ def _dlqr(A: FloatArray, B: FloatArray, q: tuple[float, ...], r: float, where: s
     except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
         raise LdcError(f"no LQR {where}: {error}") from error
     return K[0], P
+
+
+def _refined(
+    A: FloatArray, B: FloatArray, q: tuple[float, ...], r: float, K: FloatArray, where: str
+) -> tuple[FloatArray, FloatArray]:
+    """Two steps of Newton's method from a gain that is nearly right; the second is below rounding where it was."""
+    import scipy.linalg
+
+    for _ in range(2):
+        A_c = A - np.outer(B, K)
+        if not np.abs(np.linalg.eigvals(A_c)).max() < 1.0:
+            raise LdcError(f"no LQR {where}: the solver's gain does not stabilise the loop")
+        P = scipy.linalg.solve_discrete_lyapunov(A_c.T, np.diag(q) + r * np.outer(K, K))
+        P = 0.5 * (P + P.T)
+        PB = P @ B
+        K = PB @ A / (r + B @ PB)
+    return K, P

@@ -15,6 +15,7 @@ from ldctoolkit import BicycleModel, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Sensors
 
+DT = 0.05
 WEIGHTS = [
     {},
     {"q_y": 0.1, "q_y_rate": 0.5, "q_psi": 40.0, "q_psi_rate": 3.0, "q_i": 1e-3, "r_delta": 3000.0},
@@ -22,7 +23,7 @@ WEIGHTS = [
 ]
 
 
-def prepared(design: LQI | LQR, v: np.ndarray | list[float], dt: float = 0.05) -> tuple[Plant, LinearLaw]:
+def prepared(design: LQI | LQR, v: np.ndarray | list[float], dt: float = DT) -> tuple[Plant, LinearLaw]:
     plant = Plant.build(BicycleModel(), v, dt)
     return plant, design.prepare(plant)
 
@@ -48,6 +49,34 @@ def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(weights: dict[str, fl
         plant_i = control.ss(A, B, np.eye(4), 0, dt)
         theirs, _, _ = control.dlqr(plant_i, Q, R, integral_action=dt * offset)
         np.testing.assert_allclose(-ours, theirs[0], rtol=1e-8, atol=1e-9)
+
+
+def doubled(A: np.ndarray, B: np.ndarray, Q: np.ndarray, r: float) -> np.ndarray:
+    """Gain by structure-preserving doubling (E. Chu, H. Fan, W. Lin, C. Wang, Int. J. Control 77, 2004)."""
+    A_k, G, H = A, B @ B.T / r, Q
+    for _ in range(60):
+        W = np.linalg.inv(np.eye(A.shape[0]) + G @ H)
+        A_k, G, H = A_k @ W @ A_k, G + A_k @ W @ G @ A_k.T, H + A_k.T @ H @ W @ A_k
+    return ((B.T @ H @ A) / (r + B.T @ H @ B))[0]
+
+
+@pytest.mark.parametrize(
+    "design",
+    [LQI(q_i=1e-6, q_y=1e6), LQI(q_y_rate=1e6), LQR(q_y_rate=1e6), LQR(q_psi=1e6, q_y=1e-3)],
+    ids=["q_y", "q_y_rate", "LQR q_y_rate", "LQR q_psi"],
+)
+def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
+    """Where dlqr's own answers scatter; another method, at 1e-6 of each gain for its own rounding."""
+    plant, law = prepared(design, [1.0, 7.0, 20.0, 33.0, 90.0])
+    weights = [design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate]
+    for i in range(plant.n):
+        A, B = plant.step.A[i], plant.step.B[i][:, None]
+        ours, Q = law.F[i], np.diag(weights)
+        if isinstance(design, LQI):
+            assert law.f_i is not None
+            A = np.block([[A, np.zeros((4, 1))], [np.array([[DT, 0.0, 0.0, 0.0]]), np.ones((1, 1))]])
+            B, ours, Q = np.vstack([B, [[0.0]]]), np.append(ours, law.f_i[i]), np.diag([*weights, design.q_i])
+        np.testing.assert_allclose(-ours, doubled(A, B, Q, design.r_delta), rtol=1e-6)
 
 
 def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
