@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from typing import Any, ClassVar
 
@@ -10,10 +11,12 @@ import numpy as np
 import osqp
 import pytest
 import qpsolvers
+import scipy.linalg
 import scipy.sparse as sp
 
-import controllers.linear_mpc as module
+import controllers._mpc_law as module
 from controllers import LQR, LinearMPC
+from controllers._mpc_solvers import QP, Answer, Workspace, make
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -148,29 +151,23 @@ def test_an_infeasible_qp_gives_a_status_a_fallback_and_a_count() -> None:
     assert (np.abs(delta - prev) <= 0.2 * DT + 1e-6).all()
 
 
-class GivesUp:
-    """An OSQP that reaches its maximum of iterations, with its placeholder in the answer."""
+class GivesUp(Workspace):
+    """A solver that reaches its maximum of iterations, with a placeholder in its answer."""
 
-    class info:
-        status_val = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
+    def __init__(self, qp: QP) -> None:
+        self.qp = qp
 
-    x = np.full(20, 2.1e9)
-
-    def solve(self, raise_error: bool) -> GivesUp:
-        return self
-
-    def update(self, **_: object) -> None: ...
-
-    def warm_start(self, **_: object) -> None: ...
+    def solve(self, low: np.ndarray, high: np.ndarray, y: np.ndarray) -> Answer:
+        return Answer(False, np.full(self.qp.A.shape[1], 2.1e9), np.full(y.size, np.nan), 4000)
 
 
-TIGHT = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0)
+TIGHT = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0, always_solve=True)
 TWO = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.8], v_mean=[25.0, 15.0])
 
 
-def test_where_osqp_gives_up_least_squares_solves_the_same_qp(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_solver_gives_up_another_solves_the_same_qp(monkeypatch: pytest.MonkeyPatch) -> None:
     usual = simulate(TIGHT, TWO, y_s=0.1, settle=0.0)
-    monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
+    monkeypatch.setattr(module, "make", lambda solver, qp: make(solver, qp) if solver == "daqp" else GivesUp(qp))
     rescued = simulate(TIGHT, TWO, y_s=0.1, settle=0.0)
     assert (rescued.status == EventStatus.OK).all()
     np.testing.assert_allclose(rescued.S, usual.S, rtol=5e-5)  # eps = 1e-6 in each command, summed over the path
@@ -178,8 +175,7 @@ def test_where_osqp_gives_up_least_squares_solves_the_same_qp(monkeypatch: pytes
 
 def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a solver leaves behind when it gives up never reaches the plant."""
-    monkeypatch.setattr(module, "_make_solver", lambda *_: GivesUp())
-    monkeypatch.setattr(module, "_least_distance", lambda *_: None)
+    monkeypatch.setattr(module, "make", lambda solver, qp: GivesUp(qp))
     out = simulate(TIGHT, TWO, y_s=0.1, trajectories=True)
     assert (out.status == EventStatus.SOLVER_FAILED).all()
     assert (out.failed_solves > 0).all()
@@ -188,6 +184,26 @@ def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monke
     assert np.nanmax(np.abs(delta)) <= 0.02 + 1e-12
     assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-12
     assert np.isfinite(out.S).all()
+
+
+def test_an_interrupt_during_a_solve_is_an_interrupt() -> None:
+    """OSQP catches Ctrl-C and reports a status; that must not become a counted failure."""
+
+    class Interrupted:
+        class info:
+            status_val = int(osqp.SolverStatus.OSQP_SIGINT)
+
+        def solve(self, raise_error: bool) -> Interrupted:
+            return self
+
+        def update(self, **_: object) -> None: ...
+
+        def warm_start(self, **_: object) -> None: ...
+
+    workspace = make("osqp", QP(np.zeros(1), np.eye(1)))
+    workspace.solver = Interrupted()  # type: ignore[attr-defined]
+    with pytest.raises(KeyboardInterrupt):
+        workspace.solve(-np.ones(1), np.ones(1), np.zeros(1))
 
 
 @pytest.mark.parametrize(
@@ -207,7 +223,8 @@ def test_feasible_qps_are_solved_with_extreme_gains(horizon: int, r_delta: float
     first = np.zeros(horizon)
     for i in range(plant.n):
         first[0] = prev[i]
-        back = np.linalg.inv(module._rows(law.impulse[i])[:horizon])  # e = back (u - U)
+        impulse = law.condensed.impulse[i]
+        back = np.linalg.inv(scipy.linalg.toeplitz(impulse, np.zeros(horizon)))  # e = back (u - U)
         C = np.vstack([np.eye(horizon), -np.eye(horizon), change, -change])
         h = np.concatenate([np.full(2 * horizon, 0.04), 0.05 * DT + first, 0.05 * DT - first])
         P = back.T @ back
@@ -236,22 +253,6 @@ def test_the_previewed_road_reaches_the_law() -> None:
             expected = law.unconstrained(paths.x[i, k][None], r[None])[0, 0]
             assert paths.t[i, k] == pytest.approx(t_s + k * DT)
             assert paths.delta[i, k] == pytest.approx(expected, abs=1e-12)
-
-
-def test_an_interrupt_during_a_solve_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """OSQP catches Ctrl-C and reports a status; that must not become a counted failure."""
-
-    class Interrupted:
-        class info:
-            status_val = int(osqp.SolverStatus.OSQP_SIGINT)
-
-        def solve(self, raise_error: bool) -> Interrupted:
-            return self
-
-    monkeypatch.setattr(module, "_make_solver", lambda *_: Interrupted())
-    scenarios = Scenarios.from_arrays(T=3.0, d_y=0.6, v_mean=25.0)
-    with pytest.raises(KeyboardInterrupt):
-        simulate(LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0), scenarios)
 
 
 def test_limits_hold_in_the_closed_loop() -> None:
@@ -346,19 +347,37 @@ def test_dropping_ended_scenarios_changes_no_bit() -> None:
         np.testing.assert_array_equal(out.failed_solves, usual.failed_solves)
 
 
-def test_a_solver_stays_with_its_scenario() -> None:
+@pytest.mark.parametrize("always_solve", [False, True])
+@pytest.mark.parametrize("solver", ["osqp", "daqp"])
+def test_a_step_depends_on_nothing_but_its_arguments(solver: str, always_solve: bool) -> None:
+    """Bits stay the same whatever workspaces have solved meanwhile, and for any choice and order of scenarios."""
     plant, x, preview, prev = situations(12, 10, seed=4)
-    law = LinearMPC(horizon=10, delta_max=0.03, rate_max=0.1, r_delta=5.0).prepare(plant)
+    design = LinearMPC(horizon=10, delta_max=0.03, rate_max=0.1, r_delta=5.0, solver=solver, always_solve=always_solve)
+    law = design.prepare(plant)
     prev = np.clip(prev, -0.03, 0.03)
-    _, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
+    first, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
+    before = copy.deepcopy(state)
+    assert not always_solve or len(state.workspaces) == 12
+    once, _, _ = law.step(np.zeros(12), 0.9 * x, preview, first, state)
+    law.step(np.zeros(12), -3.0 * x, preview, first, state)
+    again, _, _ = law.step(np.zeros(12), 0.9 * x, preview, first, state)
+    fresh, _, _ = law.step(np.zeros(12), 0.9 * x, preview, first, before)
+    np.testing.assert_array_equal(again, once)
+    np.testing.assert_array_equal(fresh, once)
+    for field in dataclasses.fields(state):
+        if field.name != "workspaces":
+            np.testing.assert_array_equal(getattr(state, field.name), getattr(before, field.name))
     rows = np.array([1, 2, 5, 7, 11])
-    assert set(state.solvers) > set(rows.tolist()) - {0}
     some, kept = law.take(rows, state)
-    assert all(kept.solvers[place] is state.solvers[i] for place, i in enumerate(rows.tolist()) if i in state.solvers)
-    assert len(kept.solvers) == len(set(state.solvers) & set(rows.tolist()))
-    some_preview = Preview(preview.yaw_rate[rows], preview.heading[rows])
-    delta, _, _ = some.step(np.zeros(5), 0.9 * x[rows], some_preview, prev[rows], kept)
-    # the same from a run that never dropped
-    _, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
-    whole, _, _ = law.step(np.zeros(12), 0.9 * x, preview, prev, state)
-    np.testing.assert_array_equal(delta, whole[rows])
+    part, _, _ = some.step(
+        np.zeros(5), 0.9 * x[rows], Preview(preview.yaw_rate[rows], preview.heading[rows]), first[rows], kept
+    )
+    np.testing.assert_array_equal(part, once[rows])
+
+    turned = np.random.default_rng(0).permutation(12)
+    other = design.prepare(Plant.build(BicycleModel(), plant.v[turned], DT))
+    ahead = Preview(preview.yaw_rate[turned], preview.heading[turned])
+    delta, state, _ = other.step(np.zeros(12), x[turned], ahead, prev[turned], other.init(12))
+    np.testing.assert_array_equal(delta, first[turned])
+    delta, _, _ = other.step(np.zeros(12), 0.9 * x[turned], ahead, delta, state)
+    np.testing.assert_array_equal(delta, once[turned])
