@@ -60,9 +60,7 @@ def pack(plant: Plant, mu: float, q: tuple[float, ...], r_delta: float, P: Any, 
     G_0, G_1 = _forced(A, plant.dt)
     step = plant.step
     vehicle = np.array([p.C_af, p.C_ar, p.l_f, p.l_r, p.m, p.I_z, mu, SHAPE])
-    linear = np.concatenate(
-        [A[:, 1, 1:], A[:, 3, 1:], B[:, (1, 3)], E[:, (1, 3)]], axis=1
-    )
+    linear = np.concatenate([A[:, 1, 1:], A[:, 3, 1:], B[:, (1, 3)], E[:, (1, 3)]], axis=1)
     parts = {
         "vehicle": np.tile(vehicle, (n, 1)), "v": plant.v[:, None], "linear": linear,
         "A": _by_column(step.A), "B": step.B, "E_0": step.E_0, "E_1": step.E_1,

@@ -1,7 +1,8 @@
 """What the nonlinear MPC evaluates, as three CasADi functions for a horizon N, with all numbers as inputs.
 
 Unknowns are the commands U = (u_0 .. u_(N-1)) and, by multiple shooting, the states X = (x_1 .. x_N); the gaps
-d_j = F(x_j, u_j) - x_(j+1) are zero at the solution. Written with maps over the samples, so that the C code does not grow with N.
+d_j = F(x_j, u_j) - x_(j+1) are zero at the solution. Written
+with maps over the samples, so that the C code does not grow with N.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ class Program(NamedTuple):
         Drive the model with commands guess, or, with share = 1, the LQR, moved into the limits.
     value : (X, U, x_0, r, e_ref, u_ref, c) -> (J, gap, a_0, a_1)
         Half the cost, sum of the absolute gaps, lateral acceleration just after each command and at each sample's end.
-    linearise : (X, U, x_0, r, e_ref, u_ref, c, exact, m_0, m_1, m_y) -> (H, g, T, t, J_t, slope, Y_0, Y_1, y_0, y_1)
-        The condensed QP: Delta X = T' Delta U + t, Hessian H (with exact = 1 of the Lagrangian, with 0 Gauss-Newton),
-        gradient g, change J_t of the cost by t alone, largest multiplier, rows of a_0 and a_1 and their change by t.
-        m are the multipliers of a_0, a_1 and e_y. T is (N, 4 N).
+    linearise : (X, U, x_0, r, e_ref, u_ref, c[, m_0, m_1, m_y]) -> (H, g, T, t, J_t, slope[, Y_0, Y_1, y_0, y_1])
+        The condensed QP: Delta X = T' Delta U + t, Hessian H of the Lagrangian, gradient g, change J_t of the cost by
+        t alone, largest multiplier; T is (N, 4 N). With soft limits also the rows of a_0 and a_1 and their change by
+        t, from multipliers m of a_0, a_1 and e_y.
     """
 
     roll: Any
@@ -31,13 +32,13 @@ class Program(NamedTuple):
     linearise: Any
 
 
-def build(N: int) -> Program:
+def build(N: int, soft: bool) -> Program:
     """The functions for horizon N, not compiled."""
     import casadi as ca
 
     x, u, r_0, r_1, c = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("r_0"), ca.SX.sym("r_1"), ca.SX.sym("c", SIZE)
     f, a_0, a_1 = sample(x, u, r_0, r_1, c)
-    return Program(_roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1))
+    return Program(_roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1, soft))
 
 
 def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -> Any:
@@ -55,7 +56,12 @@ def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -
     drive = one.mapaccum("roll_all", N)
 
     x_0, guess, delta_prev = ca.MX.sym("x_0", 4), ca.MX.sym("guess", 1, N), ca.MX.sym("delta_prev")
-    share, r, e_ref, u_ref = ca.MX.sym("share"), ca.MX.sym("r", 1, N + 1), ca.MX.sym("e_ref", 1, N + 1), ca.MX.sym("u", 1, N)
+    share, r, e_ref, u_ref = (
+        ca.MX.sym("share"),
+        ca.MX.sym("r", 1, N + 1),
+        ca.MX.sym("e_ref", 1, N + 1),
+        ca.MX.sym("u", 1, N),
+    )
     low, high, c = ca.MX.sym("low", 1, N), ca.MX.sym("high", 1, N), ca.MX.sym("c", SIZE)
     same = ca.MX.ones(1, N)
     path = drive(
@@ -68,7 +74,7 @@ def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -
 
 
 def _plan(
-    ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any, a_0: Any, a_1: Any
+    ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any, a_0: Any, a_1: Any, soft: bool
 ) -> tuple[Any, Any]:
     p = unpack(c)
     xu = ca.vertcat(x, u)
@@ -99,7 +105,7 @@ def _plan(
     after_multiplier, A, pulled = ca.SX.sym("l", 4), ca.SX.sym("A", 4, 4), ca.SX.sym("pull", 4)
     back_one = ca.Function("back_one", [after_multiplier, A, pulled], [ca.mtimes(A.T, after_multiplier) + pulled])
     back = back_one.mapaccum("back_all", N)
-    multiplier, m_0, m_1, exact = ca.SX.sym("l", 4), ca.SX.sym("m_0"), ca.SX.sym("m_1"), ca.SX.sym("exact")
+    multiplier, m_0, m_1 = ca.SX.sym("l", 4), ca.SX.sym("m_0"), ca.SX.sym("m_1")
     lagrangian = ca.dot(multiplier, f) + m_0 * a_0 + m_1 * a_1
     curvature, _ = ca.hessian(lagrangian, xu)
     bend_one = ca.Function("bend_one", [x, u, r_0, r_1, c, multiplier, m_0, m_1], [ca.densify(curvature)])
@@ -120,8 +126,9 @@ def _plan(
 
     X, U, x_0 = ca.MX.sym("X", 4, N), ca.MX.sym("U", 1, N), ca.MX.sym("x_0", 4)
     r, e_ref, u_ref = ca.MX.sym("r", 1, N + 1), ca.MX.sym("e_ref", 1, N + 1), ca.MX.sym("u_ref", 1, N)
-    c, exact = ca.MX.sym("c", SIZE), ca.MX.sym("exact")
-    m_0, m_1, m_y = ca.MX.sym("m_0", 1, N), ca.MX.sym("m_1", 1, N), ca.MX.sym("m_y", 1, N)
+    c = ca.MX.sym("c", SIZE)
+    pressed = [ca.MX.sym(name, 1, N) for name in ("m_0", "m_1", "m_y")]
+    m_0, m_1, m_y = pressed if soft else [ca.MX.zeros(1, N)] * 3
     last = ca.MX(ca.horzcat(ca.DM.zeros(1, N - 1), 1))
     before = ca.horzcat(x_0, X[:, :-1])
     at = [before, U, X, r[:-1], r[1:], e_ref[1:], u_ref, last, c]
@@ -131,13 +138,13 @@ def _plan(
     d, A, B, pull, push, a_0_x, a_0_u, a_1_x, a_1_u = slopes(*at)
     # gradient of the soft limits' terms on x_1 .. x_N: accelerations of the sample that starts there, and e_y
     here = a_0_x * ca.repmat(m_0, 4, 1) + a_1_x * ca.repmat(m_1, 4, 1)
-    soft = ca.horzcat(here[:, 1:], ca.MX.zeros(4, 1)) + ca.vertcat(m_y, ca.MX.zeros(3, N))
-    pulled = pull + soft
+    push_soft = ca.horzcat(here[:, 1:], ca.MX.zeros(4, 1)) + ca.vertcat(m_y, ca.MX.zeros(3, N))
+    pulled = pull + push_soft
     flip = list(range(N - 1, -1, -1))
     A_next = ca.horzcat(A[:, 4:], ca.MX.zeros(4, 4))  # of the sample after
     reverse = [4 * k + i for k in flip for i in range(4)]
     multipliers = back(ca.MX.zeros(4), A_next[:, reverse], pulled[:, flip])[:, flip]
-    L = bends(before, U, r[:-1], r[1:], c, multipliers, m_0, m_1) * exact
+    L = bends(before, U, r[:-1], r[1:], c, multipliers, m_0, m_1)
 
     eye = ca.MX(ca.DM.eye(N))
     T, t = forward(ca.MX.zeros(N, 4), ca.MX.zeros(4), A, B, d, eye)
@@ -157,10 +164,10 @@ def _plan(
     T_before = ca.horzcat(ca.MX.zeros(N, 4), T[:, :-4])
     Y_0, Y_1 = rows(T_before, a_0_x) + ca.diag(a_0_u), rows(T_before, a_1_x) + ca.diag(a_1_u)
     y_0, y_1 = ca.sum1(a_0_x * t_before), ca.sum1(a_1_x * t_before)
+    outputs = [H, g, T, t, J_t, ca.norm_inf(ca.vec(multipliers)), *([Y_0, Y_1, y_0, y_1] if soft else [])]
     linearise = ca.Function(
-        "linearise", [X, U, x_0, r, e_ref, u_ref, c, exact, m_0, m_1, m_y],
-        [ca.densify(v) for v in (H, g, T, t, J_t, ca.norm_inf(ca.vec(multipliers)), Y_0, Y_1, y_0, y_1)],
-        [*names, "exact", "m_0", "m_1", "m_y"],
-        ["H", "g", "T", "t", "J_t", "slope", "Y_0", "Y_1", "y_0", "y_1"],
+        "linearise", [X, U, x_0, r, e_ref, u_ref, c, *(pressed if soft else [])], [ca.densify(v) for v in outputs],
+        [*names, *(["m_0", "m_1", "m_y"] if soft else [])],
+        ["H", "g", "T", "t", "J_t", "slope", *(["Y_0", "Y_1", "y_0", "y_1"] if soft else [])],
     )  # fmt: skip
     return value, linearise

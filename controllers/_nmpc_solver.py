@@ -23,11 +23,16 @@ from controllers._nmpc_program import build
 
 FloatArray = npt.NDArray[np.float64]
 
-MAX_ITERATIONS: Final = 40
+MAX_ITERATIONS: Final = 60
 _STEP_NEWTON: Final = 1e-5  # [rad] the error after a full Newton step is the square of it, up to a factor
-_STEP_LINEAR: Final = 1e-9  # [rad] after a Gauss-Newton or shortened step
+_STEP_LINEAR: Final = 1e-7  # [rad] after a step with another Hessian
+_STEP_LAST: Final = 1e-6  # [rad] where the merit cannot fall any more
 _GAP: Final = 1e-6
 _PRIMAL: Final = 1e-10
+_HELD: Final = 1e-8  # [rad] a limit this close is active
+_MEMORY: Final = 4  # iterations whose merit a full step may come back to, so that rows that bend do not
+# shorten it (the watchdog), and for how many iterations it may
+_PATIENCE: Final = 15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +58,7 @@ class SoftLimits:
 
     @property
     def size(self) -> int:
-        """m."""
+        """Number of rows."""
         return int(self.bound.size)
 
     def penalty(self, values: FloatArray) -> float:
@@ -108,92 +113,109 @@ class Workspace:
     Parameters
     ----------
     N : int
+    soft : bool
+        Whether there may be soft limits.
     """
 
-    def __init__(self, N: int) -> None:
+    def __init__(self, N: int, soft: bool) -> None:
         self.N = N
+        self._a_before = 0.0
         self.x_0, self.delta_prev, self.c = np.zeros(4), np.zeros(1), np.zeros(SIZE)
         self.r, self.e_ref, self.u_ref = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N)
         self.low, self.high = np.zeros(N), np.zeros(N)
         self.guess, self.share = np.zeros(N), np.zeros(1)
-        self.U, self.X, self.exact = np.zeros(N), np.zeros(4 * N), np.ones(1)
+        self.U, self.X = np.zeros(N), np.zeros(4 * N)
         self.U_try, self.X_try = np.zeros(N), np.zeros(4 * N)
         self.m_0, self.m_1, self.m_y = np.zeros(N), np.zeros(N), np.zeros(N)
         known = [self.x_0, self.r, self.e_ref, self.u_ref, self.c]
-        roll, value, linearise = _functions(N)
+        roll, value, linearise = _functions(N, soft)
         self._roll = _Call(
             roll,
             [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c],
         )
         self._value = _Call(value, [self.X_try, self.U_try, *known])
-        self._linearise = _Call(linearise, [self.X, self.U, *known, self.exact, self.m_0, self.m_1, self.m_y])
+        pressed = [self.m_0, self.m_1, self.m_y] if soft else []
+        self._linearise = _Call(linearise, [self.X, self.U, *known, *pressed])
         out = self._linearise.outputs
         self.H, self.T = out[0].reshape(N, N), out[2].reshape(4 * N, N)
         self.g, self.t, self.J_t, self.slope = out[1], out[3], out[4], out[5]
-        self.Y = [out[6].reshape(N, N), out[7].reshape(N, N)]
-        self.y_t = [out[8], out[9]]
+        self.Y = [values.reshape(N, N) for values in out[6:8]]
+        self.y_t = out[8:10]
         self._change = np.diff(np.eye(N), axis=0, prepend=0.0)
+        self._hard = np.vstack([np.eye(N), self._change])
         self._sense = np.zeros(2 * N, dtype=np.int32)
+        self._active = np.zeros(2 * N, dtype=np.bool_)
 
-    def solve(self, warm: FloatArray | None, a_before: float, soft: SoftLimits | None) -> Solution:
+    def solve(self, warm: FloatArray | None, soft: SoftLimits | None) -> Solution:
         """Solve the problem in the input arrays.
 
         Parameters
         ----------
         warm : (N,) [rad], optional
             Commands to start from, where they promise less than the LQR.
-        a_before : float [m/s^2]
-            Lateral acceleration just before the first command.
         soft : SoftLimits, optional
 
         Returns
         -------
         Solution
         """
-        self.m_0[:], self.m_1[:], self.m_y[:] = 0.0, 0.0, 0.0
-        J, merit, rows = self._start(warm, a_before, soft)
+        self.m_0[:], self.m_1[:], self.m_y[:], self._active[:] = 0.0, 0.0, 0.0, False
+        J, merit, rows = self._start(warm, soft)
         step, gap = np.inf, 0.0
+        recent = [merit]
         for iteration in range(1, MAX_ITERATIONS + 1):
             dU, row_change, newton = self._direction(rows, soft)
             if dU is None:
                 return self._end(False, iteration, step, J)
             step = float(np.max(np.abs(dU)))
             pull = self.J_t[0] + self.g @ dU + 0.5 * dU @ (self.H @ dU)
-            nu = 2.0 * self.slope[0] + 1e-6
-            before = merit + nu * gap
             if soft is not None and rows is not None:
                 pull += soft.penalty(rows + row_change) - soft.penalty(rows)
-            drop = nu * gap - pull
+            nu = 2.0 * self.slope[0] + 1e-6
+            before = merit + nu * gap
+            drop = max(nu * gap - pull, 0.0)
             np.add(self.U, dU, out=self.U_try)
             self.X_try[:] = self.X + self.t + self.T @ dU
-            trial = self._measure(a_before, soft)
-            full = trial[1] + nu * trial[3] <= before - 1e-4 * drop + 1e-12 * (1.0 + abs(before))
+            trial = self._measure(soft)
+            high = max(before, *recent) if iteration <= _PATIENCE else before
+            allowed = high - 1e-4 * drop + 1e-12 * (1.0 + abs(before))
+            full = trial[1] + nu * trial[3] <= allowed
             if not full:
-                trial = self._shorten(dU, merit if gap == 0.0 else before, drop, a_before, soft)
-                if trial is None:
+                shorter = self._shorten(dU, before, drop, soft)
+                if shorter is None and gap == 0.0:
                     # the merit cannot fall any more: rounding, if the step is small
-                    return self._end(step <= 1e-7 and gap <= _GAP, iteration, step, J)
+                    return self._end(step <= _STEP_LAST, iteration, step, J)
+                trial = shorter or self._close(soft)
             J, merit, rows, gap = trial
             self.U[:], self.X[:] = self.U_try, self.X_try
-            if gap <= _GAP and full and step <= (_STEP_NEWTON if newton and soft is None else _STEP_LINEAR):
+            recent = [*recent[1 - _MEMORY :], merit + nu * gap]
+            if gap <= _GAP and full and step <= (_STEP_NEWTON if newton else _STEP_LINEAR):
                 return self._end(True, iteration, step, J)
-        return self._end(False, MAX_ITERATIONS, step, J)
+        return self._end(step <= _STEP_LAST and gap <= _GAP, MAX_ITERATIONS, step, J)
+
+    def _close(self, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None, float]:
+        """The same commands without gaps."""
+        self.share[0], self.guess[:] = 0.0, self.U
+        self._drive()
+        return (*self._measure(soft)[:3], 0.0)
 
     def _end(self, solved: bool, iterations: int, step: float, J: float) -> Solution:
         return Solution(self.U.copy(), solved and bool(np.isfinite(self.U).all()), iterations, step, 2.0 * J)
 
-    def _start(
-        self, warm: FloatArray | None, a_before: float, soft: SoftLimits | None
-    ) -> tuple[float, float, FloatArray | None]:
+    def _start(self, warm: FloatArray | None, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None]:
         """The better of the warm start and the LQR, both inside the limits and driven by the model."""
+        if soft is not None and soft.before.any():
+            self.U_try[:] = self.delta_prev[0]
+            self._value.run()
+            self._a_before = float(self._value.outputs[2][0])
         self.share[0] = 1.0
         self._drive()
-        best = self._measure(a_before, soft)
+        best = self._measure(soft)
         self.U[:], self.X[:] = self.U_try, self.X_try
         if warm is not None:
             self.share[0], self.guess[:] = 0.0, warm
             self._drive()
-            other = self._measure(a_before, soft)
+            other = self._measure(soft)
             if other[1] <= best[1] or not np.isfinite(best[1]):
                 best = other
                 self.U[:], self.X[:] = self.U_try, self.X_try
@@ -203,19 +225,17 @@ class Workspace:
         self._roll.run()
         self.U_try[:], self.X_try[:] = self._roll.outputs
 
-    def _measure(
-        self, a_before: float, soft: SoftLimits | None
-    ) -> tuple[float, float, FloatArray | None, float]:
+    def _measure(self, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None, float]:
         """Half the cost, the same with penalties, the soft limits' rows, the gaps of the trial."""
         self._value.run()
         J, gap, a_0, a_1 = self._value.outputs
         if soft is None:
             return float(J[0]), float(J[0]), None, float(gap[0])
-        rows = soft.rows @ np.concatenate([a_0, a_1, self.X_try[0::4]]) + a_before * soft.before
+        rows = soft.rows @ np.concatenate([a_0, a_1, self.X_try[0::4]]) + self._a_before * soft.before
         return float(J[0]), float(J[0]) + soft.penalty(rows), rows, float(gap[0])
 
     def _shorten(
-        self, dU: FloatArray, before: float, drop: float, a_before: float, soft: SoftLimits | None
+        self, dU: FloatArray, before: float, drop: float, soft: SoftLimits | None
     ) -> tuple[float, float, FloatArray | None, float] | None:
         """The first shortened step, driven by the model, that lowers the merit; None if there is none."""
         start = self.U.copy()
@@ -224,8 +244,8 @@ class Workspace:
         for _ in range(12):
             self.guess[:] = start + length * dU
             self._drive()
-            trial = self._measure(a_before, soft)
-            if trial[1] < before - 1e-4 * length * max(drop, 0.0):
+            trial = self._measure(soft)
+            if trial[1] < before - 1e-4 * length * drop:
                 return trial[0], trial[1], trial[2], 0.0
             length *= 0.5
         return None
@@ -233,61 +253,82 @@ class Workspace:
     def _direction(
         self, rows: FloatArray | None, soft: SoftLimits | None
     ) -> tuple[FloatArray | None, FloatArray | None, bool]:
-        """Solution of the QP, the change of the soft rows with it, and whether the Hessian was the Lagrangian's."""
-        for exact in (1.0, 0.0):
-            self.exact[0] = exact
-            self._linearise.run()
-            if not (np.isfinite(self.g).all() and np.isfinite(self.H).all()):
-                return None, None, False
-            dU, change = self._qp(rows, soft)
-            if dU is not None:
-                return dU, change, exact == 1.0
-        return None, None, False
+        """Solution of the QP, the change of the soft rows with it, and whether the step is Newton's."""
+        self._linearise.run()
+        if not (np.isfinite(self.g).all() and np.isfinite(self.H).all()):
+            return None, None, False
+        dU, change, active = self._qp(self.H, rows, soft)
+        if dU is not None:
+            self._active = active
+            return dU, change, True
+        # not convex: stiffen the rows that are active here and were so in the last QP, which changes no solution
+        # on them, and what is left of negative curvature
+        low, high = self._bounds()
+        held = self._active & ((np.abs(low) <= _HELD) | (np.abs(high) <= _HELD))
+        C = self._hard[held]
+        stiff = self.H + float(np.abs(self.H).max()) * (C.T @ C)
+        values, vectors = np.linalg.eigh(0.5 * (stiff + stiff.T))
+        floor = 1e-8 * float(np.abs(values).max())
+        newton = bool(values[0] > floor)
+        if not newton:
+            stiff = (vectors * np.maximum(np.abs(values), floor)) @ vectors.T
+        dU, change, active = self._qp(stiff, rows, soft)
+        self._active = active
+        return dU, change, newton
 
-    def _qp(self, rows: FloatArray | None, soft: SoftLimits | None) -> tuple[FloatArray | None, FloatArray | None]:
-        import daqp
-
-        N, U = self.N, self.U
-        C, sense = self._change, self._sense
-        turn = np.empty(N)
+    def _bounds(self) -> tuple[FloatArray, FloatArray]:
+        """How far each angle and each change may go down and up."""
+        U, rate = self.U, self.c[-1]
+        turn = np.empty(self.N)
         turn[0] = U[0] - self.delta_prev[0]
         np.subtract(U[1:], U[:-1], out=turn[1:])
-        rate = self.c[-1]
-        low, high = [self.low - U, -rate - turn], [self.high - U, rate - turn]
-        options: dict[str, float] = {}
+        return np.concatenate([self.low - U, -rate - turn]), np.concatenate([self.high - U, rate - turn])
+
+    def _qp(
+        self, H: FloatArray, rows: FloatArray | None, soft: SoftLimits | None
+    ) -> tuple[FloatArray | None, FloatArray | None, npt.NDArray[np.bool_]]:
+        import daqp
+
+        N = self.N
+        C, sense = self._change, self._sense
+        low, high = self._bounds()
         S = now = None
         if soft is not None and rows is not None:
             S = soft.rows @ np.concatenate([*self.Y, self.T[0::4]])
             now = rows + soft.rows @ np.concatenate([*self.y_t, self.t[0::4]])
             C = np.concatenate([C, S])
             sense = np.concatenate([sense, np.full(soft.size, 8, dtype=np.int32)])
-            low.append(-soft.bound - now)
-            high.append(soft.bound - now)
-            options = {"rho_soft": 1.0 / soft.weight, "w_soft": soft.weight}
-        dU, _, flag, info = daqp.solve(
-            self.H, self.g, C, np.concatenate(high), np.concatenate(low), sense,
-            primal_tol=_PRIMAL, eps_prox=0.0, **options,
-        )  # fmt: skip
+            low, high = np.concatenate([low, -soft.bound - now]), np.concatenate([high, soft.bound - now])
+            model = daqp.Model()
+            model.settings = {"primal_tol": _PRIMAL, "eps_prox": 0.0}
+            if model.setup(H, self.g, C, high, low, sense)[0] < 0:
+                return None, None, self._active
+            linear = np.full(high.size, soft.weight)
+            model.soft_weights(rho_l=1.0 / linear, rho_u=1.0 / linear, w_l=linear, w_u=linear)
+            dU, _, flag, info = model.solve()
+        else:
+            dU, _, flag, info = daqp.solve(H, self.g, C, high, low, sense, primal_tol=_PRIMAL, eps_prox=0.0)
         if flag < 1 or not np.isfinite(dU).all():
-            return None, None
+            return None, None, self._active
+        active = info["lam"][: 2 * N] != 0.0
         if soft is None or S is None or now is None or rows is None:
-            return dU, None
+            return dU, None, active
         pressed = info["lam"][2 * N :] @ soft.rows
         self.m_0[:], self.m_1[:], self.m_y[:] = pressed[:N], pressed[N : 2 * N], pressed[2 * N :]
-        return dU, now - rows + S @ dU
+        return dU, now - rows + S @ dU, active
 
 
 @functools.lru_cache(maxsize=16)
-def _functions(N: int) -> tuple[Any, ...]:
-    return compiled(tuple(build(N)), f"nonlinear_mpc_{N}")
+def _functions(N: int, soft: bool) -> tuple[Any, ...]:
+    return compiled(tuple(build(N, soft)), f"nonlinear_mpc_{N}{'_soft' if soft else ''}")
 
 
 _LOCAL = threading.local()
 
 
-def workspace(N: int) -> Workspace:
-    """This thread's workspace for a horizon."""
-    kept: dict[int, Workspace] = _LOCAL.__dict__.setdefault("kept", {})
-    if N not in kept:
-        kept[N] = Workspace(N)
-    return kept[N]
+def workspace(N: int, soft: bool) -> Workspace:
+    """Workspace of the calling thread for a horizon, with or without soft limits."""
+    kept: dict[tuple[int, bool], Workspace] = _LOCAL.__dict__.setdefault("kept", {})
+    if (N, soft) not in kept:
+        kept[N, soft] = Workspace(N, soft)
+    return kept[N, soft]

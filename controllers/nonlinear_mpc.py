@@ -56,7 +56,7 @@ class NonlinearMPC(Controller):
     a_y_max : float [m/s^2]
         Soft limit of the lateral acceleration, just after each command and at each sample's end; 0 for none.
     jerk_max : float [m/s^3]
-        Soft limit of the change of lateral acceleration from one command to the next, over dt; 0 for none.
+        Soft limit of the lateral jerk, the change of a_y over a sample divided by dt; 0 for none.
     e_y_max : float [m]
         Soft limit of |e_y| at each sample's end; 0 for none.
     mu : float [1]
@@ -81,7 +81,7 @@ class NonlinearMPC(Controller):
     rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
     a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of |a_y|, 0 for none")
     jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1e3, description="soft limit of the jerk, 0 for none")
-    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=10.0, description="soft limit of |e_y|, 0 for none")
+    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=20.0, description="soft limit of |e_y|, 0 for none")
     mu: float = gain(1.0, unit="1", lower=0.05, upper=2.0, description="friction coefficient of the law's tyres")
 
     def prepare(self, plant: Plant) -> NonlinearMPCLaw:
@@ -101,7 +101,7 @@ def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
     first[0] = -1.0 / dt
     blocks = [
         (design.a_y_max, _SCALES[0], [np.hstack([eye, none, none]), np.hstack([none, eye, none])], np.zeros(2 * N)),
-        (design.jerk_max, _SCALES[1], [np.hstack([jerk, none, none])], first),
+        (design.jerk_max, _SCALES[1], [np.hstack([none, jerk, none])], first),
         (design.e_y_max, _SCALES[2], [np.hstack([none, none, eye])], np.zeros(N)),
     ]
     on = [block for block in blocks if block[0] > 0]
@@ -179,9 +179,7 @@ class NonlinearMPCLaw(SteeringLaw):
             cost=zero.copy(),
         )
 
-    def take(
-        self, rows: npt.NDArray[np.int64], state: NonlinearMPCState
-    ) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
+    def take(self, rows: npt.NDArray[np.int64], state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
         """Only some scenarios, each with its last plan."""
         p = self.plant
         step = dataclasses.replace(
@@ -211,12 +209,12 @@ class NonlinearMPCLaw(SteeringLaw):
         high = np.maximum(d.delta_max, delta_prev[:, None] - reach)
         low = np.minimum(-d.delta_max, delta_prev[:, None] + reach)
         relaxed = np.abs(delta_prev) > d.delta_max + rate
-        work = workspace(N)
+        work = workspace(N, self.soft is not None)
         for i in range(n):
             work.x_0[:], work.delta_prev[0], work.c[:] = x[i], delta_prev[i], self.columns[i]
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
-            found = self._solve(work, state.U[i] if state.ready[i] else None, i)
+            found = self._solve(work, state.U[i] if state.ready[i] else None)
             wanted = float(found.U[0])
             if found.solved:
                 after.U[i] = found.U
@@ -234,6 +232,6 @@ class NonlinearMPCLaw(SteeringLaw):
         status = np.where(after.rung == 1, EventStatus.OK, EventStatus.SOLVER_FAILED).astype(np.int8)
         return delta, after, status
 
-    def _solve(self, work: Workspace, last: FloatArray | None, i: int) -> Solution:
+    def _solve(self, work: Workspace, last: FloatArray | None) -> Solution:
         warm = None if last is None else np.append(last[1:], last[-1])
-        return work.solve(warm, 0.0, self.soft)
+        return work.solve(warm, self.soft)
