@@ -19,8 +19,10 @@ from ldctoolkit.review.limits import Situation, limit_findings
 from ldctoolkit.review.loop_checks import loop_findings
 from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
 from ldctoolkit.review.notes import law_findings, plant_notes
+from ldctoolkit.review.sampled_loop import FloatArray
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.bicycle import checked_speeds
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 
 SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
 """Speeds [m/s] that are looked at by default."""
@@ -73,7 +75,7 @@ def review(
     speeds: npt.ArrayLike = SPEEDS,
     a_y: float = BEND,
     y_s: float = 0.0,
-    delta_prev: tuple[float, float] | None = None,
+    delta_prev: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     thresholds: Thresholds | None = None,
 ) -> Review:
     """Check a design before it is run: poles, margins, sampling, limits, conditioning, bends.
@@ -94,9 +96,9 @@ def review(
         Lateral acceleration of the steady bend, > 0; its radius is at least `TIGHTEST`.
     y_s : float [m]
         Trigger threshold, >= 0.
-    delta_prev : (float, float), optional
-        Largest steering angle [rad] at a trigger, and the speed [m/s] there; by default the angle that holds the bend,
-        at the speed where that is most.
+    delta_prev : ((m,), (m,)) or (float, float), optional
+        Steering angles [rad] at triggers, and the speeds [m/s] there; by default the angle that holds the bend, at the
+        speed where that is most.
     thresholds : Thresholds, optional
         Where findings start.
 
@@ -126,6 +128,9 @@ def review(
     if not is_number(plain(y_s)) or y_s < 0:
         raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
     v = checked_speeds(speeds)
+    if v.size == 0 or v.max() > SPEED_RANGE[1] or v.min() < SPEED_RANGE[0]:
+        shown = f"{v.min():g} to {v.max():g} m/s" if v.size else "none"
+        raise InputError(f"speeds: {shown}; allowed: one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s")
     plant = Plant.build(model, v, dt)
     identity = (
         controller.name,
@@ -144,12 +149,22 @@ def review(
         findings += loop_findings(numbers, controller, dt, thresholds)
     steady = plant.steady_state().delta * bend
     i = int(np.argmax(np.abs(steady)))
-    angle, at = (abs(float(steady[i])), float(v[i])) if delta_prev is None else delta_prev
+    angles, at = _angles((steady[i], v[i]) if delta_prev is None else delta_prev)
     trigger = model.parameters.edge_offset + float(y_s)
-    findings += limit_findings(controller, Situation(v, dt, steady, bend * v, angle, at, trigger, options.actuator))
+    findings += limit_findings(controller, Situation(v, dt, steady, bend * v, angles, at, trigger, options.actuator))
     findings += plant_notes(options)
     order = {"fault": 0, "warning": 1, "note": 2}
     return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))
+
+
+def _angles(given: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[FloatArray, FloatArray]:
+    """Steering angles at triggers and their speeds, both (m,)."""
+    angles, v = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in given)
+    if angles.ndim != 1 or angles.shape != v.shape or not angles.size or not np.isfinite([angles, v]).all():
+        raise InputError(
+            f"delta_prev: angles of shape {angles.shape}, speeds of shape {v.shape}; allowed: finite numbers, (m,) each"
+        )
+    return angles, v
 
 
 def _positive(name: str, value: object, unit: str) -> float:

@@ -16,6 +16,9 @@ from ldctoolkit.review.sampled_loop import FloatArray
 _NO_HORIZON = 1.0
 """Time [s] within which a law without a horizon should have its limits back."""
 
+_RARE = 0.01
+"""Share of departures below which wheels that stand beyond the limits are a warning."""
+
 _ROUNDING = 1e-9
 
 
@@ -31,10 +34,10 @@ class Situation:
         Steering angle that holds the bend.
     a_y : (n,) [m/s^2]
         Lateral acceleration of the bend.
-    delta_prev : float [rad]
-        Largest angle at which the wheels stand at a trigger.
-    delta_prev_v : float [m/s]
-        Speed there.
+    delta_prev : (m,) [rad]
+        Angles at which the wheels may stand at a trigger.
+    delta_prev_v : (m,) [m/s]
+        Speeds there.
     e_y_trigger : float [m]
         e_y at the trigger.
     actuator : Actuator
@@ -44,8 +47,8 @@ class Situation:
     dt: float
     steady: FloatArray
     a_y: FloatArray
-    delta_prev: float
-    delta_prev_v: float
+    delta_prev: FloatArray
+    delta_prev_v: FloatArray
     e_y_trigger: float
     actuator: Actuator
 
@@ -131,22 +134,27 @@ def _start(limits: dict[str, float | None], horizon: object, s: Situation) -> It
     rate_max = _tightest(limits["rate_max"], s.actuator.rate_max)
     if delta_max is None or rate_max is None:
         return
-    excess, step = s.delta_prev - delta_max, rate_max * s.dt
-    if not excess > step * (1 + _ROUNDING):
+    step = rate_max * s.dt
+    angles = np.abs(s.delta_prev)
+    beyond = angles - delta_max > step * (1 + _ROUNDING)
+    if not beyond.any():
         return
-    samples = math.ceil(excess / step - _ROUNDING)
-    whole = isinstance(horizon, int) and not isinstance(horizon, bool)
-    reach = horizon if isinstance(horizon, int) and whole else math.ceil(_NO_HORIZON / s.dt)
-    within = f"{'its horizon is' if whole else 'a second has'} {reach} samples"
+    i = int(np.argmax(angles))
+    samples = math.ceil((angles[i] - delta_max) / step - _ROUNDING)
+    reach, whose = math.ceil(_NO_HORIZON / s.dt), "a second has"
+    if isinstance(horizon, int) and not isinstance(horizon, bool):
+        reach, whose = horizon, "its horizon is"
+    rare = beyond.mean() < _RARE
+    share = f" (so in {int(beyond.sum())} of {beyond.size} departures)" if beyond.size > 1 else ""
     yield Finding(
-        "fault",
+        "warning" if rare else "fault",
         "initial_angle",
-        f"At {s.delta_prev_v:.3g} m/s the wheels may stand at {s.delta_prev:.3g} rad when the law takes over: beyond "
-        f"delta_max = {delta_max:g} rad by more than rate_max dt = {step:.3g} rad. No command keeps both limits, for "
-        f"{samples} samples ({within}). Raise delta_max or rate_max.",
-        s.delta_prev,
+        f"At {s.delta_prev_v[i]:.3g} m/s the wheels may stand at {angles[i]:.3g} rad when the law takes over: beyond "
+        f"delta_max = {delta_max:g} rad by more than rate_max dt = {step:.3g} rad{share}. No command keeps both "
+        f"limits, for {samples} samples ({whose} {reach} samples). Raise delta_max or rate_max.",
+        float(angles[i]),
         delta_max + step,
-        s.delta_prev_v,
+        float(s.delta_prev_v[i]),
     )
 
 

@@ -146,9 +146,9 @@ def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
         arguments: dict[str, Any] = {"model": model, "dt": dt, "options": options, "y_s": max(thresholds)}
         if speeds is not None:
             arguments["speeds"] = speeds
-        largest = _largest_angle([triggers[y_s] for y_s in thresholds])
-        if largest is not None:
-            arguments["delta_prev"] = largest
+        angles = _angles([triggers[y_s] for y_s in thresholds])
+        if angles is not None:
+            arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
         yield Subject(name, tuple(d.id for d in same), same[0].controller(settings.convention[0]), arguments)
 
@@ -172,9 +172,9 @@ def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
     return min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
 
 
-def _largest_angle(triggers: list[Takeover]) -> tuple[float, float] | None:
-    """Largest steering angle at the triggers and the speed there."""
-    found = [
-        (abs(float(t.delta_0[i])), float(t.plant.v[i])) for t in triggers if t.m for i in [abs(t.delta_0).argmax()]
-    ]
-    return max(found) if found else None
+def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Steering angles at the triggers and the speeds there."""
+    import numpy as np
+
+    angles = np.concatenate([takeover.delta_0 for takeover in triggers])
+    return (angles, np.concatenate([takeover.plant.v for takeover in triggers])) if angles.size else None

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import TYPE_CHECKING, get_type_hints
 
 from studies.cli._console import Subparsers, console, warn
+
+if TYPE_CHECKING:
+    from ldctoolkit import Controller, Gain
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -13,7 +17,8 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "controllers",
         help="list the laws and their gains",
-        description="List every known law with its gains: unit, default and what a study file may set.",
+        description="List every known law, whether it is linear, and its gains: unit, default, what a study file may "
+        "set, and how a range is spaced.",
     )
     parser.add_argument("law", nargs="*", metavar="LAW", help="only these (default: all)")
     parser.set_defaults(run=run)
@@ -34,19 +39,39 @@ def run(chosen: argparse.Namespace) -> None:
                 raise
             warn(str(error))  # one broken third-party law does not hide the others
             continue
-        table = Table(title=f"{name}: {kind.title}", title_justify="left")
-        for heading in ("gain", "unit", "default", "allowed", "meaning"):
+        title = f"{name}: {kind.title}{_kind(kind)}"
+        table = Table(title=title, title_justify="left")
+        for heading in ("gain", "unit", "default", "allowed", "scale", "meaning"):
             table.add_column(heading)
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
             allowed = ", ".join(words) if words else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
-            table.add_row(g.name, "" if g.unit == "1" else g.unit, default, allowed, g.description)
+            table.add_row(g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
         if kind.gains():
             out.print(table)
         else:
-            out.print(f"[italic]{name}: {kind.title}[/italic], no gains")
+            out.print(f"[italic]{title}[/italic], no gains")
         out.print()
+
+
+def _kind(kind: type[Controller]) -> str:
+    """What its `prepare` says that it returns; nothing where it does not say."""
+    from ldctoolkit import LinearLaw, RecordedPath, SteeringLaw
+
+    try:
+        law = get_type_hints(kind.prepare).get("return")
+    except Exception:  # an annotation may be anybody's code
+        law = None
+    words = {LinearLaw: ", linear law", RecordedPath: ", recorded path", SteeringLaw: ", steering law"}
+    return next((text for base, text in words.items() if isinstance(law, type) and issubclass(law, base)), "")
+
+
+def _scale(declared: Gain) -> str:
+    """Spacing of a range in a study; words and switches have none."""
+    return (
+        declared.scale if isinstance(declared.default, float | int) and not isinstance(declared.default, bool) else ""
+    )
 
 
 def _interval(lower: float, upper: float) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+from pathlib import Path
 from typing import Any, ClassVar
 
 import control
@@ -78,6 +80,17 @@ def test_an_initial_angle_that_is_given() -> None:
     assert not names(review(design, delta_prev=(0.11, 22.0), speeds=[20.0]))
     found = review(LinearMPC(rate_max=0.19), delta_prev=(0.11, 22.0), speeds=[20.0])
     assert named(found, "initial_angle").v == 22.0
+    # one departure of 200 is rare, two are not
+    angles = np.zeros(200)
+    angles[7] = -0.3
+    rare = named(review(design, delta_prev=(angles, np.full(200, 20.0)), speeds=[20.0]), "initial_angle")
+    assert rare.severity == "warning"
+    assert "(so in 1 of 200 departures)" in rare.sentence
+    angles[8] = 0.2
+    often = named(review(design, delta_prev=(angles, np.full(200, 20.0)), speeds=[20.0]), "initial_angle")
+    assert (often.severity, often.value) == ("fault", 0.3)
+    with pytest.raises(InputError, match="delta_prev: angles of shape"):
+        review(design, delta_prev=([0.1, 0.2], [20.0]), speeds=[20.0])
 
 
 def test_planted_a_bandwidth_above_nyquist() -> None:
@@ -314,7 +327,8 @@ def test_a_law_that_raises_is_named() -> None:
         ({"a_y": -1.0}, r"a_y: -1.0 m/s\^2; allowed"),
         ({"y_s": math.nan}, "y_s: nan m; allowed"),
         ({"speeds": [0.0]}, r"v\[0\] = 0 m/s; allowed"),
-        ({"speeds": [100.0]}, "100 m/s; allowed for scheduled gains"),
+        ({"speeds": [20.0, 100.0]}, "speeds: 20 to 100 m/s; allowed: one or more from 1 to 90 m/s"),
+        ({"speeds": []}, "speeds: none; allowed"),
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
@@ -328,6 +342,23 @@ def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
 def test_wrong_thresholds_are_named(pair: Any) -> None:
     with pytest.raises(InputError, match=r"thresholds\.gain_margin: .*; allowed"):
         Thresholds(gain_margin=pair)
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "design-review.md"
+
+
+def test_the_pages_python_runs_and_its_table_is_that_of_the_thresholds(capsys: pytest.CaptureFixture[str]) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.S)
+    exec(compile(code, PAGE.name, "exec"), {"__name__": "page"})
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+?) \|", text, flags=re.M))
+    t = Thresholds()
+    assert rows["gain_margin"] == f"{t.gain_margin[0]:g} dB"
+    assert rows["phase_margin"] == f"{math.degrees(t.phase_margin[0]):g}°"
+    assert rows["slowest_pole"] == f"{t.slowest[0]:g} s"
+    assert (rows["disk_margin"], rows["sampling"]) == (f"{t.disk_margin[0]:g}", f"{t.sampling[0]:g}")
+    assert rows["bend"] == f"{t.bend[0]:g} m"
 
 
 @pytest.mark.slow

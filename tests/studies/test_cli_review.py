@@ -1,0 +1,165 @@
+"""``ldc review`` and the listing of ``ldc controllers``, as real processes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+STUDY = """
+name = "tiny"
+[scenarios]
+left = 6
+right = 6
+[plant.actuator]
+lag = 0.1
+[[design]]
+law = "none"
+[[design]]
+law = "lqr"
+y_s = [0.1, 0.2]
+[design.gains]
+r_delta = [30.0, 30000.0]
+"""
+
+
+def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def reviewed(code: int, *arguments: object, cwd: Path) -> str:
+    done = ldc("review", *arguments, cwd=cwd)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    assert done.stderr == ""
+    return done.stdout
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
+    return tmp_path
+
+
+def test_a_sound_law(tmp_path: Path) -> None:
+    out = reviewed(0, "lqr", "--gain", "r_delta=50", "--gain", "q_y=2", cwd=tmp_path)
+    assert out.startswith("LQR, r_delta=50, q_y=2, dt = 0.05 s")
+    assert out.count("│") >= 13 * 2
+    assert out.endswith("nothing to object to\n")
+
+
+PLANTED = {
+    "unstable gain": (
+        ["preview_proportional", "--gain", "K_y=-1", "--gain", "K_psi=-0.05"],
+        r"fault: At [\d.]+ m/s the closed loop is unstable: a deviation grows by a factor of",
+    ),
+    "initial angle": (
+        ["linear_mpc", "--gain", "delta_max=0.02", "--gain", "rate_max=0.1"],
+        r"fault: At 10 m/s the wheels may stand at 0\.05\d+ rad when the law takes over: beyond delta_max = 0\.02 rad",
+    ),
+    "bandwidth": (
+        ["preview_proportional", "--gain", "K_y=-1", "--gain", "K_psi=-5", "--dt", "0.2"],
+        r"fault: .* the loop's bandwidth is .* of the sampling frequency of 31\.4 rad/s, above the Nyquist frequency",
+    ),
+    "bias": (
+        ["preview_proportional", "--gain", "T_lp=0"],
+        r"fault: At [\d.]+ m/s a steady bend of 2 m/s\^2 leaves an offset of [\d.]+ m; allowed: at most 0\.1 m",
+    ),
+    "delay": (
+        ["lqr", "--delay", "0.1", "--lag", "0.2", "--speed", "30"],
+        r"fault: At 30 m/s the closed loop is unstable",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_planted_faults_are_found(name: str, tmp_path: Path) -> None:
+    arguments, sentence = PLANTED[name]
+    assert re.search(sentence, reviewed(3, *arguments, cwd=tmp_path))
+
+
+def test_limits_of_the_actuator(tmp_path: Path) -> None:
+    out = reviewed(0, "linear_mpc", "--speed", "20:30", "--points", "2", "--rate-max", "0.1", cwd=tmp_path)
+    assert "warning: The law counts on rate_max = 0.2 rad/s, the actuator gives 0.1 rad/s" in out
+
+
+def test_a_law_that_does_nothing(tmp_path: Path) -> None:
+    assert "there is no loop to review" in reviewed(0, "none", cwd=tmp_path)
+
+
+def test_a_study_and_one_of_its_designs(folder: Path) -> None:
+    """One review for each set of gains, on the study's plant; thresholds that share it are listed together."""
+    out = reviewed(3, "s.toml", "--json", "r.json", "--csv", "r.csv", cwd=folder)
+    assert "LQR, y_s=0.1, 0.2 m, r_delta=30\nfault: " in out
+    found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    assert [len(entry["ids"]) for entry in found] == [1, 2, 2]
+    assert [entry["law"] for entry in found] == ["none", "lqr", "lqr"]
+    assert found[0]["loop"] == {}
+    assert "phase_margin" in {finding["name"] for finding in found[1]["findings"] if finding["severity"] == "fault"}
+    assert all(finding["severity"] != "fault" for finding in found[2]["findings"])
+    assert len(found[2]["loop"]["v_m_s"]) == 13
+    assert set(found[2]["loop"]["gain_margin_dB"]) != {None}
+    with (folder / "r.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 26
+    assert float(rows[-1]["v_m_s"]) == found[2]["loop"]["v_m_s"][-1]
+    assert {row["stable"] for row in rows[13:]} == {"true"}
+
+    one = reviewed(0, "s.toml", "--design", found[2]["ids"][1], "--speed", "15:30", "--points", "4", cwd=folder)
+    assert "LQR, y_s=0.2 m, r_delta=30000, dt = 0.05 s" in one
+    assert reviewed(0, "s.toml", "--design", "LQR, y_s=0.1 m, r_delta=30000", "--lag", "0", cwd=folder)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["lqq"], "'lqq': neither a law, nor a study; did you mean 'lqr'?"),
+        ([], "required: DESIGN"),
+        (["lqr", "--gain", "r_delt=2"], "lqr.r_delt: no such gain; did you mean 'r_delta'?"),
+        (["lqr", "--gain", "r_delta=much"], "lqr.r_delta: 'much'; allowed: a number from 0.001 to 1e+06"),
+        (["lqr", "--gain", "r_delta=0"], "lqr.r_delta: 0.0; allowed"),
+        (["lqr", "--gain", "r_delta=1", "--gain", "r_delta=2"], "--gain r_delta: given 2 times"),
+        (["lqr", "--gain", "r_delta"], "allowed: NAME=..."),
+        (["lqr", "--design", "x"], "--design: goes with a study"),
+        (["lqr", "--speed", "30:20"], "allowed: LOW:HIGH"),
+        (["lqr", "--speed", "20:200"], "speeds: 20 to 200 m/s; allowed: one or more from 1 to 90"),
+        (["lqr", "--points", "1"], "allowed: a whole number from 2 to 1000"),
+        (["lqr", "--dt", "0"], "allowed: a number > 0"),
+        (["lqr", "--delay", "-1"], "actuator.delay: -1.0; allowed"),
+        (["lqr", "--json", "x.txt"], "must end in .json"),
+        (["lqr", "--csv", "nowhere/x.csv"], "the folder nowhere does not exist"),
+        (["none.toml"], "none.toml: cannot be read"),
+        (["s.toml", "--gain", "r_delta=1"], "--gain: goes with the name of a law"),
+        (["s.toml", "--design", "x"], "--design 'x': no such design"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_arguments_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
+    done = ldc("review", *arguments, cwd=folder)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
+    assert message in done.stderr
+    assert [path.name for path in folder.iterdir()] == ["s.toml"]
+
+
+def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
+    done = ldc("controllers", "lqr", "linear_mpc", "none", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "lqr: LQR, linear law" in done.stdout
+    assert "linear_mpc: Linear MPC, steering law" in done.stdout
+    assert "none: No control, recorded path, no gains" in done.stdout
+    row = next(line for line in done.stdout.splitlines() if "r_delta" in line)
+    cells = [cell.strip() for cell in re.split("[│┃]", row)][1:-1]
+    assert cells == ["r_delta", "1/rad^2", "100.0", "0.001 .. 1e+06", "log", "weight on delta^2"]
