@@ -100,9 +100,9 @@ class _Call:
         for k, array in enumerate(inputs):
             if array.size != function.nnz_in(k):
                 raise ValueError(f"{function.name()}: input {k} has {array.size} numbers, not {function.nnz_in(k)}")
-            buffer.set_arg(k, memoryview(array))
+            buffer.set_arg(k, array.data)
         for k, array in enumerate(self.outputs):
-            buffer.set_res(k, memoryview(array))
+            buffer.set_res(k, array.data)
 
 
 class Workspace:
@@ -164,12 +164,13 @@ class Workspace:
         step, gap = np.inf, 0.0
         recent = [merit]
         for iteration in range(1, MAX_ITERATIONS + 1):
-            dU, row_change, newton = self._direction(rows, soft)
-            if dU is None:
+            found = self._direction(rows, soft)
+            if found is None:
                 return self._end(False, iteration, step, J)
+            dU, row_change, newton = found
             step = float(np.max(np.abs(dU)))
             pull = self.J_t[0] + self.g @ dU + 0.5 * dU @ (self.H @ dU)
-            if soft is not None and rows is not None:
+            if soft is not None and rows is not None and row_change is not None:
                 pull += soft.penalty(rows + row_change) - soft.penalty(rows)
             nu = 2.0 * self.slope[0] + 1e-6
             before = merit + nu * gap
@@ -252,11 +253,11 @@ class Workspace:
 
     def _direction(
         self, rows: FloatArray | None, soft: SoftLimits | None
-    ) -> tuple[FloatArray | None, FloatArray | None, bool]:
-        """Solution of the QP, the change of the soft rows with it, and whether the step is Newton's."""
+    ) -> tuple[FloatArray, FloatArray | None, bool] | None:
+        """Solution of the QP, the change of the soft rows with it, whether the step is Newton's; None if unsolved."""
         self._linearise.run()
         if not (np.isfinite(self.g).all() and np.isfinite(self.H).all()):
-            return None, None, False
+            return None
         dU, change, active = self._qp(self.H, rows, soft)
         if dU is not None:
             self._active = active
@@ -274,7 +275,7 @@ class Workspace:
             stiff = (vectors * np.maximum(np.abs(values), floor)) @ vectors.T
         dU, change, active = self._qp(stiff, rows, soft)
         self._active = active
-        return dU, change, newton
+        return None if dU is None else (dU, change, newton)
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """How far each angle and each change may go down and up."""

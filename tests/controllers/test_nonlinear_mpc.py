@@ -1,0 +1,497 @@
+"""Nonlinear MPC against IPOPT on the same problem written plainly, the linear MPC, and an integrator of its model."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import control
+import numpy as np
+import pytest
+import scipy.integrate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import controllers._nmpc_compile as compile_module
+import controllers._nmpc_solver as solver_module
+from controllers import LinearMPC
+from controllers._nmpc_model import SHAPE, SIZE, accelerations, pack, sample, steady_cornering
+from controllers._nmpc_program import build
+from controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCLaw, NonlinearMPCState
+from controllers.riccati import regulator
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import PlantOptions, Tyres
+from ldctoolkit.vehicle import discretize, nonlinear_axles, nonlinear_dynamics
+
+DT = 0.05
+VEHICLE = VehicleParameters()
+DYNAMICS = nonlinear_dynamics()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(compile_module.CACHE, str(tmp_path_factory.mktemp("cache")))
+        solver_module._functions.cache_clear()
+        solver_module._LOCAL.__dict__.clear()
+        yield
+
+
+def situations(n: int, horizon: int, seed: int, size: float = 1.0) -> tuple[Plant, np.ndarray, Preview, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, n), DT)
+    x = size * rng.normal(size=(n, 4)) * [0.8, 0.4, 0.03, 0.1]
+    slope = rng.normal(0, 0.2, (n, 1))
+    yaw_rate = size * (rng.normal(0, 0.05, (n, 1)) + slope * np.minimum(np.arange(horizon + 1) * DT, 0.5))
+    return plant, x, Preview(yaw_rate, np.zeros_like(yaw_rate)), size * rng.uniform(-0.05, 0.05, n)
+
+
+def first(
+    design: NonlinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray
+) -> tuple[np.ndarray, NonlinearMPCState, np.ndarray]:
+    law = design.prepare(plant)
+    return law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+
+
+def vehicle_inputs(mu: float) -> dict[str, float]:
+    names = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z")
+    return {name: getattr(VEHICLE, name) for name in names} | {"mu": mu, "shape": SHAPE, "dv": 0.0}
+
+
+def right_hand_side(x: Any, delta: Any, r: Any, v: float, mu: float) -> Any:
+    """The toolkit's nonlinear plant as a CasADi expression."""
+    rates = {"e_y_rate": x[1], "e_psi": x[2], "e_psi_rate": x[3], "delta": delta, "r": r, "v": v}
+    out = DYNAMICS(**rates, **vehicle_inputs(mu))
+    return ca.vertcat(x[1], out["e_y_acceleration"], x[3], out["e_psi_acceleration"]), out["a_y"]
+
+
+def ipopt(
+    design: NonlinearMPC, plant: Plant, i: int, x_0: np.ndarray, r: np.ndarray, prev: float, guess: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Commands and cost of the same problem, written with states as variables, from the toolkit's own plant."""
+    N, step, v, mu = design.horizon, plant.step, float(plant.v[i]), design.mu
+    A, B, E = plant.model.matrices(plant.v[i : i + 1])
+    # the response to an acceleration that is a straight line, from the toolkit's discretisation
+    pushes = [discretize(A, np.zeros((1, 4)), np.eye(4)[None, k], DT) for k in (1, 3)]
+    G_0 = np.column_stack([push.E_0[0] for push in pushes])
+    G_1 = np.column_stack([push.E_1[0] for push in pushes])
+
+    def rest(x: Any, u: Any, r: float) -> Any:
+        f, _ = right_hand_side(x, u, r, v, mu)
+        return (f - (A[0] @ x + B[0] * u + E[0] * r))[[1, 3]]
+
+    opti = ca.Opti()
+    X, U = opti.variable(4, N), opti.variable(N)
+    q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+    _, P, _ = control.dlqr(step.A[i], step.B[i][:, None], q, np.array([[design.r_delta]]))
+    one = dataclasses.replace(plant, v=plant.v[i : i + 1])
+    nodes, between = steady_cornering(one, mu, r[None]), steady_cornering(one, mu, 0.5 * (r[None, 1:] + r[None, :-1]))
+    cost: Any = 0
+    y, w = [], 1e3 * (design.q_y + 1e-2 * design.q_psi + 1e-2 * design.r_delta)
+    rate = design.rate_max * DT
+    for j in range(N):
+        x = ca.DM(x_0) if j == 0 else X[:, j - 1]
+        g_0 = rest(x, U[j], r[j])
+        linear = step.A[i] @ x + step.B[i] * U[j] + step.E_0[i] * r[j] + step.E_1[i] * r[j + 1]
+        a = linear + (G_0 + G_1) @ g_0
+        opti.subject_to(X[:, j] == a + G_1 @ (rest(a, U[j], r[j + 1]) - g_0))
+        off = X[:, j] - np.array([0, 0, nodes.e_psi[0, j + 1], 0])
+        cost += off.T @ (P if j == N - 1 else q) @ off + design.r_delta * (U[j] - between.delta[0, j]) ** 2
+        opti.subject_to(opti.bounded(-design.delta_max, U[j], design.delta_max))
+        opti.subject_to(opti.bounded(-rate, U[j] - (U[j - 1] if j else prev), rate))
+        y += [right_hand_side(x, U[j], r[j], v, mu)[1], right_hand_side(X[:, j], U[j], r[j + 1], v, mu)[1]]
+    total = cost
+    if design.a_y_max:
+        slack = opti.variable(2 * N)
+        opti.subject_to(slack >= 0)
+        opti.subject_to(ca.vertcat(*y) - slack <= design.a_y_max)
+        opti.subject_to(ca.vertcat(*y) + slack >= -design.a_y_max)
+        total = cost + 2.0 * w * (ca.sum1(slack) + 0.5 * ca.sumsqr(slack))
+    opti.minimize(total)
+    opti.set_initial(U, guess)
+    follow, x, start = sampled(columns(design, plant)[i]), x_0, []
+    for j in range(N):
+        x = follow(x, guess[j], r[j], r[j + 1])
+        start.append(x)
+    opti.set_initial(X, np.array(start).T)
+    quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-11}
+    opti.solver("ipopt", quiet | {"ipopt.bound_relax_factor": 0.0, "ipopt.max_iter": 500})
+    solution = opti.solve()
+    return np.asarray(solution.value(U)).reshape(N), float(solution.value(cost))
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        NonlinearMPC(horizon=12),
+        NonlinearMPC(horizon=12, mu=0.3, r_delta=20.0),
+        NonlinearMPC(horizon=1, delta_max=0.04, rate_max=0.5),
+        NonlinearMPC(horizon=10, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1),
+        NonlinearMPC(horizon=10, a_y_max=2.0),
+    ],
+    ids=["default", "slippery", "one_step", "all_weights", "soft_a_y"],
+)
+def test_ipopt_finds_the_same_plan(design: NonlinearMPC) -> None:
+    """First command within 1e-6 rad and cost within 1e-6; both are local optima near the same start."""
+    n = 8
+    plant, x, preview, prev = situations(n, design.horizon, seed=3, size=0.6)
+    prev = np.clip(prev, -design.delta_max, design.delta_max)
+    delta, state, status = first(design, plant, x, preview, prev)
+    assert (status == EventStatus.OK).all()
+    bound = 0
+    for i in range(n):
+        U, cost = ipopt(design, plant, i, x[i], preview.yaw_rate[i], prev[i], state.U[i])
+        assert delta[i] == pytest.approx(U[0], abs=1e-6)
+        assert state.cost[i] == pytest.approx(cost, rel=1e-6)
+        change = np.diff(U, prepend=prev[i])
+        bound += np.abs(change).max() > design.rate_max * DT - 1e-7 or np.abs(U).max() > design.delta_max - 1e-7
+    assert bound >= 2, "limits must bind for this to test anything"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.1, 1.5), st.floats(1.0, 60.0))
+def test_the_model_is_the_toolkits(seed: int, mu: float, v: float) -> None:
+    """Two writings of one model: equal to rounding."""
+    rng = np.random.default_rng(seed)
+    x, delta, r = rng.normal(size=4) * [1, 1, 0.1, 0.3], rng.normal(0, 0.1), rng.normal(0, 0.2)
+    ours = accelerations(x, delta, r, v, np.array([*list(vehicle_inputs(mu).values())[:8]]))
+    rates = {"e_y_rate": x[1], "e_psi": x[2], "e_psi_rate": x[3], "delta": delta, "r": r, "v": v}
+    theirs = DYNAMICS(**rates, **vehicle_inputs(mu))
+    for one, name in zip(ours, ("e_y_acceleration", "e_psi_acceleration", "a_y"), strict=True):
+        assert float(one) == pytest.approx(float(theirs[name]), rel=1e-10, abs=1e-9)
+
+
+def columns(design: NonlinearMPC, plant: Plant) -> np.ndarray:
+    return design.prepare(plant).columns
+
+
+def sampled(column: np.ndarray) -> Any:
+    x, u, r_0, r_1 = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("r_0"), ca.SX.sym("r_1")
+    c = ca.SX.sym("c", SIZE)
+    f = ca.Function("f", [x, u, r_0, r_1, c], list(sample(x, u, r_0, r_1, c)))
+    return lambda x, u, r_0, r_1: np.asarray(f(x, u, r_0, r_1, column)[0]).ravel()
+
+
+@pytest.mark.parametrize("mu", [0.3, 1.0])
+@pytest.mark.parametrize("v", [3.0, 20.0, 35.0])
+def test_a_sample_follows_the_differential_equation(v: float, mu: float) -> None:
+    """solve_ivp at 1e-11; one step's error falls like dt^3, by 8 when dt is halved.
+
+    More than 5 is asked for, and 3 at 3 m/s, where the stiffness of the tyres beyond their peak costs an order.
+    """
+    rhs = ca.Function("f", [x := ca.SX.sym("x", 4), u := ca.SX.sym("u"), r := ca.SX.sym("r")],
+                      [right_hand_side(x, u, r, v, mu)[0]])  # fmt: skip
+    x_0, delta, r_0, r_1 = np.array([0.2, 0.3, 0.02, -0.05]), 0.03, 0.05, 0.07
+    errors = []
+    for dt in (0.02, 0.01):
+        plant = Plant.build(BicycleModel(), [v], dt)
+        end = sampled(columns(NonlinearMPC(mu=mu), plant)[0])(x_0, delta, r_0, r_1)
+        flow = scipy.integrate.solve_ivp(
+            lambda t, x, dt=dt: np.asarray(rhs(x, delta, r_0 + (r_1 - r_0) * t / dt)).ravel(),
+            (0, dt), x_0, method="Radau", rtol=1e-11, atol=1e-13,
+        )  # fmt: skip
+        errors.append(np.abs(end - flow.y[:, -1]).max())
+    assert errors[0] < 5e-2  # the stiffest of these: slip far beyond the peak at 3 m/s
+    assert errors[1] < errors[0] / (5 if v > 3 else 3)
+
+
+def test_steady_cornering_is_an_equilibrium() -> None:
+    """All accelerations vanish to 1e-7 up to 90 % of the friction; beyond, the angles are finite and stay."""
+    v = np.array([8.0, 20.0, 35.0])
+    plant = Plant.build(BicycleModel(), v, DT)
+    for share in (0.01, 0.5, -0.9):
+        r = share * 0.4 * 9.81 / v[:, None]
+        steady = steady_cornering(plant, 0.4, r)
+        for i in range(3):
+            state = np.array([0, 0, steady.e_psi[i, 0], 0])
+            f, a_y = right_hand_side(ca.DM(state), steady.delta[i, 0], r[i, 0], v[i], 0.4)
+            np.testing.assert_allclose(np.asarray(f).ravel(), 0.0, atol=1e-7)
+            assert float(a_y) == pytest.approx(v[i] * r[i, 0], abs=1e-7)
+    far = steady_cornering(plant, 0.4, np.full((3, 2), [0.6, 60.0]))
+    assert np.isfinite(far.delta).all()
+    small = steady_cornering(plant, 1.0, np.full((3, 1), 1e-5))
+    np.testing.assert_allclose(small.delta[:, 0], plant.steady_state().delta * 1e-5, rtol=1e-5)
+    np.testing.assert_allclose(small.e_psi[:, 0], plant.steady_state().e_psi * 1e-5, rtol=1e-3)
+
+
+def test_small_angles_give_the_linear_mpc() -> None:
+    """The model is odd and its linear part exact: the difference falls with the cube, 1000 times for a tenth."""
+    plant, x, preview, prev = situations(20, 20, seed=4)
+    worst = []
+    for size in (1e-2, 1e-3):
+        given = x * size, Preview(preview.yaw_rate * size, preview.heading), prev * size
+        ours, _, _ = first(NonlinearMPC(), plant, *given)
+        law = LinearMPC().prepare(plant)
+        theirs, _, _ = law.step(np.zeros(20), *given, law.init(20))
+        worst.append(np.abs(ours - theirs).max() / size)
+    assert worst[1] < 3e-6
+    assert worst[1] < worst[0] / 50  # 100 by theory for the difference over the size
+
+
+def test_mirrored_input_gives_the_mirrored_command() -> None:
+    """To the bit: every operation is odd or even in what is mirrored."""
+    for design in (NonlinearMPC(horizon=15), NonlinearMPC(horizon=15, mu=0.3, a_y_max=2.0, jerk_max=20.0, e_y_max=0.5)):
+        plant, x, preview, prev = situations(20, 15, seed=6)
+        one, _, _ = first(design, plant, x, preview, prev)
+        other, _, _ = first(design, plant, -x, Preview(-preview.yaw_rate, -preview.heading), -prev)
+        np.testing.assert_allclose(other, -one, rtol=0, atol=1e-12)
+
+
+def test_slippery_plans_stay_on_the_tyres() -> None:
+    """At friction 0.3 the plan's axle forces are those of the tyres, and no command asks for slip beyond their peak.
+
+    From rest in the lane the command is the front slip angle; the linear MPC's goes far beyond the peak.
+    """
+    design = NonlinearMPC(mu=0.3, r_delta=20.0, rate_max=10.0)
+    plant, x, preview, prev = situations(30, 20, seed=7)
+    x[:, 2:] = 0.0
+    x[:, 1] = 0.0
+    still = Preview(0 * preview.yaw_rate, 0 * preview.heading)
+    ours, state, _ = first(design, plant, x, still, 0 * prev)
+    law = LinearMPC(r_delta=20.0, rate_max=10.0).prepare(plant)
+    theirs, _, _ = law.step(np.zeros(30), x, still, 0 * prev, law.init(30))
+    load = VEHICLE.m * 9.81 * VEHICLE.l_r / (VEHICLE.l_f + VEHICLE.l_r) / 2.0
+    peak = np.tan(np.pi / 2 / SHAPE) * SHAPE * 0.3 * load / VEHICLE.C_af
+    axles = nonlinear_axles()
+    for i in range(30):
+        follow, path = sampled(columns(design, plant)[i]), x[i]
+        for u in state.U[i]:
+            rates = {"e_y_rate": path[1], "e_psi": path[2], "e_psi_rate": path[3], "delta": u, "r": 0.0}
+            out = axles(**rates, v=plant.v[i], **vehicle_inputs(0.3))
+            assert abs(float(out["F_f"])) <= 2 * 0.3 * load * (1 + 1e-12)
+            path = follow(path, u, 0.0, 0.0)
+    far = np.abs(x[:, 0]) > 0.5
+    assert (np.abs(theirs[far]) > 1.5 * peak).all()
+    assert (np.abs(ours[far]) <= 1.05 * peak).all()
+
+
+def test_on_a_slippery_road_it_keeps_departures_that_the_linear_mpc_loses() -> None:
+    """Plant and law at friction 0.3; the linear MPC with the same weights diverges in some of these departures."""
+    rng = np.random.default_rng(0)
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(2, 5, 8), d_y=rng.uniform(0.5, 1.0, 8), v_mean=rng.uniform(20, 33, 8)
+    )
+    options = PlantOptions(tyres=Tyres(model="magic_formula", mu=0.3, shape=SHAPE))
+    ours = simulate(NonlinearMPC(mu=0.3, r_delta=10.0), scenarios, y_s=0.1, options=options)
+    theirs = simulate(LinearMPC(r_delta=10.0), scenarios, y_s=0.1, options=options)
+    assert (ours.status == EventStatus.OK).all()
+    assert (theirs.status == EventStatus.DIVERGED).sum() >= 2
+    assert ours.S.mean() < 0.7 * theirs.S.mean()
+
+
+def test_the_soft_limit_of_lateral_acceleration_binds() -> None:
+    """On saturating tyres that the law knows: below 3.05 m/s^2 with the limit, above without."""
+    options = PlantOptions(tyres=Tyres(model="magic_formula", mu=1.0, shape=SHAPE))
+    scenarios = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.9], v_mean=[25.0, 30.0])
+    free = simulate(NonlinearMPC(r_delta=1.0), scenarios, y_s=0.1, options=options)
+    held = simulate(NonlinearMPC(r_delta=1.0, a_y_max=3.0), scenarios, y_s=0.1, options=options)
+    assert (held.failed_solves == 0).all()
+    assert (np.abs(free.companions.a_y_peak) > 3.5).all()
+    assert (np.abs(held.companions.a_y_peak) < 3.05).all()
+
+
+@pytest.mark.parametrize(("soft", "size", "r_delta"), [({"e_y_max": 0.57}, 0.57, 1e4), ({"jerk_max": 8.0}, 8.0, 200.0)])
+def test_corridor_and_jerk_bind_in_the_plan(soft: dict[str, float], size: float, r_delta: float) -> None:
+    """Where the free plan breaks a limit that can be met, the plan with the limit meets it, to the QP's tolerance."""
+    plant = Plant.build(BicycleModel(), [20.0, 28.0], DT)
+    x = np.array([[0.5, 0.5, 0.025, 0.0], [0.45, 0.65, 0.0232, 0.0]])
+    still = Preview(np.zeros((2, 21)), np.zeros((2, 21)))
+
+    def worst(design: NonlinearMPC) -> float:
+        _, state, status = first(design, plant, x, still, np.zeros(2))
+        assert (status == EventStatus.OK).all()
+        found = 0.0
+        for i in range(2):
+            follow, path = sampled(columns(design, plant)[i]), x[i]
+            before = float(right_hand_side(ca.DM(path), 0.0, 0.0, plant.v[i], 1.0)[1])
+            for u in state.U[i]:
+                path = follow(path, u, 0.0, 0.0)
+                a_y = float(right_hand_side(ca.DM(path), u, 0.0, plant.v[i], 1.0)[1])
+                found = max(found, abs(path[0]) if "e_y_max" in soft else abs(a_y - before) / DT)
+                before = a_y
+        return found
+
+    assert worst(NonlinearMPC(r_delta=r_delta)) > 1.01 * size
+    assert worst(NonlinearMPC(r_delta=r_delta, **soft)) < size * (1 + 1e-6)
+
+
+def test_a_command_beyond_the_limits_goes_back_as_fast_as_it_may() -> None:
+    design = NonlinearMPC(horizon=10, delta_max=0.05, rate_max=0.2)
+    plant, x, preview, _ = situations(6, 10, seed=3, size=0.3)
+    prev = np.array([0.3, -0.3, 0.061, 0.0, -0.0601, 0.02])
+    delta, state, status = first(design, plant, x, preview, prev)
+    beyond = np.abs(prev) > 0.05 + 0.2 * DT
+    np.testing.assert_array_equal(status == EventStatus.SOLVER_FAILED, beyond)
+    np.testing.assert_array_equal(state.rung, np.where(beyond, 2, 1))
+    np.testing.assert_allclose(delta[beyond], prev[beyond] - np.sign(prev[beyond]) * 0.2 * DT, atol=1e-12)
+    assert (np.abs(delta - prev) <= 0.2 * DT + 1e-15).all()
+
+
+def test_where_nothing_converges_the_lqr_steers_inside_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solver_module, "MAX_ITERATIONS", 0)
+    design = NonlinearMPC(horizon=10, delta_max=0.04)
+    plant, x, preview, prev = situations(20, 10, seed=5)
+    prev = np.clip(prev, -0.04, 0.04)
+    delta, state, status = first(design, plant, x, preview, prev)
+    assert (status == EventStatus.SOLVER_FAILED).all()
+    assert (state.rung == 3).all()
+    K = regulator(plant, (1.0, 0.0, 1.0, 0.0), 100.0).K
+    r = preview.yaw_rate
+    e_psi = steady_cornering(plant, 1.0, r[:, :1]).e_psi[:, 0]
+    wanted = steady_cornering(plant, 1.0, 0.5 * (r[:, :1] + r[:, 1:2])).delta[:, 0]
+    wanted = wanted - (K * (x - np.outer(e_psi, [0, 0, 1, 0]))).sum(axis=1)
+    expected = prev + np.clip(np.clip(wanted, -0.04, 0.04) - prev, -0.01, 0.01)
+    np.testing.assert_allclose(delta, expected, atol=1e-12)
+
+
+def test_states_that_no_vehicle_has_give_finite_commands() -> None:
+    plant = Plant.build(BicycleModel(), [1.0, 20.0, 90.0, 20.0, 20.0], DT)
+    x = np.array([[50, 40, 1.5, 9], [-50, 90, 1.57, -9], [1e6, 0, 0, 0], [np.nan, 0, 0, 0], [0, 1e200, 3.0, 0]])
+    r = np.full((5, 21), 3.0)
+    delta, state, status = first(NonlinearMPC(), plant, x, Preview(r, 0 * r), np.zeros(5))
+    assert np.isfinite(delta).all()
+    assert (np.abs(delta) <= 0.01 + 1e-15).all()
+    assert status[3] == EventStatus.SOLVER_FAILED
+    assert np.isfinite(state.U).all()
+    # and the step after is not spoilt
+    law = NonlinearMPC().prepare(plant)
+    again, _, status = law.step(np.zeros(5), np.zeros((5, 4)), Preview(0 * r, 0 * r), np.zeros(5), state)
+    np.testing.assert_allclose(again, 0.0, atol=1e-7)
+    assert (status == EventStatus.OK).all()
+
+
+def run_steps(law: NonlinearMPCLaw, x: np.ndarray, preview: Preview, prev: np.ndarray, cuts: list[Any]) -> Any:
+    """Three steps on the same input; between them only some scenarios go on."""
+    state, rows, found = law.init(prev.size), np.arange(prev.size), []
+    for cut in cuts:
+        seen = Preview(preview.yaw_rate[rows], preview.heading[rows])
+        delta, state, _ = law.step(np.zeros(rows.size), x[rows], seen, prev[rows], state)
+        found.append((rows, delta))
+        law, state = law.take(np.array(cut), state)
+        rows = rows[cut]
+    return found
+
+
+def test_neighbours_order_and_cuts_change_no_bit() -> None:
+    plant, x, preview, prev = situations(9, 20, seed=8)
+    law = NonlinearMPC(a_y_max=3.0).prepare(plant)
+    whole = run_steps(law, x, preview, prev, [list(range(9))] * 3)
+    cut = run_steps(law, x, preview, prev, [[0, 2, 3, 5, 8], [1, 4], [0]])
+    for (_, all_of_them), (rows, some) in zip(whole, cut, strict=True):
+        np.testing.assert_array_equal(some, all_of_them[rows])
+    back = np.arange(8, -1, -1)
+    turned, _ = law.take(back, law.init(9))
+    reverse = run_steps(
+        turned, x[back], Preview(preview.yaw_rate[back], preview.heading[back]), prev[back], [[*range(9)]]
+    )
+    np.testing.assert_array_equal(reverse[0][1][back], whole[0][1])
+
+
+def test_a_state_is_not_changed_and_goes_on_from_where_it_was() -> None:
+    plant, x, preview, prev = situations(4, 20, seed=9)
+    law = NonlinearMPC().prepare(plant)
+    _, state, _ = law.step(np.zeros(4), x, preview, prev, law.init(4))
+    before = {f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)}
+    one, _, _ = law.step(np.zeros(4), 0.9 * x, preview, prev, state)
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(state, name), value)
+    two, _, _ = law.step(np.zeros(4), 0.9 * x, preview, prev, state)
+    np.testing.assert_array_equal(two, one)
+
+
+def test_limits_hold_in_the_closed_loop() -> None:
+    rng = np.random.default_rng(5)
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(1, 4, 10), d_y=rng.uniform(0.3, 1.0, 10), v_mean=rng.uniform(10, 32, 10)
+    )
+    out = simulate(NonlinearMPC(r_delta=10.0, delta_max=0.03, rate_max=0.1), scenarios, trajectories=True)
+    ok = out.status == EventStatus.OK
+    assert ok.sum() >= 8  # in the others the recorded path is beyond the limits at the trigger
+    assert out.trajectories is not None
+    delta = out.trajectories.delta[ok]
+    assert np.nanmax(np.abs(delta)) <= 0.03
+    assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-15
+    assert (np.abs(delta) > 0.0299).any()
+
+
+@pytest.mark.skipif(compile_module.shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("soft", [False, True])
+def test_compiled_code_gives_the_numbers_of_the_virtual_machine(soft: bool) -> None:
+    """Same operations in the same order, nothing contracted: within 1e-10, as a share of the largest."""
+    machine = build(7, soft)
+    library = compile_module.compiled(tuple(machine), "test")
+    rng = np.random.default_rng(0)
+    plant = Plant.build(BicycleModel(), [20.0], DT)
+    column = columns(NonlinearMPC(horizon=7), plant)[0]
+    for ours, theirs in zip(machine, library, strict=True):
+        assert ours is not theirs
+        given = [0.02 * rng.normal(size=ours.size_in(k)) for k in range(ours.n_in())]
+        given[next(k for k in range(ours.n_in()) if ours.size_in(k) == (SIZE, 1))] = column
+        for one, other in zip(ours(*given), theirs(*given), strict=True):
+            one, other = np.asarray(one), np.asarray(other)
+            assert np.abs(one - other).max() <= 1e-10 * (1 + np.abs(one).max())
+
+
+def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, x, preview, prev = situations(6, 9, seed=1)
+    usual, _, _ = first(NonlinearMPC(horizon=9), plant, x, preview, prev)
+    monkeypatch.setenv(compile_module.CODE, "vm")
+    monkeypatch.setattr(compile_module, "_library", lambda *_: pytest.fail("compiled"))
+    solver_module._functions.cache_clear()
+    solver_module._LOCAL.__dict__.clear()
+    machine, _, _ = first(NonlinearMPC(horizon=9), plant, x, preview, prev)
+    np.testing.assert_allclose(machine, usual, atol=1e-10)
+    monkeypatch.setenv(compile_module.CODE, "fast")
+    with pytest.raises(InputError, match="LDC_NMPC_CODE: 'fast'"):
+        compile_module.compiled((), "x")
+
+
+def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A compiler that writes half a file and fails leaves nothing, and the virtual machine serves."""
+    monkeypatch.setenv(compile_module.CACHE, str(tmp_path / "cache"))
+    broken = tmp_path / "cc"
+    broken.write_text('#!/bin/sh\nwhile [ "$1" != "-o" ]; do shift; done\necho half > "$2"\nexit 1\n')
+    broken.chmod(0o755)
+    function = ca.Function("f", [x := ca.SX.sym("x")], [2 * x])
+    monkeypatch.setattr(compile_module.shutil, "which", lambda _: str(broken))
+    (same,) = compile_module.compiled((function,), "half")
+    assert same is function
+    assert list((tmp_path / "cache").iterdir()) == []
+    monkeypatch.undo()
+    monkeypatch.setenv(compile_module.CACHE, str(tmp_path / "cache"))
+    (made,) = compile_module.compiled((function,), "whole")
+    assert float(made(3)) == 6.0
+    if made is not function:
+        (library,) = (tmp_path / "cache").iterdir()
+        stamp = library.stat().st_mtime_ns
+        compile_module.compiled((function,), "whole")
+        assert library.stat().st_mtime_ns == stamp  # found, not made again
+
+
+def test_importing_and_preparing_compile_nothing(tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "from controllers.nonlinear_mpc import NonlinearMPC\n"
+        "NonlinearMPC()\n"
+        "print('casadi' in sys.modules, 'daqp' in sys.modules)\n"
+    )
+    environment = {"LDC_NMPC_CACHE": str(tmp_path / "cache"), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.split() == ["False", "False"]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_pack_keeps_each_scenario_to_itself() -> None:
+    """A column depends on its own speed alone, to the bit."""
+    v = np.array([5.0, 20.0, 33.0])
+    design = NonlinearMPC(mu=0.5)
+    together = columns(design, Plant.build(BicycleModel(), v, DT))
+    for i in range(3):
+        np.testing.assert_array_equal(columns(design, Plant.build(BicycleModel(), v[i : i + 1], DT))[0], together[i])
+    assert together.shape == (3, SIZE)
+    assert pack.__doc__
