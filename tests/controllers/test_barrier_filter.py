@@ -122,7 +122,7 @@ class OneForAll(Controller):
 
 @pytest.fixture(autouse=True)
 def third_parties() -> Iterator[None]:
-    laws = (Drifting, LeavesAlone, OneForAll)
+    laws = (Drifting, LeavesAlone, OneForAll, EveryWeight)
     for law in laws:
         register(law)
     yield
@@ -307,6 +307,34 @@ def test_a_linear_law_inside_is_the_sum_to_the_bit_where_nothing_is_cut() -> Non
     for i in range(4):
         expected += law.F[:, i] * x[:, i]
     np.testing.assert_array_equal(delta, expected + (law.G_yaw_rate[:, 0] * r[:, 0] + 0.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class EveryWeight(Controller):
+    """A linear law that uses all that a linear law may."""
+
+    name: ClassVar[str] = "every_weight"
+    title: ClassVar[str] = "Every weight"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        one = np.ones((plant.n, 1))
+        return LinearLaw(
+            F=one * [-0.02, -0.03, -0.2, -0.01],
+            preview_times=np.array([0.0, 0.4]),
+            G_yaw_rate=one * [0.05, 0.02],
+            G_heading=one * [0.0, 0.1],
+            f_u=0.3 * one[:, 0],
+            f_i=-0.004 * one[:, 0],
+        )
+
+
+def test_every_weight_of_a_linear_law_inside_counts() -> None:
+    """The compiled loop alone, and the filter's own sum."""
+    wide = BarrierFilter(inner="every_weight", e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
+    scenarios = departures(30, seed=13)
+    ours, theirs = simulate(wide, scenarios), simulate(EveryWeight(), scenarios)
+    np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
+    np.testing.assert_allclose(ours.companions.effort, theirs.companions.effort, rtol=1e-9)
 
 
 @hypothesis.given(
