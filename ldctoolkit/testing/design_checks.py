@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from ldctoolkit.control import Controller, check_class
@@ -63,7 +64,7 @@ def picklable(subject: Subject) -> Iterator[str]:
         return
     if pickle.loads(sent) != design:
         yield "comes back from pickle as another design"
-    given = pickle.dumps([word for word in sys.path if word]) + pickle.dumps(sent)
+    given = pickle.dumps([word or str(Path.cwd()) for word in sys.path]) + pickle.dumps(sent)
     done = subprocess.run([sys.executable, "-c", _LOAD], input=given, capture_output=True, check=False)
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]

@@ -1,0 +1,361 @@
+"""The contract names each fault of a law by the check that it breaks, and finds none where there is none."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from controllers import LQR, NoControl
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
+from ldctoolkit.errors import InputError
+from ldctoolkit.testing import (
+    CHECKS,
+    ContractError,
+    ContractSettings,
+    ControllerContract,
+    Fault,
+    check_controller_contract,
+    contract_faults,
+)
+from ldctoolkit.testing.runs import Linear
+
+IN_PROCESS = tuple(name for name in CHECKS if name != "picklable")
+"""Classes of a test module cannot be loaded by a fresh process."""
+
+MEMORY: list[float] = []
+SHARED = np.zeros(64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Steered(SteeringLaw):
+    """A law with an integral, limits of angle and rate, and a fault of choice."""
+
+    design: Any
+    steady: np.ndarray
+    dt: float
+    memory: list[float]
+    number: np.ndarray
+
+    @property
+    def how(self) -> str:
+        return str(self.design.how)
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return np.array([0.0, 0.5])
+
+    def init(self, n: int) -> Any:
+        return SHARED[:n] if self.how == "state of all runs" else np.zeros(n)
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
+        d, how, n = self.design, self.how, t.size
+        given = x.copy()
+        wanted = d.K * x[:, 0] + 3 * d.K * x[:, 2] + self.steady * preview.yaw_rate[:, 0] + d.K_i * state
+        match how:
+            case "raises":
+                raise IndexError("no such row")
+            case "bias":
+                wanted = wanted + 1e-6
+            case "one-sided":
+                wanted = np.where(x[:, 0] > 0, wanted, 1.001 * wanted)
+            case "not finite far out":
+                wanted = np.where(np.abs(x[:, 0]) > 15.0, np.nan, wanted)
+            case "counts calls in a module":
+                MEMORY.append(1.0)
+                wanted = wanted * (1 - 1e-9 * len(MEMORY))
+            case "counts calls on itself":
+                self.memory.append(1.0)
+                wanted = wanted * (1 - 1e-9 * len(self.memory))
+            case "neighbours":
+                wanted = wanted - 1e-6 * x[:, 0].mean()
+            case "its place":
+                wanted = wanted * (1 - 1e-9 * np.arange(n))
+            case "changes x":
+                x[:, 0] = 0.0
+            case "changes delta_prev":
+                delta_prev += 1.0
+                delta_prev -= 1.0 + 1e-15
+            case "fails on zeros":
+                if (np.abs(x).sum(axis=1) == 0).any() and (x != 0).any():
+                    raise ZeroDivisionError("centred")
+        step = d.rate_max * self.dt
+        before = np.clip(delta_prev, -0.5, 0.5)
+        limited = np.clip(wanted, -d.delta_max, d.delta_max) if how != "no limit of the angle" else wanted
+        delta = before + np.clip(limited - before, -step, step) if how != "no limit of the rate" else limited
+        status: Any = np.full(n, EventStatus.OK, dtype=np.int8)
+        new: Any = state + self.dt * given[:, 0]
+        match how:
+            case "shape":
+                delta = delta[:, None]
+            case "single precision":
+                delta = delta.astype(np.float32)
+            case "status of another kind":
+                status = [EventStatus.OK] * n
+            case "unknown status":
+                status = np.full(n, EventStatus.DIVERGED, dtype=np.int8)
+            case "unsolved":
+                status = np.full(n, EventStatus.SOLVER_FAILED, dtype=np.int8)
+            case "changes its state" | "state of all runs":
+                state += self.dt * given[:, 0]
+                new = state
+            case "infinite":
+                delta = np.full(n, np.inf) if d.K_i == 0.01 else delta
+        return delta, new, status
+
+    def take(self, rows: Any, state: Any) -> Any:
+        if self.how == "takes other rows":
+            rows = rows[::-1]
+        return dataclasses.replace(self, steady=self.steady[rows], number=self.number[rows]), state[rows]
+
+
+class Base(Controller):
+    name: ClassVar[str] = "steered"
+    title: ClassVar[str] = "Steered"
+    how: ClassVar[str] = "well"
+
+    def prepare(self, plant: Plant) -> Any:
+        if self.how == "prepare raises":
+            raise KeyError("v")
+        if self.how == "nothing triggers" and plant.n == 0:
+            raise ValueError("no speeds")
+        if self.how == "changes the plant":
+            plant.v[:] = np.round(plant.v, 3)
+        if self.how == "no law":
+            return 3.0
+        if self.how == "speeds of others":
+            return Steered(self, plant.steady_state().delta * plant.v.max(initial=1.0) / 40.0, plant.dt, [], plant.v)
+        return Steered(self, plant.steady_state().delta, plant.dt, [], plant.v)
+
+
+def K(default: float = -0.02, **more: Any) -> Any:
+    given = {"unit": "rad/m", "lower": -1.0, "upper": 0.0, "description": "gain"} | more
+    return gain(default, **given)
+
+
+FIELDS: list[Any] = [
+    ("K", float, K()),
+    ("K_i", float, K(-0.002, lower=-0.01, upper=0.01)),
+    ("delta_max", float, K(0.1, lower=0.01, upper=1.0)),
+    ("rate_max", float, K(0.2, lower=0.01, upper=10.0)),
+]
+
+
+def made(how: str, fields: Any = FIELDS, **space: Any) -> type[Controller]:
+    space |= {"how": how, "__module__": __name__}
+    return dataclasses.make_dataclass("Made", fields, bases=(Base,), namespace=space, frozen=True)
+
+
+def test_a_law_that_keeps_the_contract() -> None:
+    assert contract_faults(made("well"), checks=IN_PROCESS) == ()
+    check_controller_contract(made("well")(K=-0.05), [made("well")(K_i=0.0)], checks=IN_PROCESS)
+
+
+@pytest.mark.parametrize("controller", [LQR, LQR(r_delta=20.0), NoControl])
+def test_laws_of_the_zoo_keep_it_from_end_to_end(controller: Any) -> None:
+    check_controller_contract(controller)
+
+
+@pytest.mark.parametrize(
+    ("how", "check", "sentence", "others"),
+    [
+        ("shape", "interface", r".* 'steered': step returned shapes \(12, 1\), \(12,\); allowed: \(12,\)", None),
+        ("no law", "interface", r".*prepare returned 3\.0; allowed: a LinearLaw, .*", None),
+        ("prepare raises", "interface", r"KeyError: 'v' \(test_testing\.py, line \d+\)", None),
+        ("raises", "interface", r"IndexError: no such row \(test_testing\.py, line \d+\)", None),
+        ("unknown status", "interface", r".*returned status 3; allowed: EventStatus.OK \(0\) or .*", None),
+        ("single precision", "interface", r"step returned delta of type float32; allowed: an array of float64", None),
+        ("status of another kind", "interface", r"step returned status of type list; allowed: .* int8", ()),
+        ("changes the plant", "interface", r"prepare changes the arrays of the plant in place; .*", ()),
+        ("nothing triggers", "interface", r"ValueError: no speeds \(test_testing\.py, line \d+\)", ()),
+        ("counts calls in a module", "repeatable", r"a second run of the same law: delta is .* differ\); .*", None),
+        ("counts calls on itself", "state", r"two runs in turns, against one after the other: delta is .*", None),
+        ("counts calls on itself", "repeatable", r"a second run of the same law: delta is .*", None),
+        ("state of all runs", "state", r"two runs in turns, against one after the other: delta is .*", None),
+        ("bias", "mirror", r"the command is \S+ rad and \S+ rad on the mirrored road, at sample 0 of .*", ("quiet",)),
+        ("bias", "quiet", r"the command is 1e-06 rad at sample 0 on a straight, centred road; allowed: 0", ("mirror",)),
+        ("unsolved", "quiet", r"\d+ commands on a straight, centred road have the status SOLVER_FAILED; .*", ()),
+        ("one-sided", "mirror", r".*; allowed: the negative to \S+ rad", ()),
+        ("not finite far out", "finite", r"the command is nan at 1 m/s, x = \(-20, -15, -1\.5, -3\), .*", ()),
+        ("no limit of the angle", "limits", r"the command goes from .*; allowed by delta_max = 0\.1: \S+ rad less", ()),
+        ("no limit of the rate", "limits", r"the command goes from .*; allowed by rate_max = 0\.2: \S+ rad less", ()),
+        ("changes x", "inputs", r"step changes x in place, at sample 0; allowed: new arrays", ()),
+        ("changes delta_prev", "inputs", r"step changes delta_prev in place, at sample 0; .*", ()),
+        ("changes its state", "inputs", r"step changes state in place, at sample 0; .*", ()),
+        ("neighbours", "batch", r"every other scenario alone: delta is .*; allowed: the same to the bit", None),
+        ("its place", "batch", r"the scenarios in reverse order: delta is .*", None),
+        ("speeds of others", "batch", r".*: delta is .*; allowed: the same to the bit", ()),
+        ("takes other rows", "take", r"after take, at sample 1 of the run: delta is .*", ()),
+        ("fails on zeros", "ended", r"ZeroDivisionError: centred \(test_testing\.py, line \d+\)", ()),
+        ("infinite", "extremes", r"K_i = 0\.01: the command is inf at .*; allowed: finite commands", ()),
+    ],
+)  # fmt: skip
+def test_each_fault_is_named(how: str, check: str, sentence: str, others: tuple[str, ...] | None) -> None:
+    MEMORY.clear()
+    SHARED[:] = 0.0
+    faults = contract_faults(made(how), checks=IN_PROCESS)
+    mine = [fault for fault in faults if fault.check == check]
+    assert mine, f"{check} finds nothing; found: {faults}"
+    assert any(re.fullmatch(sentence, fault.sentence) for fault in mine), mine
+    if others is not None:  # None: a fault that many checks trip over
+        assert {fault.check for fault in faults} == {check, *others}
+
+
+class Thawed(made("well")):  # type: ignore[misc]
+    __setattr__ = object.__setattr__  # type: ignore[assignment]
+
+
+def post_init(self: Any) -> None:
+    """Checks nothing."""
+
+
+def doubled(self: Any) -> None:
+    object.__setattr__(self, "K", 2 * self.K)
+    Controller.__post_init__(self)
+
+
+@pytest.mark.parametrize(
+    ("controller", "check", "sentence"),
+    [
+        (made("well", [*FIELDS, ("extra", float, 1.0)]), "declared", r"Made\.extra is a plain field; allowed: gain.*"),
+        (made("well", [*FIELDS, ("extra", float, K(unit=""))]), "declared", r"Made\.extra: its unit is empty; .*"),
+        (
+            Thawed,
+            "frozen",
+            r"K can be set on a finished design; allowed: .*",
+        ),
+        (made("well", __eq__=object.__eq__), "frozen", r"a design made from the same values does not equal it; .*"),
+        (made("well", __hash__=lambda self: id(self)), "frozen", r"two equal designs have different hashes; .*"),
+        (made("well", __post_init__=post_init), "bounds", r"K = -2\.0 is taken; allowed: an InputError, .*"),
+        (made("well", __post_init__=doubled), "toml", r"K = -0\.04 comes back from TOML as -0\.08"),
+    ],
+)
+def test_faults_of_designs_are_named(controller: type[Controller], check: str, sentence: str) -> None:
+    faults = contract_faults(controller, checks=[check])
+    assert any(re.fullmatch(sentence, fault.sentence) for fault in faults), faults
+
+
+def test_designs_that_worker_processes_cannot_load(tmp_path: Path) -> None:
+    class Local(LQR):  # type: ignore[misc]
+        name = "local"
+
+    (fault,) = contract_faults(Local, checks=["picklable"])
+    assert re.fullmatch(r"cannot be pickled: .*Local.*; allowed: a class at the top of a module", fault.sentence)
+
+    code = (
+        "from controllers import LQR\nfrom ldctoolkit.testing import contract_faults\n"
+        "class Main(LQR):\n    name = 'main'\n"
+        "print(*contract_faults(Main, checks=['picklable']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert re.match(r"main: picklable: cannot be loaded in a fresh process: AttributeError: .*'Main'.*", done.stdout)
+
+
+def test_gains_that_exclude_each_other_or_depend_on_the_vehicle() -> None:
+    def refuse(self: Any) -> None:
+        Controller.__post_init__(self)
+        if self.delta_max > 0.5:
+            raise InputError("steered.delta_max: too much with this K")
+
+    assert contract_faults(made("well", __post_init__=refuse), checks=["extremes"]) == ()
+
+    def prepare(message: str) -> Any:
+        def refusing(self: Any, plant: Plant) -> Any:
+            if self.K == 0.0:
+                raise InputError(message)
+            return Base.prepare(self, plant)
+
+        return refusing
+
+    assert contract_faults(made("well", prepare=prepare("steered.K: too little at 3 m/s")), checks=["extremes"]) == ()
+    (fault,) = contract_faults(made("well", prepare=prepare("no")), checks=["extremes"])
+    assert fault.sentence == "K = 0.0: InputError: no; allowed: finite commands"
+
+
+def test_words_and_switches_round_trip() -> None:
+    fields = [
+        ("word", str, option('a "b"', choices=('a "b"', "c\\d"), description="word")),
+        ("text", str, option("ä = [1]\n", choices=None, description="text")),
+        ("on", bool, gain(True, unit="1", description="switch")),
+        ("N", int, gain(10**6, unit="1", description="count")),
+        ("tiny", float, gain(1e-300, unit="1", description="small")),
+    ]
+    controller = made("well", [*FIELDS, *fields])
+    design = controller(word="c\\d", on=False, tiny=-1e22)  # type: ignore[call-arg]
+    assert contract_faults(controller, [design], checks=["declared", "frozen", "bounds", "toml", "extremes"]) == ()
+
+
+def test_a_linear_law_is_called_by_its_formula() -> None:
+    rng = np.random.default_rng(1)
+    n, p = 5, 3
+    law = LinearLaw(
+        F=rng.normal(size=(n, 4)),
+        preview_times=np.arange(p) * 0.1,
+        G_yaw_rate=rng.normal(size=(n, p)),
+        G_heading=rng.normal(size=(n, p)),
+        f_u=rng.normal(size=n),
+        f_i=rng.normal(size=n),
+    )
+    called, x, last = Linear(law, 0.05), rng.normal(size=(2, n, 4)), rng.normal(size=n)
+    preview = type("P", (), {"yaw_rate": rng.normal(size=(n, p)), "heading": rng.normal(size=(n, p))})()
+    _, state, _ = called.step(np.zeros(n), x[0], preview, last, called.init(n))
+    delta, _, _ = called.step(np.zeros(n), x[1], preview, last, state)
+    for i in range(n):
+        z = 0.05 * x[0, i, 0]
+        lane = law.G_yaw_rate[i] @ preview.yaw_rate[i] + law.G_heading[i] @ preview.heading[i]
+        # sums in another order
+        assert delta[i] == pytest.approx(law.F[i] @ x[1, i] + lane + law.f_u[i] * last[i] + law.f_i[i] * z, rel=1e-12)
+
+
+def test_arguments_are_checked() -> None:
+    with pytest.raises(InputError, match=r"checks: 'miror'; did you mean 'mirror'\?"):
+        contract_faults(LQR, checks=["miror"])
+    with pytest.raises(InputError, match=r"controller: 'lqr'; allowed: a controller instance"):
+        contract_faults("lqr")  # type: ignore[arg-type]
+    for wrong in ({"scenarios": 3}, {"samples": 2.5}, {"dt": 0.0}, {"mirror_tolerance": -1.0}):
+        with pytest.raises(InputError, match=f"{next(iter(wrong))}: .*; allowed"):
+            ContractSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_the_error_tells_every_fault() -> None:
+    with pytest.raises(ContractError) as caught:
+        check_controller_contract(made("bias")(K=-0.5), checks=["mirror", "quiet", "finite"])
+    assert isinstance(caught.value, AssertionError)
+    assert [fault.check for fault in caught.value.faults] == ["mirror", "quiet"]
+    assert str(caught.value).splitlines()[1].startswith("steered, K=-0.5: quiet: the command is 1e-06 rad")
+    assert str(Fault("a", "b", "c")) == "a: b: c"
+
+
+def test_the_class_runs_every_check() -> None:
+    class TestBias(ControllerContract):
+        controller = made("bias")
+        settings = ContractSettings(scenarios=4, samples=4)
+
+    run = {}
+    for name in dir(TestBias):
+        if name.startswith("test_"):
+            (check,) = re.findall(r"Check `(\w+)`", getattr(TestBias, name).__doc__)
+            run[check] = name
+    assert set(run) == set(CHECKS)
+    for check, name in run.items():
+        if check == "picklable":
+            continue
+        if check in ("mirror", "quiet"):
+            with pytest.raises(ContractError, match=f"steered: {check}: "):
+                getattr(TestBias(), name)()
+        else:
+            getattr(TestBias(), name)()
+    with pytest.raises(InputError, match=r"TestNone\.controller: missing"):
+        type("TestNone", (ControllerContract,), {})().test_commands_are_finite()
+
+
+def test_importing_it_needs_no_pytest() -> None:
+    code = "import sys, ldctoolkit.testing; print(*sorted({'pytest', 'numba', 'scipy', 'polars'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
