@@ -297,6 +297,66 @@ def test_an_integral_takes_the_bias_away() -> None:
     np.testing.assert_allclose(found.e_y_bend_mismatched, 0.0, atol=1e-7)
 
 
+@dataclasses.dataclass(frozen=True)
+class Everything(Controller):
+    """A linear law that uses all that one may, by its type or as a law that is called every sample."""
+
+    name: ClassVar[str] = "everything"
+    title: ClassVar[str] = "Everything"
+    called: bool = gain(False, unit="1", description="hand over a SteeringLaw")
+
+    def prepare(self, plant: Plant) -> LinearLaw | SteeringLaw:
+        n, rng = plant.n, np.random.default_rng(3)
+        law = dataclasses.replace(
+            LQR(r_delta=300.0).prepare(plant),
+            preview_times=np.array([0.0, 0.4, 1.1]),
+            G_yaw_rate=np.tile(rng.normal(0, 0.02, 3), (n, 1)),
+            G_heading=np.tile(rng.normal(0, 0.02, 3), (n, 1)),
+            f_u=np.full(n, 0.3),
+            f_i=np.full(n, -0.01),
+        )
+        return Called(law, plant.dt) if self.called else law
+
+
+@dataclasses.dataclass(frozen=True)
+class Called(SteeringLaw):
+    """A linear law, worked out as its definition reads."""
+
+    law: LinearLaw
+    dt: float
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        return self.law.preview_times
+
+    def init(self, n: int) -> Any:
+        return np.zeros(n)
+
+    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
+        law = self.law
+        delta = (law.F * x).sum(1) + (law.G_yaw_rate * preview.yaw_rate).sum(1)
+        delta = delta + (law.G_heading * preview.heading).sum(1) + law.f_u * delta_prev + law.f_i * state
+        return delta, state + self.dt * x[:, 0], np.zeros(delta.size, dtype=np.int8)
+
+
+def test_a_linear_law_is_the_same_by_its_type_and_by_its_answers() -> None:
+    """Integral, previous command and preview included; tolerance: rounding over the pulses' size."""
+    options = PlantOptions(actuator=Actuator(lag=0.05, delay=0.03))
+    exact, asked = (review(Everything(called=c), speeds=[15.0, 30.0], options=options).loop for c in (False, True))
+    assert exact is not None
+    assert asked is not None
+    for field in dataclasses.fields(exact):
+        if "bend" not in field.name:
+            np.testing.assert_allclose(getattr(asked, field.name), getattr(exact, field.name), rtol=1e-6)
+    np.testing.assert_allclose([exact.e_y_bend, asked.e_y_bend], 0.0, atol=1e-7)
+    view = linear_view(Everything(called=True), Plant.build(BicycleModel(), [15.0], 0.05))
+    law = Everything().prepare(Plant.build(BicycleModel(), [15.0], 0.05))
+    assert view is not None
+    assert isinstance(law, LinearLaw)
+    by_hand = law.G_yaw_rate[0].sum() + law.G_heading[0] @ [0.0, 0.4, 1.1]
+    assert view.models[0].D[5] == pytest.approx(by_hand, rel=1e-9)
+
+
 def test_laws_that_steer_for_nothing_or_give_no_numbers() -> None:
     assert named(review(Remembering(constant=0.01), speeds=[20.0]), "quiet").severity == "fault"
     found = review(Remembering(broken=True), speeds=[20.0])
