@@ -21,6 +21,10 @@ $(VENV)/.dev: $(VENV)/.runtime
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@touch $@
 
+$(VENV)/.bench: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
+	@touch $@
+
 study: $(VENV)/.runtime  ## run the study trigger-and-gains on the bundled model; ranking and report
 	$(BIN)/ldc run trigger-and-gains -o out/trigger-and-gains
 
@@ -35,9 +39,10 @@ test: lint  ## lint, types and all tests, slow ones too
 test-fast: lint  ## the same without the slow tests
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
 
-bench: $(VENV)/.dev  ## ratios against named references
+bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/mixture.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/nonlinear_mpc.py
 
 format: $(VENV)/.dev  ## rewrite the code in the project's format
 	$(BIN)/ruff check --fix .
