@@ -129,7 +129,7 @@ def run_study(
     results = done.results(scenarios, store.times, store.failures, source=study.name)
     if results.failed:
         share, first = f"{len(results.failed)} of {len(study.designs)}", results.failed[0].sentence
-        _log.warning("%s designs failed and are not ranked; the first, %s", share, first)
+        _log.warning("failed and not ranked: %s designs; the first, %s", share, first)
     return results
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from ldctoolkit.testing import CHECKS
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,6 +59,9 @@ def project(tmp_path: Path) -> Path:
     (folder / "lane_laws" / "__init__.py").write_text("")
     (folder / "lane_laws" / "offset.py").write_text(blocks("python")[0], encoding="utf-8")
     (folder / "tests" / "test_offset.py").write_text(blocks("py")[0], encoding="utf-8")
+    (folder / "lane_laws" / "limited.py").write_text("\n\n".join(blocks("python")), encoding="utf-8")
+    limited = re.sub(r"\bOffset\b", "LimitedOffset", blocks("py")[0]).replace("laws.offset", "laws.limited")
+    (folder / "tests" / "test_limited.py").write_text(limited, encoding="utf-8")
     pyproject, sweep = blocks("toml")
     (folder / "pyproject.toml").write_text(pyproject, encoding="utf-8")
     small = sweep.replace("= 200", "= 15") + "\n[ranking]\nbootstrap = 200\n"
@@ -85,7 +90,7 @@ def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) ->
 
     checked = process("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", cwd=project, env=env)
     assert checked.returncode == 0, checked.stdout
-    assert re.search(r"^\d+ passed", checked.stdout, flags=re.M)
+    assert re.search(rf"^{2 * len(CHECKS)} passed", checked.stdout, flags=re.M)  # both laws of the guide
 
 
 BROKEN = """

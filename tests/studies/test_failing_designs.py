@@ -160,7 +160,7 @@ def test_a_failed_design_is_tried_again(
 ) -> None:
     study = study_with(make_study, "prepare", "step")
     run_study(study, directory=tmp_path, workers=1)
-    assert "2 of 5 designs failed and are not ranked; the first, design" in caplog.text
+    assert "failed and not ranked: 2 of 5 designs; the first, design" in caplog.text
     parts = sorted((tmp_path / "results").iterdir())
     stored = json.loads((tmp_path / "failures.json").read_text())["designs"]
     assert {len(sentences) for sentences in stored.values()} == {2}  # conventions
@@ -177,6 +177,29 @@ def test_a_failed_design_is_tried_again(
     assert len(results.designs) == 5
     assert not (tmp_path / "failures.json").exists()
     assert not read_results(tmp_path).failed
+
+
+def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies.simulate_designs import Block, Simulator
+
+    study = make_study(design=[GOOD[0], {"law": "broken_step", "y_s": 0.3}, {"law": "toy", "y_s": 0.4}])
+    run = Simulator.run
+
+    def interrupted(self: Simulator, block: Block) -> Any:
+        if block.designs[0].law == "toy":
+            raise KeyboardInterrupt
+        return run(self, block)
+
+    monkeypatch.setattr(Simulator, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, directory=tmp_path, workers=1, block_size=1)
+    (failed,) = json.loads((tmp_path / "failures.json").read_text())["designs"].values()
+    assert failed["consistent"].startswith("IndexError: no [row]")
+    with pytest.raises(StoreError, match=r"4 of 6 runs are not there yet"):  # one is stored, one failed
+        read_results(tmp_path)
+    monkeypatch.setattr(Simulator, "run", run)
+    assert len(run_study(study, directory=tmp_path, workers=1).failed) == 1
+    assert len(read_results(tmp_path).designs) == 2
 
 
 def test_a_design_that_fails_in_one_convention_is_in_no_case(
@@ -245,7 +268,7 @@ def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys
     said = capsys.readouterr()
     assert "2 designs failed and are not ranked:" in said.out
     assert "(Broken step, y_s=0.05 m, K=1): IndexError: no [row] " in said.out  # brackets are no markup
-    assert "ldc: warning: 2 of 4 designs failed and are not ranked; the first, design" in said.err
+    assert "ldc: warning: failed and not ranked: 2 of 4 designs; the first, design" in said.err
 
     with (out / "ranking.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
