@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from controllers import LQR, PreviewProportional
-from ldctoolkit import BicycleModel, Controller, Plant, Scenarios, simulate
+from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 from ldctoolkit.review import review
-from ldctoolkit.review.law_model import LawModel
+from ldctoolkit.review.law_model import LawModel, linear_view
 from ldctoolkit.review.loop_numbers import _cameras
 from ldctoolkit.review.margins import bandwidth, margins, poles
 from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
@@ -62,23 +64,36 @@ PLANTS = {
 }
 
 
-def loop_of(design: LQR, options: PlantOptions, v: float, dt: float = 0.05) -> Loop:
+@dataclasses.dataclass(frozen=True)
+class Remembering(Controller):
+    """An LQR with a weight on its previous command and one on the integral of e_y."""
+
+    name: ClassVar[str] = "remembering"
+    title: ClassVar[str] = "Remembering"
+    r_delta: float = gain(300.0, unit="1/rad^2", lower=1.0, upper=1e6, description="weight on delta^2")
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        law = LQR(r_delta=self.r_delta).prepare(plant)
+        return dataclasses.replace(law, f_u=np.full(plant.n, 0.3), f_i=np.full(plant.n, -0.02))
+
+
+def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.05) -> Loop:
     plant = Plant.build(BicycleModel(), [v], dt)
     A, B, E = plant.model.matrices(plant.v)
-    law = design.prepare(plant)
-    model = LawModel(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros(0), np.append(law.F[0], [0.0, law.G_yaw_rate[0, 0]]))
-    return Loop.of(
-        sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), controller_side(model, _cameras(plant, options)[0])
-    )
+    view = linear_view(design, plant)
+    assert view is not None
+    side = controller_side(view.models[0], _cameras(plant, options)[0])
+    return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), side)
 
 
+@pytest.mark.parametrize("kind", [LQR, Remembering])
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_closed_loop_of_studies_has_these_poles(name: str) -> None:
+def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: type[LQR] | type[Remembering]) -> None:
     """Once start effects have left the registers, e_y obeys the recursion of the characteristic polynomial.
 
     Tolerance: rounding of the sum, whose largest term is a binomial of the polynomial's degree (10 to 15) times e_y.
     """
-    design, options = LQR(r_delta=300.0), PLANTS[name]
+    design, options = kind(r_delta=300.0), PLANTS[name]
     straight = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V])
     run = simulate(design, straight, y_s=0.2, options=options, trajectories=True, settle=2.0)
     assert run.trajectories is not None
@@ -92,7 +107,7 @@ def test_the_closed_loop_of_studies_has_these_poles(name: str) -> None:
     assert residual.size > 20
     scale = np.convolve(np.abs(tail), np.abs(polynomial), mode="valid").max()
     assert np.abs(residual).max() < 1e-11 * scale
-    other = np.poly(loop_of(LQR(r_delta=330.0), options, V).closed_A)
+    other = np.poly(loop_of(kind(r_delta=330.0), options, V).closed_A)
     assert np.abs(np.convolve(tail, other, mode="valid")).max() > 1e-8 * scale
 
 
