@@ -15,6 +15,7 @@ import pytest
 from controllers import LQR, NoControl
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
 from ldctoolkit.errors import InputError
+from ldctoolkit.simulation import BOUND
 from ldctoolkit.testing import (
     CHECKS,
     ContractError,
@@ -24,6 +25,7 @@ from ldctoolkit.testing import (
     check_controller_contract,
     contract_faults,
 )
+from ldctoolkit.testing.roads import bends, corners
 from ldctoolkit.testing.runs import Linear
 
 IN_PROCESS = tuple(name for name in CHECKS if name != "picklable")
@@ -311,6 +313,19 @@ def test_a_linear_law_is_called_by_its_formula() -> None:
         lane = law.G_yaw_rate[i] @ preview.yaw_rate[i] + law.G_heading[i] @ preview.heading[i]
         # sums in another order
         assert delta[i] == pytest.approx(law.F[i] @ x[1, i] + lane + law.f_u[i] * last[i] + law.f_i[i] * z, rel=1e-12)
+
+
+def test_the_lane_that_laws_are_shown_is_one_lane() -> None:
+    """Heading is the integral of yaw rate, and the states reach the bound of the simulation on both sides."""
+    times = np.linspace(0.0, 2.0, 401)
+    road = bends(5, 4)
+    preview = road.preview(2, times)
+    middle = 0.5 * (preview.yaw_rate[:, 1:] + preview.yaw_rate[:, :-1])  # exact: the yaw rate is a straight line
+    summed = np.cumsum(middle * np.diff(times), axis=1)
+    np.testing.assert_allclose(preview.heading[:, 1:], summed, rtol=0, atol=1e-13)  # 400 sums of about 0.1
+    for sign in (-1, 1):
+        assert (corners(4).x[:, :, 0] == sign * BOUND).any()
+    np.testing.assert_array_equal(road.mirrored().preview(1, times).heading, -road.preview(1, times).heading)
 
 
 def test_arguments_are_checked() -> None:
