@@ -45,7 +45,7 @@ def run(chosen: argparse.Namespace) -> None:
             table.add_column(heading)
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
-            allowed = ", ".join(words) if words else _interval(g.lower, g.upper)
+            allowed = ", ".join(words) if words else "any text" if g.text else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
             table.add_row(g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
         if kind.gains():
