@@ -1,15 +1,15 @@
 """The prediction model of the nonlinear MPC in CasADi: one sample of the nonlinear bicycle, and steady cornering.
 
 The bicycle is that of `ldctoolkit.vehicle.nonlinear` (Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the
-Magic Formula of Pacejka) at constant speed. A sample is a step of the second-order exponential Runge-Kutta method
-(S. Cox, P. Matthews, *Exponential time differencing for stiff systems*, J. Comp. Phys. 176, 2002) about straight
-driving: with f = A x + B delta + E r + g,
+Magic Formula of Pacejka) at constant speed. A sample is a step of the third-order exponential Runge-Kutta method
+ETD3RK (S. Cox, P. Matthews, *Exponential time differencing for stiff systems*, J. Comp. Phys. 176, 2002) about
+straight driving: with f = A x + B delta + E r + g, and l(x), l_h(x) the exact linear plant after dt and dt/2,
 
-    a  = A_d x + B_d delta + E_0 r_0 + E_1 r_1 + (G_0 + G_1) g(x, delta, r_0)
-    x+ = a + G_1 (g(a, delta, r_1) - g(x, delta, r_0)),
+    g_0 = g(x, r_0),  a = l_h(x) + H_1 g_0,  g_a = g(a, r_h),  b = l(x) + G_1 (2 g_a - g_0),  g_b = g(b, r_1)
+    x+  = l(x) + G_1 g_0 + G_2 (4 g_a - 3 g_0 - g_b) + G_3 (4 g_0 - 8 g_a + 4 g_b),
 
-so that what is linear is exact, as in the linear plant, and stiffness at low speed is no trouble. Only the
-accelerations have a part g that is not linear.
+G_1, G_2, G_3 the responses to accelerations 1, s and s^2/2 of s = t/dt. So what is linear is exact, as in the linear
+plant, and stiffness at low speed is no trouble. Only the accelerations have a part g that is not linear.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _TURNED: Final = 0.97  # and the front tyres, turned by delta, up to this
 
 # numbers of one scenario that CasADi's functions take as one column, in this order
 LAYOUT: Final = {
-    "vehicle": 8, "v": 1, "linear": 10, "A": 16, "B": 4, "E_0": 4, "E_1": 4, "G_0": 8, "G_1": 8,
+    "vehicle": 8, "v": 1, "linear": 10, "A": 16, "B": 4, "E_0": 4, "E_1": 4,
+    "A_h": 16, "B_h": 4, "E_0h": 4, "E_1h": 4, "H_1": 8, "G_1": 8, "G_2": 8, "G_3": 8,
     "q": 4, "r_delta": 1, "P": 16, "K": 4, "rate_step": 1,
 }  # fmt: skip
 SIZE: Final = sum(LAYOUT.values())
@@ -57,14 +58,17 @@ def pack(plant: Plant, mu: float, q: tuple[float, ...], r_delta: float, P: Any, 
     """
     n, p = plant.n, plant.model.parameters
     A, B, E = plant.model.matrices(plant.v)
-    G_0, G_1 = _forced(A, plant.dt)
-    step = plant.step
+    G_1, G_2, G_3 = _forced(A, plant.dt)
+    step, half = plant.step, plant.model.discretize(plant.v, 0.5 * plant.dt)
     vehicle = np.array([p.C_af, p.C_ar, p.l_f, p.l_r, p.m, p.I_z, mu, SHAPE])
     linear = np.concatenate([A[:, 1, 1:], A[:, 3, 1:], B[:, (1, 3)], E[:, (1, 3)]], axis=1)
     parts = {
         "vehicle": np.tile(vehicle, (n, 1)), "v": plant.v[:, None], "linear": linear,
         "A": _by_column(step.A), "B": step.B, "E_0": step.E_0, "E_1": step.E_1,
-        "G_0": _by_column(G_0), "G_1": _by_column(G_1), "q": np.tile(q, (n, 1)), "r_delta": np.full((n, 1), r_delta),
+        "A_h": _by_column(half.A), "B_h": half.B, "E_0h": half.E_0, "E_1h": half.E_1,
+        "H_1": _by_column(_forced(A, 0.5 * plant.dt)[0]),
+        "G_1": _by_column(G_1), "G_2": _by_column(G_2), "G_3": _by_column(G_3),
+        "q": np.tile(q, (n, 1)), "r_delta": np.full((n, 1), r_delta),
         "P": _by_column(P), "K": K, "rate_step": np.full((n, 1), rate_step),
     }  # fmt: skip
     return np.ascontiguousarray(np.concatenate([parts[name] for name in LAYOUT], axis=1))
@@ -72,21 +76,20 @@ def pack(plant: Plant, mu: float, q: tuple[float, ...], r_delta: float, P: Any, 
 
 def _by_column(M: FloatArray) -> FloatArray:
     """Stack of matrices as rows of numbers in CasADi's order."""
-    return np.asarray(M.transpose(0, 2, 1).reshape(M.shape[0], -1), dtype=np.float64)
+    return np.asarray(M.transpose(0, 2, 1).reshape(M.shape[0], M.shape[1] * M.shape[2]), dtype=np.float64)
 
 
-def _forced(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Response (n, 4, 2) to accelerations (of e_y, of e_psi): constant shape of their start and of their end value."""
+def _forced(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Responses (n, 4, 2) after dt to accelerations (of e_y, of e_psi) that go like 1, s and s^2/2, s = t/dt."""
     import scipy.linalg
 
-    n = A.shape[0]
-    M = np.zeros((n, 8, 8))
+    M = np.zeros((A.shape[0], 10, 10))
     M[:, :4, :4] = A * dt
     M[:, 1, 4] = M[:, 3, 5] = dt
-    M[:, 4, 6] = M[:, 5, 7] = 1.0
+    for k in range(4, 8):
+        M[:, k, k + 2] = 1.0
     exp = scipy.linalg.expm(M)
-    constant, ramp = exp[:, :4, 4:6], exp[:, :4, 6:8]
-    return constant - ramp, ramp
+    return exp[:, :4, 4:6], exp[:, :4, 6:8], exp[:, :4, 8:10]
 
 
 def accelerations(x: Any, delta: Any, r: Any, v: Any, vehicle: Any) -> tuple[Any, Any, Any]:
@@ -138,12 +141,18 @@ def sample(x: Any, delta: Any, r_0: Any, r_1: Any, column: Any) -> tuple[Any, An
         e_psi_linear = ca.dot(lin[3:6], x[1:4]) + lin[7] * delta + lin[9] * r
         return ca.vertcat(e_y - e_y_linear, e_psi - e_psi_linear), a_y
 
-    G_0, G_1 = ca.reshape(c["G_0"], 4, 2), ca.reshape(c["G_1"], 4, 2)
+    def linear(part: str, r_end: Any) -> Any:
+        A = ca.reshape(c["A" + part], 4, 4)
+        return ca.mtimes(A, x) + c["B" + part] * delta + c["E_0" + part[1:]] * r_0 + c["E_1" + part[1:]] * r_end
+
+    H_1, G_1, G_2, G_3 = (ca.reshape(c[name], 4, 2) for name in ("H_1", "G_1", "G_2", "G_3"))
+    r_h = 0.5 * (r_0 + r_1)
     g_0, a_y_0 = rest(x, r_0)
-    linear = ca.mtimes(ca.reshape(c["A"], 4, 4), x) + c["B"] * delta + c["E_0"] * r_0 + c["E_1"] * r_1
-    a = linear + ca.mtimes(G_0 + G_1, g_0)
-    g_1, _ = rest(a, r_1)
-    x_next = a + ca.mtimes(G_1, g_1 - g_0)
+    g_a, _ = rest(linear("_h", r_h) + ca.mtimes(H_1, g_0), r_h)
+    whole = linear("", r_1)
+    g_b, _ = rest(whole + ca.mtimes(G_1, 2 * g_a - g_0), r_1)
+    x_next = whole + ca.mtimes(G_1, g_0) + ca.mtimes(G_2, 4 * g_a - 3 * g_0 - g_b)
+    x_next += ca.mtimes(G_3, 4 * (g_0 - 2 * g_a + g_b))
     return x_next, a_y_0, accelerations(x_next, delta, r_1, c["v"], c["vehicle"])[2]
 
 

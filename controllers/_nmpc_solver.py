@@ -33,6 +33,7 @@ _HELD: Final = 1e-8  # [rad] a limit this close is active
 _MEMORY: Final = 4  # iterations whose merit a full step may come back to, so that rows that bend do not
 # shorten it (the watchdog), and for how many iterations it may
 _PATIENCE: Final = 15
+_BLIND: Final = 3  # full steps taken where the merit of soft limits cannot fall
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,7 +163,7 @@ class Workspace:
         self.m_0[:], self.m_1[:], self.m_y[:], self._active[:] = 0.0, 0.0, 0.0, False
         J, merit, rows = self._start(warm, soft)
         step, gap = np.inf, 0.0
-        recent = [merit]
+        recent, blind = [merit], _BLIND
         for iteration in range(1, MAX_ITERATIONS + 1):
             found = self._direction(rows, soft)
             if found is None:
@@ -175,23 +176,24 @@ class Workspace:
             nu = 2.0 * self.slope[0] + 1e-6
             before = merit + nu * gap
             drop = max(nu * gap - pull, 0.0)
-            np.add(self.U, dU, out=self.U_try)
-            self.X_try[:] = self.X + self.t + self.T @ dU
-            trial = self._measure(soft)
+            trial = self._lift(dU, soft)
             high = max(before, *recent) if iteration <= _PATIENCE else before
             allowed = high - 1e-4 * drop + 1e-12 * (1.0 + abs(before))
             full = trial[1] + nu * trial[3] <= allowed
             if not full:
                 shorter = self._shorten(dU, before, drop, soft)
                 if shorter is None and gap == 0.0:
-                    # the merit cannot fall any more: rounding, if the step is small
-                    return self._end(step <= _STEP_LAST, iteration, step, J)
+                    # the merit cannot fall: rounding, if the step is small, or soft rows whose bend the QP has not seen
+                    if step <= _STEP_LAST or soft is None or blind == 0:
+                        return self._end(step <= _STEP_LAST, iteration, step, J)
+                    blind -= 1
+                    shorter = self._lift(dU, soft)
                 trial = shorter or self._close(soft)
             J, merit, rows, gap = trial
             self.U[:], self.X[:] = self.U_try, self.X_try
             recent = [*recent[1 - _MEMORY :], merit + nu * gap]
             if gap <= _GAP and full and step <= (_STEP_NEWTON if newton else _STEP_LINEAR):
-                return self._end(True, iteration, step, J)
+                return self._end(True, iteration, step, self._close(soft)[0])
         return self._end(step <= _STEP_LAST and gap <= _GAP, MAX_ITERATIONS, step, J)
 
     def _close(self, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None, float]:
@@ -199,6 +201,12 @@ class Workspace:
         self.share[0], self.guess[:] = 0.0, self.U
         self._drive()
         return (*self._measure(soft)[:3], 0.0)
+
+    def _lift(self, dU: FloatArray, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None, float]:
+        """The full step of commands and states."""
+        np.add(self.U, dU, out=self.U_try)
+        self.X_try[:] = self.X + self.t + self.T @ dU
+        return self._measure(soft)
 
     def _end(self, solved: bool, iterations: int, step: float, J: float) -> Solution:
         return Solution(self.U.copy(), solved and bool(np.isfinite(self.U).all()), iterations, step, 2.0 * J)

@@ -195,6 +195,7 @@ def compare(name: str, drives: Drives) -> None:
 
 
 def main() -> None:
+    warnings.simplefilter("ignore", FutureWarning)  # of CasADi, about calls inside do-mpc
     versions = {name: importlib.metadata.version(name) for name in ("casadi", "daqp", "do-mpc", "numpy")}
     shown = ", ".join(f"{name} {version}" for name, version in versions.items())
     print(f"\n{platform.machine()}; Python {platform.python_version()}, {shown}.")
