@@ -417,7 +417,7 @@ def test_expand_names_what_is_wrong() -> None:
 
 
 def test_the_catalog_loads() -> None:
-    assert {"paper", "trigger-and-gains"} <= set(catalog_names())
+    assert {"paper", "trigger-and-gains", "reality", "zoo"} <= set(catalog_names())
     for name in catalog_names():
         study = load_study(name)
         assert study.name == name
