@@ -53,7 +53,9 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
         return functions
     try:
         return tuple(ca.external(function.name(), str(library)) for function in functions)
-    except RuntimeError:  # a library of another system under the same name, or a folder without permission to run
+    except RuntimeError:  # a damaged file, made anew by the next process, or a folder that nothing may run from
+        with contextlib.suppress(OSError):
+            library.unlink(missing_ok=True)
         return functions
 
 
