@@ -483,10 +483,12 @@ def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatc
     stamp = library.stat().st_mtime_ns
     compile_module.compiled((function,), "whole")
     assert library.stat().st_mtime_ns == stamp  # found, not made again
-    library.unlink()
-    library.write_bytes(b"damaged")
-    assert compile_module.compiled((function,), "whole") == (function,)
-    (again,) = compile_module.compiled((function,), "whole")
+    damaged = compile_module._library((function,), "damaged")
+    assert damaged is not None
+    damaged.write_bytes(b"half")
+    assert compile_module.compiled((function,), "damaged")[0] is function
+    assert not damaged.exists()
+    (again,) = compile_module.compiled((function,), "damaged")
     assert again is not function
     assert float(again(3)) == 6.0
 
