@@ -32,8 +32,10 @@ IntArray = npt.NDArray[np.int64]
 
 _PROVED: Final = 1e-10
 """Largest violation of a condition by a guess that counts as the solution."""
+_ROUNDING: Final = 1e-14
+"""Where multipliers are large, as those of a soft limit that cannot be met, this share of the largest term counts."""
 _MORE_MENDINGS: Final = 4
-"""A guess is mended as often as there are moves, and this much more."""
+"""A guess is mended three times as often as there are moves, and this much more."""
 
 
 @numba.njit(**OPTIONS)
@@ -64,15 +66,15 @@ def prove(
     w : (M + 3,)
         The corrections and slacks of the solution.
     multipliers : (R,)
-    room : (M, M + 1)
+    room : (M + 3, M + 4)
     """
     R, M = C.shape
-    held = np.empty(M, dtype=np.int64)
-    for _ in range(M + _MORE_MENDINGS):
+    held = np.empty(M + 3, dtype=np.int64)
+    for _ in range(3 * M + _MORE_MENDINGS):
         count = 0
         for row in range(R):
             if side[row] != 0:
-                if count == M:
+                if count == held.size:
                     return False
                 held[count] = row
                 count += 1
@@ -83,11 +85,13 @@ def prove(
         w[:] = 0.0
         multipliers[:] = 0.0
         proved = True
-        sums = np.zeros(3)
+        sums, tolerance = np.zeros(3), _PROVED
         for a in range(count):
-            row, magnitude = held[a], room[a, M]
+            row, magnitude = held[a], room[a, -1]
             for k in range(M):
-                w[k] -= side[row] * magnitude * C[row, k]
+                part = magnitude * C[row, k]
+                w[k] -= side[row] * part
+                tolerance = max(tolerance, _ROUNDING * abs(part))
             multipliers[row] = side[row] * magnitude
             if limits.group[row] >= 0:
                 sums[limits.group[row]] += magnitude
@@ -98,10 +102,11 @@ def prove(
                 if slack < 0.0:
                     beyond[kind] = 0
                     proved = False
-            elif slack > _PROVED:
+            elif slack > tolerance:
                 beyond[kind] = 1
                 proved = False
-        worst, worst_row, worst_side = _PROVED, -1, 0
+        worst, worst_row, worst_side = tolerance, -1, 0
+        wrong, wrong_row = -tolerance, -1
         for row in range(R):
             value = y[row]
             for k in range(M):
@@ -111,12 +116,15 @@ def prove(
             if side[row] == 0:
                 if max(above, below) > worst:
                     worst, worst_row, worst_side = max(above, below), row, 1 if above > below else -1
-            elif side[row] * multipliers[row] < -_PROVED:
-                side[row] = 0
+            elif side[row] * multipliers[row] < -tolerance:
+                if side[row] * multipliers[row] < wrong:
+                    wrong, wrong_row = side[row] * multipliers[row], row
                 proved = False
-            elif abs(above if side[row] > 0 else below) > _PROVED:
+            elif abs(above if side[row] > 0 else below) > tolerance:
                 proved = False
-        if worst_row >= 0:
+        if wrong_row >= 0:
+            side[wrong_row] = 0
+        elif worst_row >= 0:
             side[worst_row] = worst_side
         elif proved:
             return True
@@ -135,7 +143,7 @@ def _magnitudes(
     held: IntArray,
     room: FloatArray,
 ) -> int:
-    """Magnitudes of the held rows' multipliers into room[:, M], by Cholesky; -1, or a row that depends on others."""
+    """Magnitudes of the held rows' multipliers into room[:, -1], by Cholesky; -1, or a row that depends on others."""
     M, count = C.shape[1], held.size
     for a in range(count):
         row, kind = held[a], limits.group[held[a]]
@@ -163,13 +171,13 @@ def _magnitudes(
                     return row
                 room[a, a] = np.sqrt(total)
         for k in range(a):
-            right -= room[a, k] * room[k, M]
-        room[a, M] = right / room[a, a]
+            right -= room[a, k] * room[k, -1]
+        room[a, -1] = right / room[a, a]
     for a in range(count - 1, -1, -1):
-        total = room[a, M]
+        total = room[a, -1]
         for k in range(a + 1, count):
-            total -= room[k, a] * room[k, M]
-        room[a, M] = total / room[a, a]
+            total -= room[k, a] * room[k, -1]
+        room[a, -1] = total / room[a, a]
     return -1
 
 
@@ -186,7 +194,7 @@ def polish(
     """Put the exact solution in the place of a solver's, if the rows that it holds at bounds prove to be right."""
     R, M = C.shape
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
-    room, exact, exact_multipliers = np.empty((M, M + 1)), np.empty(M + 3), np.empty(R)
+    room, exact, exact_multipliers = np.empty((M + 3, M + 4)), np.empty(M + 3), np.empty(R)
     for row in range(R):
         side[row] = sign(multipliers[row]) if abs(multipliers[row]) > 1e-9 else 0
     for kind in range(3):

@@ -1,16 +1,23 @@
 """The compiled sweep of `linear_mpc`: all that a sample needs, of every scenario, as far as no solver is needed.
 
-The compiler takes a while to import: callers import this module where they call it.
+The compiler takes a while to import: callers import this module where they call it. A compiled entry is kept on disk
+between runs. What it calls lies in other files too, which numba does not look at: a digest of all of them is part of
+each entry, so that a changed file is compiled anew.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
+from typing import Any
+
 import numba
 import numpy as np
 import numpy.typing as npt
 
+from controllers import _mpc_active_set, _mpc_condensing, _mpc_rows
 from controllers._mpc_active_set import polish, prove, sign
 from controllers._mpc_condensing import Condensed, Limits
 from controllers._mpc_rows import OPTIONS, ROUNDING, matrix, values
@@ -21,7 +28,15 @@ IntArray = npt.NDArray[np.int64]
 FREE, HELD, OPEN, BEYOND = range(4)
 """How a scenario stands after the sweep: no limit active, a guess proved itself, a solver is needed, infeasible."""
 
-__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "block", "first", "plan", "polish", "sweep"]
+__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "plans", "sweep"]
+
+
+def _digest() -> int:
+    """Of the text of everything that is compiled into an entry."""
+    text = hashlib.sha256()
+    for file in (__file__, *(str(module.__file__) for module in (_mpc_active_set, _mpc_condensing, _mpc_rows))):
+        text.update(Path(file).read_bytes())
+    return int.from_bytes(text.digest()[:6], "big")
 
 
 @numba.njit(**OPTIONS)
@@ -65,74 +80,6 @@ def block(c: Condensed, limits: Limits, i: int, U: FloatArray, work: FloatArray)
 
 
 @numba.njit(**OPTIONS)
-def sweep(
-    c: Condensed,
-    limits: Limits,
-    guess: bool,
-    x: FloatArray,
-    r: FloatArray,
-    prev: FloatArray,
-    last: FloatArray,
-    last_slack: FloatArray,
-    U: FloatArray,
-    delta: FloatArray,
-    w: FloatArray,
-    multipliers: FloatArray,
-    how: npt.NDArray[np.int8],
-) -> None:
-    """One sample of every scenario: what can be proved without a solver, and which scenarios need one.
-
-    Parameters
-    ----------
-    c : Condensed
-    limits : Limits
-    guess : bool
-        Whether to prove anything; otherwise every feasible scenario is left to the solver.
-    x : (n, 4)
-    r : (n, N + 1) [rad/s]
-    prev : (n,) [rad]
-    last : (n, R)
-        Multipliers one sample before.
-    last_slack : (n, 3)
-        Slacks one sample before.
-    U : (n, N), delta : (n,), w : (n, M + 3), multipliers : (n, R), how : (n,)
-        Results; w and multipliers zero at first.
-    """
-    n, N = U.shape
-    M, R = limits.start.size, limits.group.size
-    y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
-    C, G, room = np.empty((R, M)), np.empty((N, M)), np.empty((M, M + 1))
-    side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
-    for i in range(n):
-        plan(c, i, x[i], r[i], U[i], work)
-        if M < N:
-            block(c, limits, i, U[i], work)
-        delta[i] = U[i, 0]
-        if not values(c, limits, i, x[i], r[i], prev[i], U[i], y, low, high):
-            how[i] = BEYOND
-            continue
-        if not guess:
-            how[i] = OPEN
-            _warm(limits, last[i], w[i], multipliers[i])
-            continue
-        inside = True
-        for row in range(R):
-            inside &= (y[row] <= high[row] + ROUNDING) & (y[row] >= low[row] - ROUNDING)
-        if inside:
-            how[i] = FREE
-            delta[i] = min(max(delta[i], low[0]), high[0])
-            continue
-        matrix(c, limits, i, C, G)
-        _shifted(limits, last[i], last_slack[i], side, beyond)
-        if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], room):
-            how[i] = HELD
-            delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
-        else:
-            how[i] = OPEN
-            _warm(limits, last[i], w[i], multipliers[i])
-
-
-@numba.njit(**OPTIONS)
 def first(limits: Limits, C: FloatArray, U_0: float, low: float, high: float, w: FloatArray) -> float:
     """First command of the corrected plan, not beyond its bounds by a solver's tolerance."""
     total = U_0
@@ -161,23 +108,131 @@ def _warm(limits: Limits, last: FloatArray, w: FloatArray, multipliers: FloatArr
         multipliers[row] = last[limits.shift[row]]
 
 
-@numba.njit(**OPTIONS)
-def assemble(
-    c: Condensed,
-    limits: Limits,
-    rows: IntArray,
-    x: FloatArray,
-    r: FloatArray,
-    prev: FloatArray,
-    U: FloatArray,
-    C: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-) -> None:
-    """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
-    G = np.empty((U.shape[1], limits.start.size))
-    for k in range(rows.size):
-        i = rows[k]
-        values(c, limits, i, x[i], r[i], prev[i], U[i], y[k], low[k], high[k])
-        matrix(c, limits, i, C[k], G)
+def _entries(digest: int) -> Any:
+    """What is called from Python, each with the digest among what it closes over: numba keeps one version a value."""
+
+    @numba.njit(cache=True, **OPTIONS)
+    def sweep(
+        c: Condensed,
+        limits: Limits,
+        guess: bool,
+        x: FloatArray,
+        r: FloatArray,
+        prev: FloatArray,
+        last: FloatArray,
+        last_slack: FloatArray,
+        U: FloatArray,
+        delta: FloatArray,
+        w: FloatArray,
+        multipliers: FloatArray,
+        how: npt.NDArray[np.int8],
+    ) -> None:
+        """One sample of every scenario: what can be proved without a solver, and which scenarios need one.
+
+        Parameters
+        ----------
+        c : Condensed
+        limits : Limits
+        guess : bool
+            Whether to prove anything; otherwise every feasible scenario is left to the solver.
+        x : (n, 4)
+        r : (n, N + 1) [rad/s]
+        prev : (n,) [rad]
+        last : (n, R)
+            Multipliers one sample before.
+        last_slack : (n, 3)
+            Slacks one sample before.
+        U : (n, N), delta : (n,), w : (n, M + 3), multipliers : (n, R), how : (n,)
+            Results; w and multipliers zero at first.
+        """
+        if digest < 0:
+            return
+        n, N = U.shape
+        M, R = limits.start.size, limits.group.size
+        y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
+        C, G, room = np.empty((R, M)), np.empty((N, M)), np.empty((M + 3, M + 4))
+        side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
+        for i in range(n):
+            plan(c, i, x[i], r[i], U[i], work)
+            if M < N:
+                block(c, limits, i, U[i], work)
+            delta[i] = U[i, 0]
+            if not values(c, limits, i, x[i], r[i], prev[i], U[i], y, low, high):
+                how[i] = BEYOND
+                continue
+            if not guess:
+                how[i] = OPEN
+                _warm(limits, last[i], w[i], multipliers[i])
+                continue
+            inside = True
+            for row in range(R):
+                inside &= (y[row] <= high[row] + ROUNDING) & (y[row] >= low[row] - ROUNDING)
+            if inside:
+                how[i] = FREE
+                delta[i] = min(max(delta[i], low[0]), high[0])
+                continue
+            matrix(c, limits, i, C, G)
+            _shifted(limits, last[i], last_slack[i], side, beyond)
+            if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], room):
+                how[i] = HELD
+                delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
+            else:
+                how[i] = OPEN
+                _warm(limits, last[i], w[i], multipliers[i])
+
+    @numba.njit(cache=True, **OPTIONS)
+    def plans(c: Condensed, limits: Limits, x: FloatArray, r: FloatArray, U: FloatArray) -> None:
+        """Optimal commands without limits, of every scenario, into U (n, N)."""
+        if digest < 0:
+            return
+        work = np.empty(U.shape[1])
+        for i in range(U.shape[0]):
+            plan(c, i, x[i], r[i], U[i], work)
+            if limits.start.size < U.shape[1]:
+                block(c, limits, i, U[i], work)
+
+    @numba.njit(cache=True, **OPTIONS)
+    def assemble(
+        c: Condensed,
+        limits: Limits,
+        rows: IntArray,
+        x: FloatArray,
+        r: FloatArray,
+        prev: FloatArray,
+        U: FloatArray,
+        C: FloatArray,
+        y: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+    ) -> None:
+        """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
+        if digest < 0:
+            return
+        G = np.empty((U.shape[1], limits.start.size))
+        for k in range(rows.size):
+            i = rows[k]
+            values(c, limits, i, x[i], r[i], prev[i], U[i], y[k], low[k], high[k])
+            matrix(c, limits, i, C[k], G)
+
+    @numba.njit(cache=True, **OPTIONS)
+    def finish(
+        limits: Limits,
+        exact: bool,
+        C: FloatArray,
+        y: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        w: FloatArray,
+        multipliers: FloatArray,
+    ) -> float:
+        """First command of a solver's answer, which is polished in place if it should be exact."""
+        if digest < 0:
+            return 0.0
+        if exact:
+            polish(limits, C, y, low, high, w, multipliers)
+        return first(limits, C, y[0], low[0], high[0], w)
+
+    return sweep, plans, assemble, finish
+
+
+sweep, plans, assemble, finish = _entries(_digest())

@@ -126,11 +126,8 @@ class MPCLaw(SteeringLaw):
         """Optimal commands over the horizon if there were no limits, (n, N) [rad]."""
         from controllers import _mpc_kernel as kernel
 
-        U, work = np.empty((x.shape[0], self.horizon)), np.empty(self.horizon)
-        for i in range(x.shape[0]):
-            kernel.plan(self.condensed, i, x[i], yaw_rate[i], U[i], work)
-            if self.limits.start.size < self.horizon:
-                kernel.block(self.condensed, self.limits, i, U[i], work)
+        U = np.empty((x.shape[0], self.horizon))
+        kernel.plans(self.condensed, self.limits, np.ascontiguousarray(x), np.ascontiguousarray(yaw_rate), U)
         return U
 
     def step(
@@ -212,10 +209,9 @@ class MPCLaw(SteeringLaw):
                 record.rung[i] = Rung.SATURATED
                 continue
             w[i], multipliers[i] = form.join(answer)
-            if not self.always_solve:
-                # the solver's rows at their bounds give the solution to rounding, if they prove themselves
-                kernel.polish(self.limits, C[k], y[k], low[k], high[k], w[i], multipliers[i])
-            delta[i] = kernel.first(self.limits, C[k], U[i, 0], low[k, 0], high[k, 0], w[i])
+            # the solver's rows at their bounds give the solution to rounding, if they prove themselves
+            exact = not self.always_solve
+            delta[i] = kernel.finish(self.limits, exact, C[k], y[k], low[k], high[k], w[i], multipliers[i])
 
 
 class _Record:

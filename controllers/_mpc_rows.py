@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 # strict IEEE: a scenario's numbers are the same bits whichever stand beside it
-OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "error_model": "numpy"}
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
 ROUNDING: Final = 1e-12
 """The plan without limits counts as inside them up to this [rad, or share of a soft limit]."""

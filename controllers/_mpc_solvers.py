@@ -207,10 +207,10 @@ class Osqp(Workspace):
             u=np.full(m, 1.0),
             eps_abs=EPS,
             eps_rel=EPS,
-            max_iter=4000,
+            max_iter=1000,  # what takes longer goes to DAQP
             eps_prim_inf=1e-10,  # what is called is feasible; the default takes slow progress for infeasibility
             warm_starting=True,
-            scaling=0,  # the QP is scaled as it stands
+            scaling=10 if qp.q.any() else 0,
             rho=self.rho,
             # a fixed interval (a timed one would depend on the machine's load), short since the factorisation is small
             adaptive_rho_interval=25,

@@ -2,10 +2,9 @@
 
 References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
 same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
-discrete-time system; and the MPC scenario by scenario with one sparse, updated, warm-started OSQP each. Times are the
-best of several runs; a design's own preparation is in both of a pair, what designs share in neither. Printed with
-`make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory of 1,000 designs and is called
-by the script itself.
+discrete-time system. Times are the best of several runs; a design's own preparation is in both of a pair, what designs
+share in neither. Printed with `make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory
+of 1,000 designs and is called by the script itself. The linear MPC has a script of its own.
 """
 
 from __future__ import annotations
@@ -23,11 +22,8 @@ from typing import Any
 
 import control
 import numpy as np
-import osqp
-import scipy.sparse as sp
 
-from controllers import LQR, LinearMPC, PreviewProportional
-from controllers.riccati import regulator
+from controllers import LQR, PreviewProportional
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, SteeringLaw
 from ldctoolkit.mixture.sources import usable_cores
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
@@ -233,48 +229,6 @@ class SteppedLaw(SteeringLaw):
         return SteppedLaw(cut), state
 
 
-def raw_osqp_loop(design: LinearMPC, over: Takeover) -> None:
-    """The uncondensed MPC, one OSQP per scenario at eps 1e-6, updated and warm started at every sample."""
-    N, dt, step = design.horizon, over.plant.dt, over.plant.step
-    q = (design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate)
-    P = regulator(over.plant, q, design.r_delta).P
-    steady = over.plant.steady_state()
-    inputs = sp.hstack([sp.csc_matrix((N, 4 * N)), sp.eye(N)])
-    change = sp.csc_matrix(np.diff(np.eye(N), axis=0, prepend=0.0)) @ inputs
-    for i in range(over.m):
-        A, B, E_0, E_1 = step.A[i], step.B[i], step.E_0[i], step.E_1[i]
-        weights = [np.diag(q)] * (N - 1) + [P[i]]
-        H = sp.block_diag([*weights, design.r_delta * sp.eye(N)], format="csc")
-        shift = np.kron(np.eye(N, k=-1), -A)
-        G = sp.hstack([sp.csc_matrix(np.eye(4 * N) + shift), -sp.kron(sp.eye(N), B[:, None])])
-        x, previous, solver = over.x_0[i], over.delta_0[i], None
-        x_ss = np.array([0, 0, steady.e_psi[i], 0])
-        for k in range(int(over.full_steps[i])):
-            t = over.start[i] + k * dt + dt * np.arange(N + 1)
-            T = over.triggered.T[i]
-            r = over.plant.v[i] * (over.triggered.c_0[i] + over.triggered.dc[i] * np.minimum(t / T, 1.0))
-            b = (np.outer(r[:-1], E_0) + np.outer(r[1:], E_1)).ravel()
-            b[:4] += A @ x
-            targets = np.concatenate([np.outer(r[1:], x_ss).ravel(), steady.delta[i] * 0.5 * (r[:-1] + r[1:])])
-            g = -H @ targets
-            first = np.zeros(N)
-            first[0] = previous
-            rate = design.rate_max * dt
-            low = np.concatenate([b, np.full(N, -design.delta_max), first - rate])
-            high = np.concatenate([b, np.full(N, design.delta_max), first + rate])
-            if solver is None:
-                solver = osqp.OSQP()
-                solver.setup(
-                    P=sp.triu(H, format="csc"), q=g, A=sp.vstack([G, inputs, change], format="csc"), l=low, u=high,
-                    eps_abs=1e-6, eps_rel=1e-6, max_iter=20000, verbose=False,
-                )  # fmt: skip
-            else:
-                solver.update(q=g, l=low, u=high)
-            answer = solver.solve(raise_error=False).x
-            previous = float(np.clip(answer[4 * N], -design.delta_max, design.delta_max))
-            x = A @ x + B * previous + E_0 * r[0] + E_1 * r[1]
-
-
 REAL = PlantOptions(
     speed="profile",
     actuator=Actuator(delta_max=0.5, rate_max=0.4, lag=0.1, delay=0.12),
@@ -309,12 +263,16 @@ def measure_memory() -> None:
 
 
 def header() -> None:
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "control", "osqp", "scipy")}
-    shown = ", ".join(f"{name} {version}" for name, version in versions.items())
-    print(f"{_processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}.")
+    print(machine("numpy", "numba", "control", "scipy"))
     print()
     print("| case | ours [ms] | reference [ms] | ratio |")
     print("| --- | ---: | ---: | ---: |")
+
+
+def machine(*packages: str) -> str:
+    """Processor, cores and versions of the packages, as a sentence."""
+    shown = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
+    return f"{_processor()}, {usable_cores()} cores; Python {platform.python_version()}, {shown}."
 
 
 def _processor() -> str:
@@ -370,13 +328,6 @@ def main() -> None:
         ours = seconds(lambda together=together: list(drive_many(together, event, score_only=True)), 5) / len(together)
         row(f"{name}, to T, S alone, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
         row(f"{name}, the same, vs control.forced_response", ours, forced)
-    design = LinearMPC()
-    subset = many.take(slice(0, 300))
-    over = Takeover.build(subset, model, y_s=0.1, dt=0.05, settle=0.0)
-    ours = seconds(lambda: drive(design, over), 2)
-    few_over = Takeover.build(subset.take(slice(0, 60)), model, y_s=0.1, dt=0.05, settle=0.0)
-    theirs = 5 * seconds(lambda: raw_osqp_loop(design, few_over), 1)
-    row("linear_mpc, 300 scenarios, to T, vs raw OSQP loop", ours, theirs)
 
     print("\nWhat other loops and plants cost: LQR, 10,000 scenarios, to T + 3 s, against the ideal plant in lanes.\n")
     print("| case | ms | times the ideal |")

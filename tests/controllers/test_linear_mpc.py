@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 import controllers._mpc_law as module
 from controllers import LQR, LinearMPC
+from controllers._mpc_law import Rung
 from controllers._mpc_solvers import QP, Answer, Workspace, make
 from ldctoolkit import (
     BicycleModel,
@@ -28,6 +29,7 @@ from ldctoolkit import (
     SteeringLaw,
     simulate,
 )
+from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import COMPANION_UNITS
 
 DT = 0.05
@@ -381,3 +383,40 @@ def test_a_step_depends_on_nothing_but_its_arguments(solver: str, always_solve: 
     np.testing.assert_array_equal(delta, first[turned])
     delta, _, _ = other.step(np.zeros(12), 0.9 * x[turned], ahead, delta, state)
     np.testing.assert_array_equal(delta, once[turned])
+
+
+@pytest.mark.parametrize("solver", ["osqp", "daqp", "clarabel"])
+def test_the_record_of_solver_calls(solver: str) -> None:
+    """Every call counts; residuals are within what each solver promises."""
+    plant, x, preview, prev = situations(12, 10, seed=4)
+    design = LinearMPC(horizon=10, delta_max=0.03, rate_max=0.1, r_delta=5.0, solver=solver, always_solve=True)
+    law, prev = design.prepare(plant), np.clip(prev, -0.03, 0.03)
+    delta, state, _ = law.step(np.zeros(12), x, preview, prev, law.init(12))
+    proved, guessed, _ = first_state(dataclasses.replace(design, always_solve=False), plant, x, preview, prev)
+    tolerance = {"osqp": 2e-6, "daqp": 1e-9, "clarabel": 1e-6}[solver]
+    np.testing.assert_allclose(delta, proved, rtol=0, atol=10 * tolerance)
+    np.testing.assert_array_equal(state.solves, 1)
+    np.testing.assert_array_equal(state.rung, Rung.SOLVED)
+    assert state.primal_residual.max() <= tolerance
+    assert state.dual_residual.max() <= tolerance
+    assert solver == "clarabel" or (state.iterations > 0).all()
+    assert set(guessed.rung.tolist()) <= {Rung.FREE, Rung.HELD}
+    np.testing.assert_array_equal(guessed.held, guessed.rung == Rung.HELD)
+    assert not guessed.solves.any()
+    _, later, _ = law.step(np.zeros(12), x, preview, delta, state)
+    np.testing.assert_array_equal(later.solves, np.where(later.rung == Rung.SOLVED, 2, 3))
+    np.testing.assert_array_equal(law.take(np.array([3, 7]), later)[1].iterations, later.iterations[[3, 7]])
+
+
+def first_state(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray) -> Any:
+    law = design.prepare(plant)
+    return law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+
+
+@pytest.mark.parametrize(
+    ("word", "message"), [("dapq", "no such solver.*osqp.*'daqp'"), ("mosek", "not installed.*osqp")]
+)
+def test_a_solver_that_is_not_there_is_named(word: str, message: str) -> None:
+    assert word not in qpsolvers.available_solvers
+    with pytest.raises(InputError, match=rf"linear_mpc\.solver: '{word}' is {message}"):
+        LinearMPC(solver=word)

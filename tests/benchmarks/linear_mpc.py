@@ -1,0 +1,209 @@
+"""Linear MPC benchmark: the law in the closed loop against plain loops over raw OSQP, as ratios from one run.
+
+The reference, written here in full, takes the scenarios one by one: the uncondensed MPC in one sparse OSQP each, eps
+1e-6, updated and warm started at every sample; it drives the plant itself and keeps no score. Its commands are then
+replayed by the toolkit's closed loop, so that S is compared and not the way S is worked out. It runs on every tenth
+scenario; what counts is the time of one scenario-step. The law's time holds all of it: Riccati equation, condensing,
+set-up of solvers, plant and score.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import osqp
+import scipy.sparse as sp
+from closed_loop import machine, scenarios, seconds
+
+from controllers import LinearMPC
+from controllers._mpc_law import MPCLaw, Rung
+from controllers.riccati import regulator
+from ldctoolkit import Controller, EventStatus, SteeringLaw
+from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.vehicle import BicycleModel
+
+SCENARIOS, EVERY = 2_000, 10
+DESIGN = LinearMPC(horizon=20, delta_max=0.15, rate_max=0.3)
+
+
+def raw_osqp_loop(design: LinearMPC, over: Takeover) -> np.ndarray:
+    """Commands (m, steps) of the uncondensed MPC, one OSQP per scenario, NaN after the end."""
+    N, dt, step = design.horizon, over.plant.dt, over.plant.step
+    q = (design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate)
+    P = regulator(over.plant, q, design.r_delta).P
+    steady = over.plant.steady_state()
+    inputs = sp.hstack([sp.csc_matrix((N, 4 * N)), sp.eye(N)])
+    change = sp.csc_matrix(np.diff(np.eye(N), axis=0, prepend=0.0)) @ inputs
+    commands = np.full((over.m, int(over.full_steps.max()) + 1), np.nan)
+    for i in range(over.m):
+        A, B, E_0, E_1 = step.A[i], step.B[i], step.E_0[i], step.E_1[i]
+        weights = [np.diag(q)] * (N - 1) + [P[i]]
+        H = sp.block_diag([*weights, design.r_delta * sp.eye(N)], format="csc")
+        shift = np.kron(np.eye(N, k=-1), -A)
+        G = sp.hstack([sp.csc_matrix(np.eye(4 * N) + shift), -sp.kron(sp.eye(N), B[:, None])])
+        x, previous, solver = over.x_0[i], over.delta_0[i], None
+        x_ss = np.array([0, 0, steady.e_psi[i], 0])
+        for k in range(int(over.full_steps[i]) + 1):
+            t = over.start[i] + k * dt + dt * np.arange(N + 1)
+            T = over.triggered.T[i]
+            r = over.plant.v[i] * (over.triggered.c_0[i] + over.triggered.dc[i] * np.minimum(t / T, 1.0))
+            b = (np.outer(r[:-1], E_0) + np.outer(r[1:], E_1)).ravel()
+            b[:4] += A @ x
+            targets = np.concatenate([np.outer(r[1:], x_ss).ravel(), steady.delta[i] * 0.5 * (r[:-1] + r[1:])])
+            g = -H @ targets
+            first = np.zeros(N)
+            first[0] = previous
+            rate = design.rate_max * dt
+            low = np.concatenate([b, np.full(N, -design.delta_max), first - rate])
+            high = np.concatenate([b, np.full(N, design.delta_max), first + rate])
+            if solver is None:
+                solver = osqp.OSQP()
+                solver.setup(
+                    P=sp.triu(H, format="csc"), q=g, A=sp.vstack([G, inputs, change], format="csc"), l=low, u=high,
+                    eps_abs=1e-6, eps_rel=1e-6, max_iter=20000, verbose=False,
+                )  # fmt: skip
+            else:
+                solver.update(q=g, l=low, u=high)
+            answer = solver.solve(raise_error=False).x
+            previous = float(np.clip(answer[4 * N], -design.delta_max, design.delta_max))
+            commands[i, k] = previous
+            x = A @ x + B * previous + E_0 * r[0] + E_1 * r[1]
+    return commands
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replay(SteeringLaw):
+    """Commands that are known beforehand; the state is the sample."""
+
+    commands: np.ndarray
+    preview_times = np.zeros(0)
+
+    def init(self, n):
+        return 0
+
+    def step(self, t, x, preview, delta_prev, state):
+        delta = self.commands[:, min(state, self.commands.shape[1] - 1)]
+        return np.nan_to_num(delta), state + 1, np.zeros(delta.size, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replayed(Controller):
+    commands: np.ndarray
+    name = "replayed"
+    title = "Replayed"
+
+    def prepare(self, plant):
+        return Replay(self.commands)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Watched(Controller):
+    """The design's law, counting how its commands came about."""
+
+    inner: LinearMPC
+    rungs: np.ndarray
+    ended: list
+    name = "watched"
+    title = "Watched"
+
+    def prepare(self, plant):
+        return WatchedLaw(self.inner.prepare(plant), self.rungs, self.ended)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WatchedLaw(SteeringLaw):
+    law: MPCLaw
+    rungs: np.ndarray
+    ended: list
+
+    @property
+    def preview_times(self):
+        return self.law.preview_times
+
+    def init(self, n):
+        return self.law.init(n)
+
+    def step(self, t, x, preview, delta_prev, state):
+        delta, state, status = self.law.step(t, x, preview, delta_prev, state)
+        going = np.any(x != 0, axis=1)
+        self.rungs[:] += np.bincount(state.rung[going], minlength=len(Rung))
+        self.ended[:] = [state]
+        return delta, state, status
+
+    def take(self, rows, state):
+        law, state = self.law.take(rows, state)
+        return WatchedLaw(law, self.rungs, self.ended), state
+
+
+def takeover(rows: slice | np.ndarray = slice(None)) -> Takeover:
+    """Of scenarios that trigger, with a steering angle at the trigger that the limits can reach."""
+    many, model = scenarios(3_000), BicycleModel()
+    over = Takeover.build(many, model, y_s=0.1, dt=0.05, settle=0.0)
+    outcome = drive(DESIGN, over).outcome("departure")
+    good = np.flatnonzero(outcome.status == EventStatus.OK)[:SCENARIOS]
+    if good.size < SCENARIOS:
+        raise RuntimeError("too few scenarios trigger")
+    return Takeover.build(many.take(good[rows]), model, y_s=0.1, dt=0.05, settle=0.0)
+
+
+def score(design: Controller, over: Takeover) -> np.ndarray:
+    return drive(design, over).outcome("control").S
+
+
+def main() -> None:
+    print(machine("numpy", "numba", "osqp", "daqp", "scipy"))
+    print()
+    print("| case | us a scenario-step | ratio |")
+    print("| --- | ---: | ---: |")
+    over, few = takeover(), takeover(slice(0, None, EVERY))
+    steps, few_steps = int((over.full_steps + 1).sum()), int((few.full_steps + 1).sum())
+    start = time.perf_counter()
+    commands = raw_osqp_loop(DESIGN, few)
+    raw = (time.perf_counter() - start) / few_steps
+    print(f"| raw OSQP loop, every {EVERY}th scenario | {1e6 * raw:.1f} | 1.0 |")
+    found = {}
+    for solver in ("osqp", "daqp"):
+        design = dataclasses.replace(DESIGN, solver=solver)
+        each = seconds(lambda design=design: drive(design, over), 5) / steps
+        print(f"| linear_mpc, solver = {solver!r} | {1e6 * each:.1f} | {raw / each:.0f} |", flush=True)
+        found[solver] = score(design, over)
+        always = dataclasses.replace(design, always_solve=True)
+        each = seconds(lambda always=always: drive(always, few), 1) / few_steps
+        print(f"| the same, the solver called at every step | {1e6 * each:.1f} | {raw / each:.1f} |", flush=True)
+        found[f"{solver}, at every step"] = score(always, few)
+    print()
+    reference = score(Replayed(commands), few)
+    print("| S against | of | most, relative, one scenario | sum, relative |")
+    print("| --- | --- | ---: | ---: |")
+    pairs = [
+        ("raw OSQP loop", reference, "osqp", found["osqp"][::EVERY]),
+        ("raw OSQP loop", reference, "daqp", found["daqp"][::EVERY]),
+        ("osqp", found["osqp"], "daqp", found["daqp"]),
+        ("daqp", found["daqp"][::EVERY], "osqp, at every step", found["osqp, at every step"]),
+        ("daqp", found["daqp"][::EVERY], "daqp, at every step", found["daqp, at every step"]),
+    ]
+    for name, one, other, two in pairs:
+        most, total = np.max(np.abs(two - one) / one), abs(two.sum() - one.sum()) / one.sum()
+        print(f"| {name} | {other} | {most:.1e} | {total:.1e} |")
+    print()
+    for solver in ("osqp", "daqp"):
+        rungs, ended = np.zeros(len(Rung), dtype=int), []
+        turned = np.random.default_rng(0).permutation(SCENARIOS)
+        watched = Watched(dataclasses.replace(DESIGN, solver=solver), rungs, ended)
+        drive(watched, over)
+        same = np.array_equal(score(watched.inner, reordered(over, turned)), found[solver][turned])
+        counts = ", ".join(f"{rung.name.lower()} {count:,}" for rung, count in zip(Rung, rungs, strict=True))
+        print(
+            f"{solver}: limits active in {100 * (1 - rungs[Rung.FREE] / rungs.sum()):.1f} % of {rungs.sum():,} steps; "
+            f"{counts}; the same bits in another order: {same}."
+        )
+
+
+def reordered(over: Takeover, rows: np.ndarray) -> Takeover:
+    return Takeover.build(over.scenarios.take(rows), over.model, y_s=0.1, dt=0.05, settle=0.0)
+
+
+if __name__ == "__main__":
+    main()
