@@ -144,6 +144,7 @@ SOFT = [
     {"a_y_max": 1.0},
     {"jerk_max": 4.0},
     {"e_y_max": 0.7},
+    {"a_y_max": 1.0, "soft_weight": 0.003},  # so light that it pays to go beyond a limit that could be met
     {"a_y_max": 1.5, "jerk_max": 6.0, "e_y_max": 0.9},
 ]
 
