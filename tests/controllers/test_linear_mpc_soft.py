@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers import LinearMPC
-from controllers._mpc_condensing import block_starts
+from controllers._mpc_condensing import Wanted, block_starts, limits
 from controllers._mpc_law import MPCLaw, MPCState, Rung
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
 
@@ -240,3 +240,17 @@ def test_a_corridor_that_is_left_already_is_no_failure() -> None:
     out = simulate(design, HARSH, y_s=0.2)
     assert (out.status == EventStatus.OK).all()
     assert np.isfinite(out.S).all()
+
+
+@pytest.mark.parametrize(("weight", "e", "slack"), [(0.5, -1.0, 1.0), (2.0, -2.0, 0.0), (5.0, -2.0, 0.0)])
+def test_a_guess_goes_beyond_a_soft_limit_exactly_where_that_pays(weight: float, e: float, slack: float) -> None:
+    """By hand: e^2/2 + w (s + s^2/2) with 3 + e <= 1 + s; e = -2 costs 2 a unit at the margin, which w = 0.5 undercuts."""
+    from controllers._mpc_active_set import prove
+
+    one_move = limits(Wanted(1, (1.0, 0.0, 1.0, 0.0), 1.0, 9.0, 1.0, (0.0, 0.0, 1.0), weight, 0), DT)
+    C, y, high = np.ones((2, 1)), np.array([0.0, 3.0]), np.array([9.0, 1.0])
+    w, multipliers = np.empty(4), np.empty(2)
+    side, beyond = np.zeros(2, dtype=np.int64), np.zeros(3, dtype=np.int64)
+    assert prove(one_move, C, y, -high, high, side, beyond, w, multipliers, np.empty((4, 5)))
+    np.testing.assert_allclose(w, [e, 0.0, 0.0, slack], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(multipliers, [0.0, -e], rtol=0, atol=1e-12)
