@@ -244,7 +244,7 @@ def test_a_corridor_that_is_left_already_is_no_failure() -> None:
 
 @pytest.mark.parametrize(("weight", "e", "slack"), [(0.5, -1.0, 1.0), (2.0, -2.0, 0.0), (5.0, -2.0, 0.0)])
 def test_a_guess_goes_beyond_a_soft_limit_exactly_where_that_pays(weight: float, e: float, slack: float) -> None:
-    """By hand: e^2/2 + w (s + s^2/2) with 3 + e <= 1 + s; e = -2 costs 2 a unit at the margin, which w = 0.5 undercuts."""
+    """By hand: e^2/2 + w (s + s^2/2) with 3 + e <= 1 + s; e = -2 costs 2 a unit at the margin, w = 0.5 less."""
     from controllers._mpc_active_set import prove
 
     one_move = limits(Wanted(1, (1.0, 0.0, 1.0, 0.0), 1.0, 9.0, 1.0, (0.0, 0.0, 1.0), weight, 0), DT)
