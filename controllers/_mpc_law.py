@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from controllers._mpc_condensing import Condensed, Limits
 from controllers._mpc_solvers import QP, Answer, Form, Workspaces, make
-from ldctoolkit import EventStatus, Preview, SteeringLaw
+from ldctoolkit import EventStatus, Preview, SolverCalls, SteeringLaw
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -57,6 +57,8 @@ class MPCState:
         Most iterations of one call.
     primal_residual, dual_residual : (n,)
         Largest of all calls: violation of a bound [rad, or share of a soft limit], and |e + C' multipliers|.
+    calls : SolverCalls
+        Of the last sample; status is 1 where the answer could be used.
     workspaces : Workspaces
         What solvers have allocated. No result depends on it.
     """
@@ -69,6 +71,7 @@ class MPCState:
     iterations: IntArray
     primal_residual: FloatArray
     dual_residual: FloatArray
+    calls: SolverCalls
     workspaces: Workspaces
 
 
@@ -112,6 +115,7 @@ class MPCLaw(SteeringLaw):
             iterations=np.zeros(n, dtype=np.int64),
             primal_residual=np.zeros(n),
             dual_residual=np.zeros(n),
+            calls=_calls([]),
             workspaces=Workspaces(),
         )
 
@@ -119,8 +123,13 @@ class MPCLaw(SteeringLaw):
         """Only some scenarios, each with what it has."""
         law = dataclasses.replace(self, condensed=self.condensed.take(rows))
         kept = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
-        arrays = {f.name: getattr(state, f.name)[rows] for f in dataclasses.fields(state) if f.name != "workspaces"}
-        return law, MPCState(**arrays, workspaces=kept)
+        names = (f.name for f in dataclasses.fields(state) if f.name not in ("calls", "workspaces"))
+        arrays = {name: getattr(state, name)[rows] for name in names}
+        return law, MPCState(**arrays, calls=_calls([]), workspaces=kept)
+
+    def solver_calls(self, state: MPCState) -> SolverCalls:
+        """Of the last sample: status 1 where the answer could be used, residuals as in `MPCState`."""
+        return state.calls
 
     def unconstrained(self, x: FloatArray, yaw_rate: FloatArray) -> FloatArray:
         """Optimal commands over the horizon if there were no limits, (n, N) [rad]."""
@@ -164,7 +173,7 @@ class MPCLaw(SteeringLaw):
             self._solve(rows, given, U, delta, w, multipliers, record, workspaces)
         state = MPCState(
             multipliers, np.maximum(w[:, M:], 0.0), rung, state.held + held, record.solves, record.iterations,
-            record.primal_residual, record.dual_residual, workspaces,
+            record.primal_residual, record.dual_residual, _calls(record.calls), workspaces,
         )  # fmt: skip
         status = np.where((rung == Rung.RELAXED) | (rung == Rung.SATURATED), EventStatus.SOLVER_FAILED, EventStatus.OK)
         return delta, state, status.astype(np.int8)
@@ -214,11 +223,19 @@ class MPCLaw(SteeringLaw):
             delta[i] = kernel.finish(self.limits, exact, C[k], y[k], low[k], high[k], w[i], multipliers[i])
 
 
+def _calls(calls: list[tuple[int, bool, int, float, float]]) -> SolverCalls:
+    """From (place, usable, iterations, primal residual, dual residual) of each call."""
+    table = np.array(calls, dtype=np.float64).reshape(-1, 5)
+    place, status, iterations = table[:, :3].T.astype(np.int64)
+    return SolverCalls(place, status, iterations, table[:, 3], table[:, 4])
+
+
 class _Record:
     """The record of solver calls, on its way from one state to the next."""
 
     def __init__(self, rung: npt.NDArray[np.int8], state: MPCState) -> None:
         self.rung = rung
+        self.calls: list[tuple[int, bool, int, float, float]] = []
         self.solves, self.iterations = state.solves.copy(), state.iterations.copy()
         self.primal_residual, self.dual_residual = state.primal_residual.copy(), state.dual_residual.copy()
 
@@ -227,10 +244,12 @@ class _Record:
         self.solves[i] += 1
         self.iterations[i] = max(self.iterations[i], answer.iterations)
         if not answer.solved:
+            self.calls.append((i, False, answer.iterations, np.nan, np.nan))
             return False
         value = qp.A @ answer.w
         primal = max(float(np.max(value - high)), float(np.max(low - value)), 0.0)
         dual = float(np.max(np.abs(answer.w + qp.q + answer.y @ qp.A)))
         self.primal_residual[i] = max(self.primal_residual[i], primal)
         self.dual_residual[i] = max(self.dual_residual[i], dual)
+        self.calls.append((i, primal <= _ACCEPTED, answer.iterations, primal, dual))
         return primal <= _ACCEPTED

@@ -46,7 +46,7 @@ import numpy as np
 import numpy.typing as npt
 
 from controllers.inner_law import inner_design, steering_law
-from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain, option
+from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain, option
 from ldctoolkit.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -202,3 +202,7 @@ class BarrierLaw(SteeringLaw):
             return None
         part = dataclasses.replace(self, inner=taken[0], centre=self.centre[rows], half_width=self.half_width[rows])
         return part, taken[1]
+
+    def solver_calls(self, state: Any) -> SolverCalls | None:
+        """Those of the law inside."""
+        return self.inner.solver_calls(state)

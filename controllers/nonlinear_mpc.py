@@ -32,7 +32,7 @@ import numpy.typing as npt
 from controllers._nmpc_model import FloatArray, pack, steady_cornering
 from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
 from controllers.riccati import regulator
-from ldctoolkit import Controller, EventStatus, LdcError, Plant, Preview, SteeringLaw, gain
+from ldctoolkit import Controller, EventStatus, LdcError, Plant, Preview, SolverCalls, SteeringLaw, gain
 
 # units of the soft limits' violations: m/s^2, m/s^3, m
 _SCALES = (1.0, 10.0, 0.1)
@@ -198,6 +198,13 @@ class NonlinearMPCLaw(SteeringLaw):
         plant = dataclasses.replace(p, v=p.v[rows], step=step)
         kept = {f.name: getattr(state, f.name)[rows] for f in dataclasses.fields(state)}
         return dataclasses.replace(self, plant=plant, columns=self.columns[rows]), NonlinearMPCState(**kept)
+
+    def solver_calls(self, state: NonlinearMPCState) -> SolverCalls:
+        """One call a scenario; status is its rung, the dual residual the last change of a command [rad]."""
+        n = state.rung.size
+        return SolverCalls(
+            np.arange(n), state.rung.astype(np.int64), state.iterations, np.full(n, np.nan), state.residual
+        )
 
     def step(
         self,

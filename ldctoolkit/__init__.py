@@ -1,6 +1,6 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
-from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, RecordedPath, SolverCalls, SteeringLaw
 from ldctoolkit.departures import DepartureParameters, Departures, DepartureSignals, rebuild_signals, reduce_signals
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
@@ -32,6 +32,7 @@ __all__ = [
     "RecordedPath",
     "ScenarioModel",
     "Scenarios",
+    "SolverCalls",
     "SteeringLaw",
     "VehicleParameters",
     "__version__",

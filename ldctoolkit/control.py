@@ -90,6 +90,28 @@ class LinearLaw:
     f_i: FloatArray | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class SolverCalls:
+    """What a solver did for the commands of one sample: a row for each call.
+
+    Attributes
+    ----------
+    place : (k,) int
+        The scenario, by its place in the batch.
+    status : (k,) int
+        How the call ended, in the law's own numbers.
+    iterations : (k,) int
+    primal_residual, dual_residual : (k,)
+        In the law's own units; NaN where the solver does not tell.
+    """
+
+    place: IntArray
+    status: IntArray
+    iterations: IntArray
+    primal_residual: FloatArray
+    dual_residual: FloatArray
+
+
 class SteeringLaw(abc.ABC):
     """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept."""
 
@@ -144,6 +166,21 @@ class SteeringLaw(abc.ABC):
         -------
         (law, state) or None
             None, as here, where the law cannot be cut down: ended scenarios are then passed as zeros.
+        """
+        return None
+
+    def solver_calls(self, state: Any) -> SolverCalls | None:  # noqa: ARG002
+        """The solver calls behind the commands of the last step, for the record that `Outcome.solver_log` keeps.
+
+        Parameters
+        ----------
+        state : object
+            What `step` returned last.
+
+        Returns
+        -------
+        SolverCalls or None
+            None, as here, for a law without a solver.
         """
         return None
 

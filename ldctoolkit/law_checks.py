@@ -16,6 +16,7 @@ from ldctoolkit.control import (
     Law,
     LinearLaw,
     RecordedPath,
+    SolverCalls,
     StatusArray,
     SteeringLaw,
     check_class,
@@ -184,6 +185,34 @@ def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[S
         return result[0], result[1]
     shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
     raise InputError(f"controller {name!r}: take returned {shown}; allowed: a tuple (law, state), or None")
+
+
+def check_calls(calls: object, n: int, name: str) -> None:
+    """Raise if what ``SteeringLaw.solver_calls`` gave for n scenarios is not what the interface promises.
+
+    Parameters
+    ----------
+    calls : object
+        What ``solver_calls`` returned.
+    n : int
+        Number of scenarios.
+    name : str
+        The controller, for the message.
+
+    Raises
+    ------
+    InputError
+        Naming the controller, what was returned and what is allowed.
+    """
+    where = f"controller {name!r}: solver_calls"
+    if not isinstance(calls, SolverCalls):
+        raise InputError(f"{where} returned {_shown(calls)}; allowed: SolverCalls or None")
+    _check_array(calls.place, "place", ("k",), where)
+    for field in ("status", "iterations", "primal_residual", "dual_residual"):
+        _check_array(getattr(calls, field), field, (calls.place.size,), where)
+    outside = (calls.place < 0) | (calls.place >= n)
+    if calls.place.dtype.kind not in "iu" or outside.any():
+        raise InputError(f"{where}: place holds {calls.place[outside][:1]}; allowed: whole numbers 0 to {n - 1}")
 
 
 def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: str) -> None:

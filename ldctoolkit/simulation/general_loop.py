@@ -8,11 +8,12 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.control import EventStatus, Preview, SteeringLaw
-from ldctoolkit.law_checks import check_step, check_taken
+from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.law_checks import check_calls, check_step, check_taken
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run
 from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, places, run_of_state, trajectories_of
+from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.tables import Tables
 from ldctoolkit.simulation.takeover import Takeover
 
@@ -56,6 +57,7 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     own = law.init(takeover.m)
     law_seconds, sample = 0.0, 0
+    calls: list[tuple[IntArray, int, SolverCalls]] = []
     while True:
         going = np.flatnonzero(state[batch, data.ALIVE])
         if not going.size:
@@ -75,12 +77,26 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
         result = law.step(t, x, preview, previous.copy(), own)
         law_seconds += time.perf_counter() - started
         delta, own, status = check_step(result, batch.size, name)
+        made = law.solver_calls(own)
+        if made is not None:
+            calls.append(_of_running(made, batch, going, sample, name))
         wrong = ~np.isfinite(delta)
         delta[wrong] = previous[wrong]
         state[running, data.FAILED] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
         plant.go_on(sample, running, np.ascontiguousarray(delta[going]))
         sample += 1
-    return run_of_state(takeover, state, law_seconds, trajectories_of(plant.paths, rows, found))
+    run = run_of_state(takeover, state, law_seconds, trajectories_of(plant.paths, rows, found))
+    return dataclasses.replace(run, solver_log=SolverLog.of(calls))
+
+
+def _of_running(
+    made: SolverCalls, batch: IntArray, going: IntArray, sample: int, name: str
+) -> tuple[IntArray, int, SolverCalls]:
+    """Calls of scenarios that still go on, with their numbers among the triggered ones."""
+    check_calls(made, batch.size, name)
+    kept = np.isin(made.place, going)
+    columns = {field.name: getattr(made, field.name)[kept] for field in dataclasses.fields(made)}
+    return batch[made.place[kept]], sample, SolverCalls(**columns)
 
 
 def _spread(values: FloatArray, going: IntArray, size: int) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ldctoolkit import metrics
 from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Takeover
 
 FloatArray = npt.NDArray[np.float64]
@@ -70,6 +71,8 @@ class Outcome:
         number here that is not reproducible.
     trajectories : Trajectories or None
         On request; None where nobody intervened, since there is no path but the recorded one.
+    solver_log : SolverLog
+        Every solver call of a law that has a solver: scenario, sample, status, iterations, residuals.
     """
 
     window: Window
@@ -82,6 +85,7 @@ class Outcome:
     failed_solves: IntArray
     law_seconds: float
     trajectories: Trajectories | None
+    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     @property
     def deepest(self) -> FloatArray:
@@ -123,6 +127,8 @@ class Run:
         Wall time of the law's own steps.
     trajectories : Trajectories or None
         Of chosen ones of all n scenarios.
+    solver_log : SolverLog
+        Every solver call.
     """
 
     takeover: Takeover
@@ -132,6 +138,7 @@ class Run:
     companions: metrics.Companions
     law_seconds: float
     trajectories: Trajectories | None
+    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     def outcome(self, window: Window) -> Outcome:
         """Score the run over a window and put the scenarios back into their own order.
@@ -176,4 +183,5 @@ class Run:
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,
+            solver_log=self.solver_log.renamed(rows),
         )
