@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 import qpsolvers
+import scipy.optimize
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 from controllers import LinearMPC
 from controllers._mpc_condensing import Wanted, block_starts, limits
 from controllers._mpc_law import MPCLaw, MPCState, Rung
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, load_model, simulate
+from ldctoolkit.simulation import Takeover, drive
 
 DT = 0.05
 
@@ -233,6 +235,54 @@ def test_lateral_acceleration_stays_within_its_limit(solver: str) -> None:
     assert (limited.companions.a_y_peak < 3.05).all()
     assert (limited.companions.a_y_peak > 2.9).all()
     assert not limited.failed_solves.any()
+
+
+def reachable(over: Takeover, i: int, design: LinearMPC) -> bool:
+    """Whether commands exist that keep angle, rate and a_y inside their limits from the trigger on: a linear program."""
+    N, dt, step, v = design.horizon, over.dt, over.plant.step, over.plant.v[i]
+    A_c, B_c, E_c = (each[i] for each in over.plant.model.matrices(over.plant.v))
+    p = over.triggered
+    t = over.start[i] + dt * np.arange(N + 1)
+    r = v * (p.c_0[i] + p.dc[i] * np.minimum(t / p.T[i], 1.0))
+    # state and a_y as (weights of the commands, constant)
+    x = np.zeros((4, N + 1))
+    x[:, N] = over.x_0[i]
+    rows = []
+    for j in range(N):
+        command = np.zeros(N + 1)
+        command[j] = 1.0
+        rows.append(A_c[1] @ x + B_c[1] * command)
+        rows[-1][N] += (E_c[1] + v) * r[j]
+        x = step.A[i] @ x + np.outer(step.B[i], command)
+        x[:, N] += step.E_0[i] * r[j] + step.E_1[i] * r[j + 1]
+        rows.append(A_c[1] @ x + B_c[1] * command)
+        rows[-1][N] += (E_c[1] + v) * r[j + 1]
+    a_y = np.array(rows)
+    change = np.eye(N) - np.eye(N, k=-1)
+    first = np.zeros(N)
+    first[0] = over.delta_0[i]
+    G = np.vstack([a_y[:, :N], -a_y[:, :N], change, -change])
+    allowed, reach = np.full(2 * N, design.a_y_max), np.full(N, design.rate_max * dt)
+    h = np.concatenate([allowed - a_y[:, N], allowed + a_y[:, N], reach + first, reach - first])
+    bounds = (-design.delta_max, design.delta_max)
+    return bool(scipy.optimize.linprog(np.zeros(N), A_ub=G, b_ub=h, bounds=bounds).status == 0)
+
+
+@pytest.mark.parametrize("limits", [(10.0, 0.3, 1.0), (100.0, 0.1, 0.4)])
+def test_lateral_acceleration_stays_within_its_limit_wherever_that_is_feasible(
+    limits: tuple[float, float, float],
+) -> None:
+    """On departures of the bundled model; a linear program says where the limit cannot be met from the trigger on."""
+    r_delta, delta_max, rate_max = limits
+    scenarios = load_model("reference").sample(100, 100, seed=4)
+    over = Takeover.build(scenarios, BicycleModel(), y_s=0.1, dt=DT, settle=3.0)
+    without = LinearMPC(solver="daqp", r_delta=r_delta, delta_max=delta_max, rate_max=rate_max)
+    limited = dataclasses.replace(without, a_y_max=3.0)
+    # a scenario that starts beyond the angle's limit has its commands from elsewhere
+    possible = np.array([abs(over.delta_0[i]) <= delta_max and reachable(over, i, limited) for i in range(over.m)])
+    assert possible.mean() > 0.85
+    assert drive(without, over).companions.a_y_peak[possible].min() > 3.05
+    assert drive(limited, over).companions.a_y_peak[possible].max() < 3.05
 
 
 def test_a_corridor_that_is_left_already_is_no_failure() -> None:
