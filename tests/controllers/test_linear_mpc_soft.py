@@ -238,7 +238,7 @@ def test_lateral_acceleration_stays_within_its_limit(solver: str) -> None:
 
 
 def reachable(over: Takeover, i: int, design: LinearMPC) -> bool:
-    """Whether commands exist that keep angle, rate and a_y inside their limits from the trigger on: a linear program."""
+    """Whether commands from the trigger on can keep angle, rate and a_y inside their limits, by linear programming."""
     N, dt, step, v = design.horizon, over.dt, over.plant.step, over.plant.v[i]
     A_c, B_c, E_c = (each[i] for each in over.plant.model.matrices(over.plant.v))
     p = over.triggered
