@@ -11,6 +11,8 @@ seen, no limits. In the closed loop z comes to rest only where e_y is zero, so a
 that is not the nominal one or a biased curvature leaves no offset in a bend, which the plain LQR does not promise. Use
 it where such errors outlast a departure. A departure without them pays for it: it starts with e_y on one side, and what
 z has gathered there comes back as overshoot on the other. Nothing stops z from winding up behind a saturated actuator.
+With r_delta = 100 it is a fast loop for an ideal actuator; behind a steering lag of 0.2 s it diverges from 28 m/s on:
+take some thousands there.
 """
 
 from __future__ import annotations

@@ -12,14 +12,15 @@ integral has nothing to do there. Positive to the left (ISO 8855), radians; the 
 loop.
 
 Sources: the preview point after R. Marino, S. Scalzi, M. Netto, *Nested PID steering control for lane keeping in
-autonomous vehicles* (2011); windup after K. J. Astrom, T. Haegglund, *Advanced PID Control* (2006), section 3.5. I is
-sampled exactly for a limit that stays active: it moves by the share 1 - exp(-dt/T_t) of delta - u at each sample, which
-cannot overshoot whatever dt/T_t is. The derivative is taken from the measured rates, nothing is differenced; the rate
-of psi_l' is left out of it.
+autonomous vehicles* (2011); windup after K. J. Astrom, T. Haegglund, *Advanced PID Control* (2006), section 3.5. The
+back-calculation is sampled exactly: it moves I by the share 1 - exp(-dt/T_t) of delta - u at each sample, which cannot
+overshoot whatever dt/T_t is; K_i e_p is added as dt K_i e_p. The derivative is taken from the measured rates, nothing
+is differenced; the rate of psi_l' is left out of it.
 
 Use it where a designer would: few gains with a plain meaning, no model but the steady bend. The gains are fixed over
-speed; at dt = 0.05 s the defaults damp every pole by 0.5 or more from 10 to 40 m/s on the default vehicle and leave
-room for a steering lag (at 0.1 s they are unstable above 45 m/s). The integral acts on e_p: on a vehicle that is not
+speed; at dt = 0.05 s the defaults damp every pole by 0.5 or more from 10 to 40 m/s on the default vehicle and stand
+a steering lag of 0.2 s there, but not a lag of 0.1 s with a delay of 0.1 s above 30 m/s. They are unstable below about
+2.5 m/s, and at dt = 0.1 s above 45 m/s. The integral acts on e_p: on a vehicle that is not
 the nominal one a bend leaves e_y = -T_lp v times the error of e_psi_ss psi_l', a few centimetres. It also has to be
 emptied again, so that an offset at the trigger ends in a shallow, slow overshoot; K_i = 0 has less.
 """

@@ -3,7 +3,8 @@
 The Riccati equation is solved at a few dozen speeds and not once a scenario: `ldctoolkit.scheduled`. With weights many
 orders of magnitude apart the solver's answers scatter too much for that; Newton's method (G. Hewer, *An iterative
 technique for the computation of the steady state gains for the discrete optimal regulator*, IEEE TAC 16(4), 1971) then
-brings them to rounding: each step is one linear equation, the error is squared, and a stable loop stays stable.
+brings them to rounding: each step is one linear equation, the error is squared, and a stable loop stays stable. Weights
+at the ends of their ranges, a dozen orders apart, may still be refused.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ the u that the clipped delta stands for had been asked for, w+ = w + (u - w)/2, 
 clipped this is the w+ above.
 
 Positive to the left (ISO 8855), radians. Use it where the vehicle is badly known: w takes up any disturbance whose rate
-stays below k_2 (rule of the book: k_1 = 1.5 k_2^(1/2), k_2 = 1.1 times that rate). T_lp keeps the zero dynamics damped:
-of the offset at the centre of gravity, T_lp = 0, they are damped by 0.2 only at 40 m/s on the default vehicle, by 0.7
-or more with the default.
+stays below k_2 (rule of the book: k_1 = 1.5 times the root of that rate, k_2 = 1.1 times it). T_lp keeps the zero
+dynamics damped: of the offset at the centre of gravity, T_lp = 0, they are damped by 0.2 only at 40 m/s on the default
+vehicle, by 0.7 or more with the default.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class Stanley(Controller):
     Parameters
     ----------
     k : float [1/s]
-        Gain on the offset of the front axle; 1/k is the time constant in which it decays.
+        Gain on the offset of the front axle; on a vehicle without side slip it decays at the rate k v/(k_soft + v).
     k_soft : float [m/s]
         Added to the speed, so that the law stays calm at low speed.
     k_d_yaw : float [s]

@@ -206,7 +206,7 @@ def departures(n: int, seed: int, side: int = 1) -> Scenarios:
 
 @pytest.mark.parametrize(
     ("gammas", "beyond"),
-    [({}, 1e-4), ({"gamma_1": 0.1, "gamma_2": 0.1}, 1e-4), ({"gamma_1": 0.5, "gamma_2": 0.5}, 3e-4)],
+    [({}, 1e-4), ({"gamma_1": 0.2, "gamma_2": 0.3}, 1e-4), ({"gamma_1": 0.5, "gamma_2": 0.5}, 1e-3)],
 )
 def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float) -> None:
     """From psi >= 0 at the trigger, on the ideal plant, with an angle that suffices. psi >= 0 holds at every sample, up
@@ -214,7 +214,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
     """
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
-    scenarios = departures(250, seed=2)
+    scenarios = departures(500, seed=2)
     out = simulate(design, scenarios, settle=8.0, trajectories=True)
     alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
     paths = out.trajectories
@@ -222,7 +222,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
     psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
     feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
-    assert feasible.size > 60
+    assert feasible.size > 30
     # T, where a sample ends early, is in the paths but no sample
     k = np.rint((paths.t - paths.t[:, :1]) / DT)
     at_sample = np.abs((paths.t - paths.t[:, :1]) / DT - k) < 1e-6
@@ -237,7 +237,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
 
 def test_outside_the_corridor_it_comes_back_exponentially() -> None:
     """Where psi < 0 at the trigger it shrinks by gamma_2 a sample, and h by about gamma_1 then."""
-    design = BarrierFilter(e_y_max=1.0, inner_gains="K_y=0, K_psi=0", delta_max=1.0)
+    design = BarrierFilter(e_y_max=1.0, inner_gains="K_y=0, K_psi=0", gamma_1=0.2, gamma_2=0.3, delta_max=1.0)
     plant = Plant.build(BicycleModel(), [10.0, 20.0, 35.0], DT)
     law = design.prepare(plant)
     x, r = np.tile([1.5, 0.3, 0.01, 0.0], (3, 1)), np.full((3, 2), 0.02)
@@ -425,7 +425,7 @@ def test_the_limit_has_priority_and_points_to_the_corridor() -> None:
     """Far outside, with little angle: the limit on the side that leads back."""
     plant = Plant.build(BicycleModel(), [20.0, 20.0], DT)
     x = np.array([[3.0, 1.0, 0.0, 0.0], [-3.0, -1.0, 0.0, 0.0]])
-    delta = command(BarrierFilter(delta_max=0.02), plant, x, np.zeros((2, 2)), np.zeros(2))
+    delta = command(BarrierFilter(gamma_1=0.2, gamma_2=0.3, delta_max=0.02), plant, x, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_array_equal(delta, [-0.02, 0.02])
 
 
@@ -435,6 +435,18 @@ def test_it_runs_on_a_plant_that_is_not_ideal() -> None:
     out = simulate(BarrierFilter(), departures(30, seed=11), options=options)
     assert np.isfinite(out.S).all()
     assert (out.companions.delta_peak[out.triggered] <= 0.1 + 1e-12).all()
+
+
+@pytest.mark.parametrize("actuator", [Actuator(lag=0.2), Actuator(lag=0.05, delay=0.05), Actuator(lag=0.1, delay=0.1)])
+def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
+    """Behind a lag and a delay the corridor is no longer exact, but the filter must not swing the vehicle out of it."""
+    scenarios, options = departures(120, seed=12), PlantOptions(actuator=actuator)
+    out, alone = (simulate(d, scenarios, options=options) for d in (BarrierFilter(), PreviewProportional()))
+    assert out.count(EventStatus.DIVERGED) == 0
+    for name in ("deepest", "overshoot"):
+        # where the start already leads out of the corridor both are alike
+        assert getattr(out.companions, name).max() <= getattr(alone.companions, name).max() + 0.05
+    assert out.companions.overshoot.max() < 0.7  # the corridor is 0.5 m beyond the line
 
 
 @pytest.mark.parametrize(
