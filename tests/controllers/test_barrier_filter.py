@@ -317,7 +317,7 @@ class EveryWeight(Controller):
     title: ClassVar[str] = "Every weight"
 
     def prepare(self, plant: Plant) -> LinearLaw:
-        one = np.ones((plant.n, 1))
+        one = np.sqrt(plant.v / 20.0)[:, None]  # another for every scenario
         return LinearLaw(
             F=one * [-0.02, -0.03, -0.2, -0.01],
             preview_times=np.array([0.0, 0.4]),

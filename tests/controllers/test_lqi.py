@@ -85,6 +85,9 @@ def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
     plain = LQR().prepare(plant)
     np.testing.assert_allclose(law.F, plain.F, rtol=5e-3)
     np.testing.assert_allclose(law.G_yaw_rate, plain.G_yaw_rate, rtol=5e-3)
+    steady = plant.steady_state()
+    expected = steady.delta - law.F[:, 2] * steady.e_psi  # what holds a bend with e_y = 0 and an empty integral
+    np.testing.assert_allclose(law.G_yaw_rate[:, 0], expected, rtol=1e-12)
     assert law.f_i is not None
     # the corner of the Riccati equation: K_i^2 (r + B'PB) = q_i, P tending to the LQR's
     P = regulator(plant, (1.0, 0.0, 1.0, 0.0), 100.0).P
