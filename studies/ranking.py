@@ -13,6 +13,7 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.bootstrap import bootstrap_means, percentile_interval
 from studies.design import Design
+from studies.failed_commands import warnings_of
 from studies.release import ReleaseFigures
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.spec import Study
@@ -21,12 +22,6 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-
-_OFTEN = 0.1
-"""Share of a design's interventions with a failed solve from which on a reader is told at once."""
-
-_NAMED = 3
-"""Designs that a warning names."""
 
 _SAME = 1e-6
 """Differences of mean S [m s] below this are solver tolerance, not design."""
@@ -68,7 +63,7 @@ class Ranking:
     solver_failed, diverged, timed_out, invalid : (d,) int
         Scenarios with that status.
     failed_solves : (d,) int
-        Commands that came from a fallback.
+        Commands that were not finite, or came from a fallback.
     release : ReleaseFigures
         What is reported beside S.
     D_y : float [m]
@@ -277,16 +272,4 @@ def _warnings(case: CaseResults, designs: Sequence[Design], left_out: int) -> It
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Designs with different y_s are not comparable here; use the departure window."
         )
-    often = [name for name in map(_failing, designs, case.failed_solves, case.status) if name]
-    if often:
-        more = f"; and {len(often) - _NAMED} more designs" if len(often) > _NAMED else ""
-        yield f"Commands that were not finite, or came from a law's fallback: {'; '.join(often[:_NAMED])}{more}."
-
-
-def _failing(design: Design, failed_solves: IntArray, status: IntArray) -> str:
-    """The design and how often it failed, if that is often; else empty."""
-    driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-    failing = int((failed_solves[driven] > 0).sum())
-    if not driven.any() or failing < _OFTEN * driven.sum():
-        return ""
-    return f"{design.label} in {failing:,} of {int(driven.sum()):,} interventions"
+    yield from warnings_of(case, designs)

@@ -167,7 +167,8 @@ class RunTable:
         study, cases = self._study, []
         failed = _failed_designs(study, lost)
         if len(failed) == len(study.designs):
-            raise LdcError(f"{source}: every design failed; the first, {failed[0].sentence}")
+            first = failed[0].sentence
+            raise LdcError(f"{source}: every design failed; the first, {first}; all of them are in failures.json")
         gone = {one.design.id for one in failed}
         designs = tuple(design for design in study.designs if design.id not in gone)
         kept = np.flatnonzero([design.id not in gone for design in study.designs]) if gone else slice(None)

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit import (
     BicycleModel,
@@ -23,7 +24,7 @@ from ldctoolkit import (
 )
 from ldctoolkit.law_errors import raised
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation import InitialYawRate, Run, Takeover, Window, drive_many
+from ldctoolkit.simulation import InitialYawRate, Run, Takeover, Window, drive, drive_many
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import per_scenario
@@ -31,6 +32,9 @@ from studies.run_table import FailedRun, LawTime, RunResult
 from studies.steadiness import first_departures, kept_state
 
 _TAKEOVERS_KEPT = 4
+
+_NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)
+"""What ends a study even where it comes out of a law."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,19 +76,27 @@ class Block:
 
 
 class Simulator:
-    """Runs blocks of one job; keeps the last few takeovers, which designs of one threshold share."""
+    """Runs blocks of one job; keeps the last few takeovers, which designs of one threshold share.
+
+    Every design of a `SteeringLaw` drives a few of its departures once more, and fails if they do not give the numbers
+    that are stored. So its fate does not depend on the order, the blocks or the workers, with one exception that no
+    check can rule out: a law with hidden state of the whole process, which settles before this design runs or changes
+    only after it, behaves here as what ran before in the same process made it.
+    """
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self._takeovers: dict[tuple[float, Convention], Takeover] = {}
-        self._kept_state: dict[str, str] = {}
+        self._few: dict[tuple[float, Convention], tuple[npt.NDArray[np.int64], Takeover]] = {}
 
     def takeover(self, y_s: float, convention: Convention) -> Takeover:
         """The scenarios at their triggers."""
         key = (y_s, convention)
         if key not in self._takeovers:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
-                del self._takeovers[next(iter(self._takeovers))]
+                oldest = next(iter(self._takeovers))
+                del self._takeovers[oldest]
+                self._few.pop(oldest, None)
             self._takeovers[key] = Takeover.build(
                 self.job.scenarios,
                 BicycleModel(self.job.vehicle, convention),
@@ -102,7 +114,9 @@ class Simulator:
         self.takeover(block.designs[0].y_s, block.convention)  # what this raises is no fault of a law
         try:
             results: list[RunResult | FailedRun] = [*self._together(block)]
-        except (Exception, SystemExit):  # a controller may be anybody's code
+        except _NOT_OF_A_LAW:
+            raise
+        except BaseException:  # a controller may be anybody's code
             # which design it was is not known: one after the other, the one that raises is named
             results = [self._alone(design, block.convention) for design in block.designs]
         return [self._steady(*pair, block.convention) for pair in zip(block.designs, results, strict=True)]
@@ -117,22 +131,28 @@ class Simulator:
     def _alone(self, design: Design, convention: Convention) -> RunResult | FailedRun:
         try:
             return self._together(Block(convention, (design,)))[0]
-        except (Exception, SystemExit) as error:
+        except _NOT_OF_A_LAW:
+            raise
+        except BaseException as error:
             return FailedRun((design.id, convention), raised(error))
 
     def _steady(self, design: Design, result: RunResult | FailedRun, convention: Convention) -> RunResult | FailedRun:
-        """The result, unless the law keeps state between runs, which its first design that runs is asked for."""
-        if isinstance(result, FailedRun):
+        """The result, unless a few departures, driven once more, give other numbers."""
+        # only the steps of a steering law take time: linear laws and recorded paths have no code that runs again
+        if isinstance(result, FailedRun) or result.law_time is None or not result.law_time.seconds:
             return result
-        if design.law not in self._kept_state:
-            few = first_departures(self.takeover(design.y_s, convention))
-            if few is None:
-                return result
-            try:
-                self._kept_state[design.law] = kept_state(design.controller(convention), few)
-            except (Exception, SystemExit) as error:  # it did not raise the first time
-                self._kept_state[design.law] = f"driven a second time: {raised(error)}"
-        reason = self._kept_state[design.law]
+        key = (design.y_s, convention)
+        takeover = self.takeover(*key)
+        if key not in self._few:
+            self._few[key] = first_departures(takeover, self.job.initial_yaw_rate, self.job.settle)
+        rows, few = self._few[key]
+        try:
+            run = drive(design.controller(convention), few, threads=1)
+            reason = kept_state(result, rows, self._result(design, convention, run))
+        except _NOT_OF_A_LAW:
+            raise
+        except BaseException as error:  # it did not raise the first time
+            reason = f"driven a second time: {raised(error)}"
         return FailedRun(result.key, reason) if reason else result
 
     def _result(self, design: Design, convention: Convention, run: Run) -> RunResult:

@@ -17,19 +17,22 @@ if TYPE_CHECKING:
 def ranking_table(ranking: Ranking, top: int = 10) -> Table:
     """The first `top` designs and the best of each law."""
     from rich.table import Table
+    from rich.text import Text
 
     shown = sorted({*range(min(top, len(ranking))), *ranking.best_of_each_law()})
     percent = f"{100 * ranking.confidence:g}%"
-    table = Table(title=f"{len(ranking)} designs by mean S, {ranking.case.label}", title_justify="left")
+    # Text everywhere: units in brackets and the words of a law are no markup
+    title = Text(f"{len(ranking)} designs by mean S, {ranking.case.label}", style="table.title")
+    table = Table(title=title, title_justify="left")
     for heading in ("#", "law", "y_s\n[m]", "gains that differ\nfrom defaults"):
-        table.add_column(heading, justify="right" if heading in ("#", "y_s\n[m]") else "left")
+        table.add_column(Text(heading), justify="right" if heading in ("#", "y_s\n[m]") else "left")
     headings = ("mean S\n[m s]", f"{percent}\ninterval", "to the best\n[m s]", "reduction", "left", "right")
     for heading in (*headings, f"deeper\n{ranking.D_y:g} m", "failed"):
-        table.add_column(heading, justify="right")
+        table.add_column(Text(heading), justify="right")
     for previous, i in zip([-1, *shown], shown, strict=False):
         if i > previous + 1:
             table.add_section()
-        table.add_row(*_cells(ranking, i), style="bold" if i == 0 else None)
+        table.add_row(*map(Text, _cells(ranking, i)), style="bold" if i == 0 else None)
     return table
 
 

@@ -31,7 +31,7 @@ def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
         if ties:
             out.print(f"=: not told apart from the best on these scenarios ({ties} design{'s' if ties > 1 else ''})")
         for warning in ranking.warnings:
-            out.print(f"Warning: {warning}", style="yellow")
+            out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False)
         out.print()
     _print_failed(rankings[0])
 
@@ -44,7 +44,7 @@ def _print_failed(ranking: Ranking) -> None:
     out.print(f"{len(failed)} design{'s' if len(failed) > 1 else ''} failed and {'are' if len(failed) > 1 else 'is'} "
               "not ranked:", style="yellow")  # fmt: skip
     for one in failed[:_MOST_FAILED]:
-        out.print(f"  {one.sentence}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"  {one.sentence}", markup=False, emoji=False, highlight=False, soft_wrap=True)
     if len(failed) > _MOST_FAILED:
         out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
     out.print()

@@ -27,6 +27,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from rich.table import Table
+    from rich.text import Text
 
     from ldctoolkit import LdcError, controller_class, controller_names
 
@@ -40,18 +41,20 @@ def run(chosen: argparse.Namespace) -> None:
             warn(str(error))  # one broken third-party law does not hide the others
             continue
         title = f"{name}: {kind.title}{_kind(kind)}"
-        table = Table(title=title, title_justify="left")
+        # Text: the words of a law are no markup
+        table = Table(title=Text(title, style="table.title"), title_justify="left")
         for heading in ("gain", "unit", "default", "allowed", "scale", "meaning"):
             table.add_column(heading)
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
             allowed = ", ".join(words) if words else "any text" if g.text else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
-            table.add_row(g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
+            cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
+            table.add_row(*map(Text, cells))
         if kind.gains():
             out.print(table)
         else:
-            out.print(f"[italic]{title}[/italic], no gains")
+            out.print(Text.assemble((title, "italic"), ", no gains"))
         out.print()
 
 
