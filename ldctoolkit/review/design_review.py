@@ -8,21 +8,20 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, plain
+from ldctoolkit.errors import InputError, LdcError, plain
 from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import check_controller
 from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.review.arguments import positive, review_plant
 from ldctoolkit.review.findings import Finding, Thresholds
 from ldctoolkit.review.law_model import linear_view
 from ldctoolkit.review.limits import Situation, limit_findings
 from ldctoolkit.review.loop_checks import loop_findings
 from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
-from ldctoolkit.review.notes import law_findings, plant_notes
+from ldctoolkit.review.notes import bend_notes, bound_notes, law_findings, plant_notes
 from ldctoolkit.review.sampled_loop import FloatArray
-from ldctoolkit.vehicle import BicycleModel, Plant
-from ldctoolkit.vehicle.bicycle import checked_speeds
-from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
+from ldctoolkit.vehicle import BicycleModel
 
 SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
 """Speeds [m/s] that are looked at by default."""
@@ -124,29 +123,22 @@ def review(
     options = PlantOptions() if options is None else options
     thresholds = Thresholds() if thresholds is None else thresholds
     model = BicycleModel() if model is None else model
-    dt, a_y = _positive("dt", dt, "s"), _positive("a_y", a_y, "m/s^2")
+    dt, a_y = positive("dt", dt, "s"), positive("a_y", a_y, "m/s^2")
     if not is_number(plain(y_s)) or y_s < 0:
         raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
-    v = checked_speeds(speeds)
-    if v.size == 0 or v.max() > SPEED_RANGE[1] or v.min() < SPEED_RANGE[0]:
-        shown = f"{v.min():g} to {v.max():g} m/s" if v.size else "none"
-        raise InputError(f"speeds: {shown}; allowed: one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s")
-    plant = Plant.build(model, v, dt)
-    identity = (
-        controller.name,
-        controller.title,
-        tuple((g.name, getattr(controller, g.name)) for g in controller.gains()),
-    )
+    plant = review_plant(model, dt, options, speeds)
+    v = plant.v
+    identity = _identity(controller)
     view = linear_view(controller, plant)
     if view is None:
         sentence = f"{controller.title} leaves the recorded path alone: there is no loop to review."
         return Review(*identity, dt, None, (Finding("note", "recorded_path", sentence),))
-    findings = [*law_findings(view, v)]
+    findings = [*law_findings(view, v), *bound_notes(controller, view)]
     bend = np.minimum(a_y / v, v / TIGHTEST)
     numbers = None
     if view.finite.all():
         numbers = loop_numbers(controller, view, plant, options, bend)
-        findings += loop_findings(numbers, controller, dt, thresholds)
+        findings += [*loop_findings(numbers, controller, dt, thresholds), *bend_notes(numbers)]
     steady = plant.steady_state().delta * bend
     i = int(np.argmax(np.abs(steady)))
     angles, at = _angles((steady[i], v[i]) if delta_prev is None else delta_prev)
@@ -157,6 +149,28 @@ def review(
     return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))
 
 
+def without_review(controller: Controller, dt: float, error: LdcError) -> Review:
+    """The review of a design that cannot be reviewed, with what it raised as its fault.
+
+    Parameters
+    ----------
+    controller : Controller
+    dt : float [s]
+    error : LdcError
+        What `review` raised.
+
+    Returns
+    -------
+    Review
+    """
+    return Review(*_identity(controller), dt, None, (Finding("fault", "raises", f"No review: {error}"),))
+
+
+def _identity(controller: Controller) -> tuple[str, str, tuple[tuple[str, GainValue], ...]]:
+    gains = tuple((g.name, getattr(controller, g.name)) for g in controller.gains())
+    return controller.name, controller.title, gains
+
+
 def _angles(given: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[FloatArray, FloatArray]:
     """Steering angles at triggers and their speeds, both (m,)."""
     angles, v = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in given)
@@ -165,10 +179,3 @@ def _angles(given: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[FloatArray, Flo
             f"delta_prev: angles of shape {angles.shape}, speeds of shape {v.shape}; allowed: finite numbers, (m,) each"
         )
     return angles, v
-
-
-def _positive(name: str, value: object, unit: str) -> float:
-    given = plain(value)
-    if not is_number(given) or not given > 0:
-        raise InputError(f"{name}: {given!r} {unit}; allowed: a finite number > 0")
-    return float(given)

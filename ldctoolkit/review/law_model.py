@@ -21,6 +21,7 @@ import numpy.typing as npt
 from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step
+from ldctoolkit.review.guard import guarded
 from ldctoolkit.vehicle import Plant
 
 FloatArray = npt.NDArray[np.float64]
@@ -121,13 +122,10 @@ def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
 
 
 def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
-    try:
+    with guarded(controller.name, "prepare"):
         made = controller.prepare(plant)
-    except LdcError:
-        raise
-    except Exception as error:  # a controller may be anybody's code
-        raise LdcError(f"controller {controller.name!r}: prepare raised {type(error).__name__}: {error}") from error
-    return check_law(made, plant.n, controller.name)
+    with guarded(controller.name, "preview_times"):
+        return check_law(made, plant.n, controller.name)
 
 
 def _exact(law: LinearLaw, plant: Plant) -> LinearView:
@@ -167,24 +165,51 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
 
 def _answers(controller: Controller, plant: Plant, pulses: FloatArray) -> FloatArray:
     """Commands after a pulse at the first sample, (samples, pulses, n)."""
-    q, n = pulses.shape[0], plant.n
+    return _after(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)
+
+
+def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> FloatArray:
+    """Commands of a `SteeringLaw` at its first sample.
+
+    Parameters
+    ----------
+    controller : Controller
+    plant : Plant
+        At n speeds.
+    inputs : (q, n, 6)
+        What it is shown, in the order of this module.
+
+    Returns
+    -------
+    (q, n) [rad]
+
+    Raises
+    ------
+    LdcError
+        If the law does not keep to the interface.
+    """
+    (commands,) = _after(controller, plant, inputs, 1)
+    return np.asarray(commands)
+
+
+def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
+    """Commands while the first sample shows the inputs (q, n, 6), and later ones nothing; (samples, q, n)."""
+    q, n, name = inputs.shape[0], plant.n, controller.name
     law = _prepared(controller, Plant.build(plant.model, np.tile(plant.v, q), plant.dt))
     if not isinstance(law, SteeringLaw):
-        raise LdcError(f"controller {controller.name!r}: prepare gives laws of different kinds for other speeds")
-    first = np.repeat(pulses, n, axis=0)
-    times = np.asarray(law.preview_times, dtype=np.float64)
-    state = law.init(q * n)
-    answers = np.zeros((_SAMPLES, q, n))
-    for k in range(_SAMPLES):
+        raise LdcError(f"controller {name!r}: prepare gives laws of different kinds for other speeds")
+    first = inputs.reshape(q * n, 6)
+    with guarded(name, "preview_times"):
+        times = np.asarray(law.preview_times, dtype=np.float64)
+    with guarded(name, "init"):
+        state = law.init(q * n)
+    answers = np.zeros((samples, q, n))
+    for k in range(samples):
         u = first if k == 0 else np.zeros_like(first)
         ahead = Preview(np.tile(u[:, 5:], (1, times.size)), u[:, 5:] * times)
-        try:
+        with guarded(name, "step"):
             result = law.step(np.full(q * n, k * plant.dt), u[:, :4].copy(), ahead, u[:, 4].copy(), state)
-        except LdcError:
-            raise
-        except Exception as error:
-            raise LdcError(f"controller {controller.name!r}: step raised {type(error).__name__}: {error}") from error
-        delta, state, _ = check_step(result, q * n, controller.name)
+        delta, state, _ = check_step(result, q * n, name)
         answers[k] = delta.reshape(q, n)
     return answers
 

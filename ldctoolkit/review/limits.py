@@ -19,6 +19,8 @@ _NO_HORIZON = 1.0
 _RARE = 0.01
 """Share of departures below which wheels that stand beyond the limits are a warning."""
 
+_OFF_AT_0 = ("a_y_max", "jerk_max", "e_y_max")
+
 _ROUNDING = 1e-9
 
 
@@ -59,8 +61,8 @@ def limit_findings(controller: Controller, situation: Situation) -> Iterator[Fin
     Parameters
     ----------
     controller : Controller
-        Gains named `delta_max`, `rate_max`, `horizon`, `a_y_max` and `e_y_max` are read; a limit that is 0 or infinite
-        is off.
+        Gains named `delta_max`, `rate_max`, `horizon`, `a_y_max` and `e_y_max` are read; a limit that is infinite is
+        off, and so are an `a_y_max` and an `e_y_max` that are 0.
     situation : Situation
 
     Yields
@@ -68,7 +70,7 @@ def limit_findings(controller: Controller, situation: Situation) -> Iterator[Fin
     Finding
     """
     own = {g.name: getattr(controller, g.name) for g in controller.gains()}
-    limits = {name: _on(own.get(name)) for name in ("delta_max", "rate_max", "a_y_max", "e_y_max")}
+    limits = {name: limit_of(controller, name) for name in ("delta_max", "rate_max", "a_y_max", "e_y_max")}
     yield from _against_actuator(limits, situation.actuator)
     yield from _bend(limits["delta_max"], situation)
     yield from _start(limits, own.get("horizon"), situation)
@@ -85,11 +87,23 @@ def limit_findings(controller: Controller, situation: Situation) -> Iterator[Fin
         )
 
 
-def _on(value: object) -> float | None:
-    """A limit that is set."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+def limit_of(controller: Controller, name: str) -> float | None:
+    """A limit that a design declares and has set, None otherwise.
+
+    Parameters
+    ----------
+    controller : Controller
+    name : str
+        Of the gain; for `a_y_max`, `jerk_max` and `e_y_max` 0 means that there is none.
+
+    Returns
+    -------
+    float or None
+    """
+    value = getattr(controller, name) if any(g.name == name for g in controller.gains()) else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
         return None
-    return float(value)
+    return None if value == 0 and name in _OFF_AT_0 else float(value)
 
 
 def _against_actuator(limits: dict[str, float | None], actuator: Actuator) -> Iterator[Finding]:
@@ -140,7 +154,7 @@ def _start(limits: dict[str, float | None], horizon: object, s: Situation) -> It
     if not beyond.any():
         return
     i = int(np.argmax(angles))
-    samples = math.ceil((angles[i] - delta_max) / step - _ROUNDING)
+    samples = f"{math.ceil((angles[i] - delta_max) / step - _ROUNDING)}" if step > 0 else "all"
     reach, whose = math.ceil(_NO_HORIZON / s.dt), "a second has"
     if isinstance(horizon, int) and not isinstance(horizon, bool):
         reach, whose = horizon, "its horizon is"

@@ -105,8 +105,8 @@ def _instability(numbers: LoopNumbers, dt: float, softer: str) -> Iterator[Findi
     where = share(~numbers.stable)
     if not numbers.stable.all() and radius > 1.0 + 1e-6:
         text = (
-            f"At {v[i]:.3g} m/s the closed loop is unstable: a deviation grows by a factor of {radius:.3g} a sample of "
-            f"{dt:g} s{where}. {softer}, or shorten delay and lag."
+            f"At {v[i]:.3g} m/s the closed loop is unstable: a deviation grows by a factor of {_factor(radius)} a "
+            f"sample of {dt:g} s{where}. {softer}, or shorten delay and lag."
         )
         yield Finding("fault", "stability", text, radius, 1.0, float(v[i]))
     elif not numbers.stable.all():
@@ -123,6 +123,12 @@ def _instability(numbers: LoopNumbers, dt: float, softer: str) -> Iterator[Findi
             f"than the law knows{share(lost)}. {softer}, or shorten delay and lag."
         )
         yield Finding("fault", "stability_mismatched", text, v=at)
+
+
+def _factor(radius: float) -> str:
+    """A factor above 1 with as many digits as tell it from 1."""
+    digits = max(2, 1 - math.floor(math.log10(radius - 1.0)))
+    return f"{radius:.3g}" if radius >= 1.1 else f"{radius:.{digits}f}"
 
 
 def _margins(numbers: LoopNumbers, dt: float, t: Thresholds, softer: str) -> Iterator[Check]:

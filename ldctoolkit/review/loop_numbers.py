@@ -11,10 +11,13 @@ import numpy.typing as npt
 from ldctoolkit.control import Controller
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.conditioning import hessian_condition
-from ldctoolkit.review.law_model import LinearView
+from ldctoolkit.review.law_model import LinearView, first_answers
 from ldctoolkit.review.margins import bandwidth, margins, poles
 from ldctoolkit.review.sampled_loop import Camera, FloatArray, Loop, System, controller_side, sampled_vehicle
 from ldctoolkit.vehicle import BicycleModel, Plant
+
+BEND_ERROR = 0.05
+"""Part of a command in a bend that the linearisation may miss."""
 
 MISMATCH = 0.2
 """Relative error of the cornering stiffness of each axle, up and down."""
@@ -49,6 +52,9 @@ class LoopNumbers:
         Steady e_y in a bend, on the nominal vehicle.
     e_y_bend_mismatched : (n,) [m]
         The same with other cornering stiffness, the worst of the four corners; infinite where one is unstable.
+    bend_error : (n,)
+        Of a law without memory, how far its command in the steady bend is from that of its linearisation, relative to
+        the latter's largest term; 0 for linear laws. Above `BEND_ERROR` there is no offset in a bend: it is NaN.
     hessian_condition : (n,)
         Condition number of the condensed Hessian; NaN for a law that is no MPC.
     """
@@ -68,6 +74,7 @@ class LoopNumbers:
     bandwidth: FloatArray
     e_y_bend: FloatArray
     e_y_bend_mismatched: FloatArray
+    bend_error: FloatArray
     hessian_condition: FloatArray
 
 
@@ -98,6 +105,7 @@ def loop_numbers(
     cameras = _cameras(plant, options)
     others = [_with_stiffness(plant, front, rear) for front in (-1.0, 1.0) for rear in (-1.0, 1.0)]
     rows = []
+    inputs = np.zeros((2, plant.n, 6))  # in the bend: of the nominal vehicle, of the worst other one
     for i, law in enumerate(view.models):
         side = controller_side(law, cameras[i])
         loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator), side)
@@ -107,18 +115,26 @@ def loop_numbers(
             m = margins(loop.open, dt)
             r = float(bend[i])
             row += [m.gain, m.gain_reduction, m.phase, m.delay, m.disk, m.crossover]
-            row += [bandwidth(A[i], B[i], actuator.lag, side, dt), loop.steady_offset() * r]
-            row += [_worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options) * r]
+            inputs[0, i] = loop.steady() * r
+            worst = _worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options)
+            if worst is not None:
+                inputs[1, i] = worst * r
+            offset = math.inf if worst is None else inputs[1, i, 0]
+            row += [bandwidth(A[i], B[i], actuator.lag, side, dt), inputs[0, i, 0], offset]
         else:
             row += [math.nan] * 6 + [bandwidth(A[i], B[i], actuator.lag, side, dt)] + [math.nan] * 2
         rows.append(row)
     columns = np.array(rows, dtype=float).T
+    errors = _errors(controller, view, plant, inputs)
+    for column, error in zip(columns[-2:], errors, strict=True):
+        column[(error > BEND_ERROR) & np.isfinite(column)] = math.nan
     condition = hessian_condition(controller, plant)
-    names = [field.name for field in dataclasses.fields(LoopNumbers)][3:-1]
+    names = [field.name for field in dataclasses.fields(LoopNumbers)][3:-2]
     return LoopNumbers(
         v=plant.v.copy(),
         bend=bend,
         stable=columns[0].astype(bool),
+        bend_error=errors.max(axis=0),
         hessian_condition=condition,
         **dict(zip(names, columns[1:], strict=True)),
     )
@@ -126,13 +142,27 @@ def loop_numbers(
 
 def _worst(
     vehicles: list[tuple[FloatArray, FloatArray, FloatArray]], side: System, dt: float, options: PlantOptions
-) -> float:
-    """Largest steady offset per lane yaw rate on some vehicles, with its sign; infinite if one of them is unstable."""
-    offsets = []
+) -> FloatArray | None:
+    """What the law sees per lane yaw rate where the steady offset is largest; None if one vehicle is unstable."""
+    seen = []
     for A, B, E in vehicles:
         loop = Loop.of(sampled_vehicle(A, B, E, dt, options.actuator), side)
-        offsets.append(loop.steady_offset() if poles(loop.closed_A, dt).stable else math.inf)
-    return max(offsets, key=abs)
+        if not poles(loop.closed_A, dt).stable:
+            return None
+        seen.append(loop.steady())
+    return max(seen, key=lambda u: abs(float(u[0])))
+
+
+def _errors(controller: Controller, view: LinearView, plant: Plant, inputs: FloatArray) -> FloatArray:
+    """How far a law's commands at inputs (q, n, 6) are from linear ones, (q, n); 0 where its memory matters too."""
+    errors = np.zeros(inputs.shape[:2])
+    without = np.array([not model.A.size for model in view.models])
+    if view.exact or not without.any():
+        return errors
+    terms = inputs * np.array([model.D for model in view.models])
+    apart = np.abs(first_answers(controller, plant, inputs) - terms.sum(axis=2))
+    apart = np.where(np.isnan(apart), math.inf, apart)
+    return np.where(without, apart / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
 
 
 def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray, FloatArray, FloatArray]:

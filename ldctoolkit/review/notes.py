@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
+from ldctoolkit.control import Controller
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.findings import Finding
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView
+from ldctoolkit.review.limits import limit_of
+from ldctoolkit.review.loop_numbers import BEND_ERROR, LoopNumbers
 from ldctoolkit.review.sampled_loop import FloatArray
 
 _NONLINEAR = 0.05
 """Relative difference of the answers to small and larger pulses from which it is told."""
+
+_IN_THE_LOOP = ("period", "delay", "kalman")
+"""What of the camera the loop holds."""
 
 _UNEXPLAINED = 0.02
 """Part of a pulse response that the model of the memory may leave out untold."""
@@ -71,6 +78,47 @@ def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
         )
 
 
+def bound_notes(controller: Controller, view: LinearView) -> Iterator[Finding]:
+    """What a review does not see of a law that keeps a corridor.
+
+    Parameters
+    ----------
+    controller : Controller
+    view : LinearView
+
+    Yields
+    ------
+    Finding
+        At most one.
+    """
+    bound = limit_of(controller, "e_y_max")
+    if bound is not None and not view.exact:
+        text = f"The law keeps |e_y| <= e_y_max = {bound:g} m by itself: the loop while that bound holds the command"
+        yield Finding("note", "bound", f"{text} is not looked at, poles and margins are those far from it.")
+
+
+def bend_notes(numbers: LoopNumbers) -> Iterator[Finding]:
+    """Offsets in a bend that are left out because the law is not linear up to them.
+
+    Parameters
+    ----------
+    numbers : LoopNumbers
+
+    Yields
+    ------
+    Finding
+        At most one.
+    """
+    i, wrong = int(np.argmax(numbers.bend_error)), numbers.bend_error > BEND_ERROR
+    if wrong.any():
+        text = (
+            f"At {numbers.v[i]:.3g} m/s the law is not linear in a steady bend: its command there differs by "
+            f"{100 * numbers.bend_error[i]:.3g} % from what small deviations foretell. Offsets in the bend are left "
+            f"out ({int(wrong.sum())} of {wrong.size} speeds)."
+        )
+        yield Finding("note", "bend_not_linear", text, float(numbers.bend_error[i]), BEND_ERROR, float(numbers.v[i]))
+
+
 def plant_notes(options: PlantOptions) -> Iterator[Finding]:
     """What of a plant the review leaves out.
 
@@ -88,7 +136,9 @@ def plant_notes(options: PlantOptions) -> Iterator[Finding]:
         "the speed profile": options.speed == "profile",
         "mismatch": not options.mismatch.ideal,
         "saturating tyres": not options.tyres.ideal,
-        "noise, bias and quantisation of the camera": not sensors.ideal,
+        "noise, bias, quantisation and errors of the curvature of the camera": any(
+            getattr(sensors, field.name) for field in dataclasses.fields(sensors) if field.name not in _IN_THE_LOOP
+        ),
         "the camera's period but for the age that it adds on average": sensors.period > 0,
         "residuals": not options.residuals.ideal,
     }

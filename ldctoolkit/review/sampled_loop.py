@@ -21,6 +21,9 @@ from ldctoolkit.vehicle.discretization import expm
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
+_ENTRIES = 4_000_000
+"""Numbers of a block of matrices: a long delay makes large ones."""
+
 _WHOLE = 1e-9
 """Parts of a sample of delay that are rounding."""
 
@@ -46,8 +49,13 @@ class System:
         """Transfer function at points z (m,) of the complex plane, (m, q, p)."""
         if not self.A.size:
             return np.broadcast_to(self.D, (z.size, *self.D.shape)).astype(np.complex128)
-        resolvent = z[:, None, None] * np.eye(self.A.shape[0]) - self.A
-        return np.asarray(self.C @ np.linalg.solve(resolvent, self.B[None].astype(np.complex128)) + self.D)
+        k = self.A.shape[0]
+        block = max(1, _ENTRIES // k**2)
+        parts = [
+            np.linalg.solve(z[i : i + block, None, None] * np.eye(k) - self.A, self.B[None].astype(np.complex128))
+            for i in range(0, z.size, block)
+        ]
+        return np.asarray(self.C @ np.concatenate(parts) + self.D)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +219,12 @@ class Loop:
         opened = System(A, B[:, None], -delta[None, :], np.zeros((1, 1)))
         return cls(opened, A + np.outer(B, delta), E)
 
+    def steady(self) -> FloatArray:
+        """State, command and lane yaw rate in a bend once it has settled, per lane yaw rate of 1 rad/s, (6,)."""
+        k = self.closed_A.shape[0]
+        settled = np.linalg.solve(np.eye(k) - self.closed_A, self.closed_E)
+        return np.array([*settled[:4], settled[-1], 1.0])  # the last state is the command before
+
     def steady_offset(self) -> float:
         """e_y in a bend of lane yaw rate 1 rad/s once it has settled [m per rad/s]."""
-        k = self.closed_A.shape[0]
-        return float(np.linalg.solve(np.eye(k) - self.closed_A, self.closed_E)[0])
+        return float(self.steady()[0])

@@ -54,7 +54,7 @@ def contract_faults(
     controller: Controller | type[Controller],
     designs: Sequence[Controller] = (),
     *,
-    checks: Iterable[str] | None = None,
+    checks: str | Iterable[str] | None = None,
     settings: ContractSettings | None = None,
 ) -> tuple[Fault, ...]:
     """Everything that a controller does against the contract.
@@ -65,8 +65,8 @@ def contract_faults(
         A design, or a class, of which the design with all defaults is taken.
     designs : sequence of Controller
         More designs of the same law.
-    checks : iterable of str, optional
-        Some keys of `CHECKS`; all by default.
+    checks : str or iterable of str, optional
+        One key, or some keys, of `CHECKS`; all by default.
     settings : ContractSettings, optional
         Size and tolerances.
 
@@ -86,21 +86,32 @@ def contract_faults(
     >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
     ()
     """
-    chosen = tuple(CHECKS if checks is None else checks)
-    for name in chosen:
-        if name not in CHECKS:
-            raise InputError(f"checks: {name!r}; {nearest(name, CHECKS)}")
+    chosen = _chosen(checks)
     settings = ContractSettings() if settings is None else settings
+    if not isinstance(settings, ContractSettings):
+        raise InputError(f"settings: {settings!r}; allowed: ContractSettings(...), or None")
     first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
     every = [check_controller(design) for design in (first, *designs)]
     return tuple(fault for design in dict.fromkeys(every) for fault in _faults(design, chosen, settings))
+
+
+def _chosen(checks: object) -> tuple[str, ...]:
+    """Names of checks, each one known."""
+    given = (checks,) if isinstance(checks, str) else CHECKS if checks is None else checks
+    if not isinstance(given, Iterable):
+        raise InputError(f"checks: {given!r}; allowed: one or more of {', '.join(CHECKS)}")
+    chosen = tuple(given)
+    for name in chosen:
+        if not isinstance(name, str) or name not in CHECKS:
+            raise InputError(f"checks: {name!r}; {nearest(str(name), CHECKS)}")
+    return chosen
 
 
 def check_controller_contract(
     controller: Controller | type[Controller],
     designs: Sequence[Controller] = (),
     *,
-    checks: Iterable[str] | None = None,
+    checks: str | Iterable[str] | None = None,
     settings: ContractSettings | None = None,
 ) -> None:
     """Raise if a controller breaks the contract.
@@ -111,8 +122,8 @@ def check_controller_contract(
         A design, or a class, of which the design with all defaults is taken.
     designs : sequence of Controller
         More designs of the same law.
-    checks : iterable of str, optional
-        Some keys of `CHECKS`; all by default.
+    checks : str or iterable of str, optional
+        One key, or some keys, of `CHECKS`; all by default.
     settings : ContractSettings, optional
         Size and tolerances.
 
@@ -141,7 +152,9 @@ def _faults(design: Controller, checks: Iterable[str], settings: ContractSetting
         try:
             for sentence in CHECKS[name](Subject(design, settings)):
                 yield Fault(called, name, sentence)
-        except Exception as error:  # a controller may be anybody's code
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:  # a controller may be anybody's code, and may call sys.exit
             yield Fault(called, name, raised(error))
 
 

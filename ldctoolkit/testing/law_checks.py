@@ -38,8 +38,9 @@ def interface(subject: Subject) -> Iterator[str]:
         if isinstance(law, LinearLaw | RecordedPath) or n == 0:
             continue  # where nothing triggers, no step is taken
         walk = Walk(law, part, subject.settings.dt, subject.name)
-        delta, _, status = law.step(*walk.seen(), walk.state)
-        check_step((delta, None, status), n, subject.name)
+        result = law.step(*walk.seen(), walk.state)
+        check_step(result, n, subject.name)
+        delta, _, status = result
         for name, value, wanted in (("delta", delta, "float64"), ("status", status, "int8")):
             kind = str(getattr(value, "dtype", type(value).__name__))
             if kind != wanted:
@@ -242,7 +243,9 @@ def extremes(subject: Subject) -> Iterator[str]:
             label = f"{one.name} = {getattr(design, one.name)!r}"
             try:
                 said = Subject(design, subject.settings).commands(road)
-            except Exception as error:
+            except (KeyboardInterrupt, GeneratorExit):
+                raise
+            except BaseException as error:  # a law may also call sys.exit
                 named = isinstance(error, InputError) and f".{one.name}:" in str(error)
                 absent = bool(one.choices) and isinstance(error, LdcError | ImportError)
                 if not (named or absent):

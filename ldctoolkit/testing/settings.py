@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, plain
+from ldctoolkit.option_checks import is_number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,10 +48,11 @@ class ContractSettings:
 
     def __post_init__(self) -> None:
         for name in ("scenarios", "samples"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 4):
+            value = plain(getattr(self, name))
+            if isinstance(value, bool) or not (isinstance(value, int) and value >= 4):
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: a whole number >= 4")
-        if not self.dt > 0:
+        if not (is_number(plain(self.dt)) and self.dt > 0):
             raise InputError(f"dt: {self.dt!r}; allowed: a number > 0 [s]")
         for name in ("mirror_tolerance", "limit_tolerance", "quiet_tolerance"):
-            if not getattr(self, name) >= 0:
+            if not (is_number(plain(getattr(self, name))) and getattr(self, name) >= 0):
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: a number >= 0")

@@ -37,8 +37,8 @@ def warn(message: str) -> None:
     print(f"ldc: warning: {message}", file=sys.stderr)
 
 
-def output_file(path: str, *suffixes: str) -> Path:
-    """The path, checked before any long work starts.
+def output_file(path: str, *suffixes: str, option: str = "-o") -> Path:
+    """The path that an option gave, checked before any long work starts.
 
     Raises
     ------
@@ -47,11 +47,11 @@ def output_file(path: str, *suffixes: str) -> Path:
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
-        raise InputError(f"-o {path}: the name must end in {' or '.join(suffixes)}")
+        raise InputError(f"{option} {path}: the name must end in {' or '.join(suffixes)}")
     if target.is_dir():
-        raise InputError(f"-o {path}: is a folder")
+        raise InputError(f"{option} {path}: is a folder")
     if not target.parent.is_dir():
-        raise InputError(f"-o {path}: the folder {target.parent} does not exist")
+        raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
     return target
 
 

@@ -7,15 +7,17 @@ import dataclasses
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ldctoolkit import Controller
+    from ldctoolkit import Controller, Scenarios
     from ldctoolkit.gains import Gain
     from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.review import Review
     from ldctoolkit.simulation import Takeover
+    from ldctoolkit.vehicle import Convention
     from studies.design import Design
     from studies.spec import Study
 
@@ -67,16 +69,43 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
     return list(_of_study(load_study(chosen.design), chosen))
 
 
+def reviewed_design(subject: Subject) -> Review:
+    """The review of a subject; what a study's design raises is its fault, so that the others are reviewed too.
+
+    Raises
+    ------
+    LdcError
+        For arguments that no design can be reviewed with, and for whatever a law by itself raises.
+    """
+    from ldctoolkit import BicycleModel
+    from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.review import SPEEDS, review, review_plant, without_review
+
+    given = subject.arguments
+    dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
+    review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
+    try:
+        return review(subject.controller, **given)
+    except LdcError as error:
+        if not subject.ids:
+            raise
+        return without_review(subject.controller, dt, error)
+
+
 def _is_file(path: str) -> bool:
     from pathlib import Path
 
-    return Path(path).is_file()
+    try:
+        return Path(path).is_file()
+    except OSError:  # a name that is longer than names of files may be
+        return False
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
     from ldctoolkit import controller_class
     from ldctoolkit.gains import find_gain
     from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.review import SPEEDS
     from studies.cli._ranges import each_once
 
     kind = controller_class(chosen.design)
@@ -86,9 +115,7 @@ def _law(chosen: argparse.Namespace) -> Subject:
     arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
     if chosen.dt is not None:
         arguments["dt"] = chosen.dt
-    speeds = _speeds(chosen, None)
-    if speeds is not None:
-        arguments["speeds"] = speeds
+    arguments["speeds"] = _speeds(chosen, (SPEEDS[0], SPEEDS[-1]))
     return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
 
 
@@ -122,15 +149,26 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
-    from ldctoolkit import BicycleModel
-    from ldctoolkit.simulation import Takeover
     from studies.runner import study_model
 
     designs = _chosen(study.designs, chosen.only)
-    settings, wanted = study.simulation, study.scenarios
+    wanted, conventions = study.scenarios, study.simulation.convention
     left, right = min(wanted.left, _MOST_SCENARIOS), min(wanted.right, _MOST_SCENARIOS)
     scenarios = study_model(study).sample(left, right, seed=study.seed, given=wanted.given)
-    model = BicycleModel(study.vehicle, settings.convention[0])
+    for convention in conventions:
+        said = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
+        for subject in _of_convention(study, designs, scenarios, convention, chosen):
+            yield dataclasses.replace(subject, label=f"{subject.label}{said}")
+
+
+def _of_convention(
+    study: Study, designs: list[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
+) -> Iterator[Subject]:
+    from ldctoolkit import BicycleModel
+    from ldctoolkit.simulation import Takeover
+
+    settings = study.simulation
+    model = BicycleModel(study.vehicle, convention)
     options = _plant(chosen, study.plant)
     dt = settings.dt if chosen.dt is None else chosen.dt
     triggers = {
@@ -150,7 +188,7 @@ def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
         if angles is not None:
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
-        yield Subject(name, tuple(d.id for d in same), same[0].controller(settings.convention[0]), arguments)
+        yield Subject(name, tuple(d.id for d in same), same[0].controller(convention), arguments)
 
 
 def _chosen(designs: tuple[Design, ...], only: str | None) -> list[Design]:

@@ -77,13 +77,12 @@ def _range(text: str) -> tuple[float, float]:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
-    from ldctoolkit.review import review
-    from studies.cli._review_designs import subjects
+    from studies.cli._review_designs import reviewed_design, subjects
     from studies.cli._review_files import to_csv, to_json
     from studies.files import write_text
 
     targets = [
-        (output_file(path, suffix), write)
+        (output_file(path, suffix, option=f"-{suffix.replace('.', '-')}"), write)
         for path, suffix, write in ((chosen.json, ".json", to_json), (chosen.csv, ".csv", to_csv))
         if path is not None
     ]
@@ -93,7 +92,7 @@ def run(chosen: argparse.Namespace) -> int:
         for done, subject in enumerate(wanted):
             if advance is not None:
                 advance(done, len(wanted))
-            reviewed.append((subject.label, subject.ids, review(subject.controller, **subject.arguments)))
+            reviewed.append((subject.label, subject.ids, reviewed_design(subject)))
     if len(reviewed) == 1:
         _print_loop(reviewed[0][0], reviewed[0][2])
     else:
@@ -129,17 +128,23 @@ _COLUMNS = (
 def _shown(value: float, factor: float, form: str) -> str:
     if math.isnan(value):
         return "-"
-    return "inf" if math.isinf(value) else format(round(value * factor, 9) + 0.0, form)
+    if math.isinf(value):
+        return "inf"
+    text = format(value * factor, form)
+    return text if float(text) else text.lstrip("-")
 
 
 def _print_loop(label: str, review: Review) -> None:
     """Every speed of one design."""
     from rich.table import Table
+    from rich.text import Text
 
     if review.loop is None:
         print(label)
         return
-    table = Table(title=f"{label}, dt = {review.dt:g} s", title_justify="left")
+    # as text and not as a string: brackets and colons of a label are no markup
+    title = Text(f"{label}, dt = {review.dt:g} s", style="table.title")
+    table = Table(title=title, title_justify="left")
     columns = list(_COLUMNS)
     if not all(map(math.isnan, review.loop.hessian_condition)):
         columns.append(("condition", "hessian_condition", 1.0, ".2g"))
@@ -158,6 +163,7 @@ _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mi
 def _print_overview(reviewed: Reviewed) -> None:
     """One row a design, the worst of all speeds."""
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(title="worst of all speeds", title_justify="left")
     table.add_column("design")
@@ -172,9 +178,14 @@ def _print_overview(reviewed: Reviewed) -> None:
             loop = review.loop
             cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
-        table.add_row(label, *cells, str(len(review.faults)), str(warnings))
+        table.add_row(Text(label), *cells, str(len(review.faults)), str(warnings))
     console().print(table)
 
 
 def _worst(values: np.ndarray, name: str) -> float:
-    return float(values.min() if name.endswith("margin") else abs(values).max())
+    import numpy as np
+
+    known = values[~np.isnan(values)]
+    if not known.size:
+        return math.nan
+    return float(known.min() if name.endswith("margin") else abs(known).max())

@@ -44,6 +44,29 @@ def test_the_contract(name: str, check: str) -> None:
     assert not [str(fault) for fault in contract_faults(controller_class(name), checks=[check], settings=settings)]
 
 
+DESIGNS: dict[str, Controller] = {
+    "stanley": controllers.Stanley(k=2.0, k_d_steer=0.3),
+    "pid": controllers.PID(K_i=-0.01, T_t=0.3, delta_max=0.05),
+    "sliding_mode": controllers.SlidingMode(lambda_=3.0, k_1=4.0, k_2=2.0, T_lp=0.0),
+    "pure_pursuit": controllers.PurePursuit(T_lp=0.4, l_min=12.0, delta_max=0.05),
+    "lqi": controllers.LQI(q_i=3.0, r_delta=30.0),
+    **{
+        f"barrier_filter, {inner}": controllers.BarrierFilter(inner=inner, inner_gains=gains, e_y_max=0.9, gamma_1=0.3)
+        for inner, gains in (("pid", "K_i=-0.01"), ("stanley", "k_d_steer=0.3"), ("sliding_mode", ""), ("lqi", ""))
+    },
+}
+"""Gains that switch on what the defaults leave off, or are far from them."""
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_designs_off_the_defaults_keep_it(name: str) -> None:
+    """Those around another law without `extremes`, which prepares the law inside again for every gain."""
+    design = DESIGNS[name]
+    checks = [check for check in CHECKS if check != "extremes" or "," not in name]
+    settings = ContractSettings(mirror_tolerance=0.0)
+    assert not [str(fault) for fault in contract_faults(design, checks=checks, settings=settings)]
+
+
 def test_the_zoo_is_found_by_entry_points() -> None:
     config = tomllib.loads((Path(controllers.__file__).parent.parent / "pyproject.toml").read_text(encoding="utf-8"))
     listed = config["project"]["entry-points"]["ldctoolkit.controllers"]

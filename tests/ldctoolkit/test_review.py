@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -25,11 +25,16 @@ from ldctoolkit import (
     controller_class,
     controller_names,
     gain,
+    option,
 )
 from ldctoolkit.errors import InputError
-from ldctoolkit.plant_options import Actuator, PlantOptions, Sensors
-from ldctoolkit.review import Finding, Review, Thresholds, review
+from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from ldctoolkit.review import Finding, Review, Thresholds, review, sampled_loop
 from ldctoolkit.review.law_model import linear_view
+from ldctoolkit.review.limits import limit_of
+from ldctoolkit.review.loop_checks import _factor
+from ldctoolkit.review.notes import plant_notes
+from ldctoolkit.review.sampled_loop import System
 
 
 def named(found: Review, name: str) -> Finding:
@@ -146,7 +151,22 @@ def test_delay_and_lag_are_in_the_loop() -> None:
     too_late = PlantOptions(actuator=Actuator(delay=float(bare.delay_margin[0]) + 0.01))
     assert named(review(LQR(), speeds=[30.0], options=too_late), "stability").severity == "fault"
     assert frames.faults
-    assert "left_out" in {finding.name for finding in frames.findings}
+    assert "left_out" not in {finding.name for finding in frames.findings}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"delay": 0.05, "kalman": KalmanFilter()}, False),
+        ({"e_y_noise": 0.05}, True),
+        ({"e_psi_bias": 0.01}, True),
+        ({"e_y_step": 0.01}, True),
+        ({"curvature_gain": -0.1}, True),
+    ],
+)
+def test_what_the_loop_holds_of_a_camera_is_not_told_as_left_out(given: dict[str, Any], told: bool) -> None:
+    notes = list(plant_notes(PlantOptions(sensors=Sensors(**given))))
+    assert [("curvature of the camera" in note.sentence) for note in notes] == [True] * told
 
 
 def test_margins_below_their_thresholds() -> None:
@@ -365,19 +385,119 @@ def test_laws_that_steer_for_nothing_or_give_no_numbers() -> None:
 
 
 @dataclasses.dataclass(frozen=True)
+class RaisingLaw(SteeringLaw):
+    """Raises in one of its parts."""
+
+    where: str
+    error: BaseException
+
+    @property
+    def preview_times(self) -> np.ndarray:
+        if self.where == "preview_times":
+            raise self.error
+        return np.zeros(1)
+
+    def init(self, n: int) -> Any:
+        if self.where == "init":
+            raise self.error
+
+    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
+        raise self.error
+
+
+@dataclasses.dataclass(frozen=True)
 class Raising(Controller):
-    """Raises where it is prepared."""
+    """Raises in `prepare`, or has a law that raises."""
 
     name: ClassVar[str] = "raising"
     title: ClassVar[str] = "Raising"
+    where: str = option("prepare", choices=("prepare", "preview_times", "init", "step"), description="where")
+    error: ClassVar[BaseException] = RuntimeError("no map")
 
-    def prepare(self, plant: Plant) -> LinearLaw:
-        raise RuntimeError("no map")
+    def prepare(self, plant: Plant) -> SteeringLaw:
+        if self.where == "prepare":
+            raise self.error
+        return RaisingLaw(self.where, self.error)
 
 
-def test_a_law_that_raises_is_named() -> None:
-    with pytest.raises(LdcError, match="controller 'raising': prepare raised RuntimeError: no map"):
-        review(Raising())
+@pytest.mark.parametrize("where", ["prepare", "preview_times", "init", "step"])
+@pytest.mark.parametrize(
+    ("error", "told"), [(RuntimeError("no map"), "RuntimeError: no map"), (SystemExit(3), "SystemExit: 3")]
+)
+def test_a_law_that_raises_or_exits_is_named(
+    where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Raising, "error", error)
+    with pytest.raises(LdcError, match=rf"controller 'raising': {where} raised {told} \(test_review\.py, line \d+\)"):
+        review(Raising(where=where))
+    monkeypatch.setattr(Raising, "error", KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        review(Raising(where=where))
+
+
+def test_a_limit_of_zero_is_off_only_where_zero_says_so() -> None:
+    """delta_max = 0 forbids steering; a_y_max, jerk_max and e_y_max of 0 are none."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Limited(NoFeedforward):
+        name: ClassVar[str] = "limited"
+        delta_max: float = gain(0.0, unit="rad", lower=0.0, upper=1.0, description="limit")
+        rate_max: float = gain(0.0, unit="rad/s", lower=0.0, upper=1.0, description="limit")
+        e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=1.0, description="corridor")
+        a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=1.0, description="limit")
+        jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1.0, description="limit")
+
+    on = {name: limit_of(Limited(), name) for name in ("delta_max", "rate_max", "e_y_max", "a_y_max", "jerk_max")}
+    assert on == {"delta_max": 0.0, "rate_max": 0.0, "e_y_max": None, "a_y_max": None, "jerk_max": None}
+    found = review(Limited(), speeds=[20.0])
+    assert named(found, "angle_in_bend").allowed == 0.0
+    assert "for all samples" in named(found, "initial_angle").sentence
+    assert limit_of(Limited(e_y_max=1.0), "e_y_max") == 1.0
+
+
+def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
+    """The filter keeps |e_y| below 1.35 m: the linear loop's several metres are left out, and both are told."""
+    inner = review(PreviewProportional(T_lp=0.5), speeds=[10.0])
+    found = review(BarrierFilter(inner_gains="T_lp=0.5"), speeds=[10.0])
+    assert inner.loop is not None
+    assert found.loop is not None
+    assert (np.abs(inner.loop.e_y_bend) > 1.35).all()
+    assert np.isnan(found.loop.e_y_bend).all()
+    assert np.isnan(found.loop.e_y_bend_mismatched).all()
+    assert named(found, "bend_not_linear").value == found.loop.bend_error.max() > 0.05
+    assert "|e_y| <= e_y_max = 1.35 m" in named(found, "bound").sentence
+    assert "bend" not in {finding.name for finding in found.findings}
+    # where the bound is far, the number is that of the law inside
+    wide = review(BarrierFilter(inner="lqr", e_y_max=10.0), speeds=[30.0]).loop
+    alone = review(LQR(), speeds=[30.0]).loop
+    assert wide is not None
+    assert alone is not None
+    np.testing.assert_allclose(wide.e_y_bend_mismatched, alone.e_y_bend_mismatched, rtol=1e-6)
+    assert inner.loop.bend_error.max() == 0.0
+
+
+def test_a_slow_growth_is_told_with_its_digits() -> None:
+    assert _factor(1.0000021) == "1.0000021"
+    assert _factor(1.02) == "1.020"
+    assert _factor(1.5) == "1.5"
+
+
+def test_a_delay_of_too_many_samples_is_refused() -> None:
+    for name, options in (
+        ("actuator", PlantOptions(actuator=Actuator(delay=0.05))),
+        ("sensors", PlantOptions(sensors=Sensors(delay=0.05))),
+    ):
+        with pytest.raises(InputError, match=rf"{name}\.delay: 0\.05 s with dt = 1e-06 s is 50000 samples; allowed"):
+            review(LQR(), dt=1e-6, options=options)
+
+
+def test_a_response_of_many_states_is_worked_out_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    system = System(0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(1, 3)), np.zeros((1, 2)))
+    z = np.exp(1j * np.linspace(0.1, 3.0, 7))
+    whole = system.response(z)
+    monkeypatch.setattr(sampled_loop, "_ENTRIES", 20)
+    np.testing.assert_array_equal(system.response(z), whole)
 
 
 @pytest.mark.parametrize(
@@ -430,4 +550,6 @@ def test_every_known_law_can_be_reviewed(name: str) -> None:
         return
     assert "stability" not in {f.name for f in found.findings}
     assert "finite" not in {f.name for f in found.findings}
-    assert np.isfinite(found.loop.e_y_bend).all()
+    left_out = found.loop.bend_error > 0.05
+    assert np.isfinite(found.loop.e_y_bend[~left_out]).all()
+    assert left_out.any() == ("bend_not_linear" in {f.name for f in found.findings})

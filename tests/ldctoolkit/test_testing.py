@@ -63,6 +63,12 @@ class Steered(SteeringLaw):
         match how:
             case "raises":
                 raise IndexError("no such row")
+            case "exits":
+                raise SystemExit(3)
+            case "interrupted":
+                raise KeyboardInterrupt
+            case "nothing":
+                return None
             case "bias":
                 wanted = wanted + 1e-6
             case "one-sided":
@@ -171,6 +177,9 @@ def test_laws_of_the_zoo_keep_it_from_end_to_end(controller: Any) -> None:
         ("no law", "interface", r".*prepare returned 3\.0; allowed: a LinearLaw, .*", None),
         ("prepare raises", "interface", r"KeyError: 'v' \(test_testing\.py, line \d+\)", None),
         ("raises", "interface", r"IndexError: no such row \(test_testing\.py, line \d+\)", None),
+        ("exits", "interface", r"SystemExit: 3 \(test_testing\.py, line \d+\)", None),
+        ("exits", "extremes", r"K = -1\.0: SystemExit: 3; allowed: finite commands", None),
+        ("nothing", "interface", r".* 'steered': step returned None; allowed: a tuple \(delta, state, status\)", None),
         ("unknown status", "interface", r".*returned status 3; allowed: EventStatus.OK \(0\) or .*", None),
         ("single precision", "interface", r"step returned delta of type float32; allowed: an array of float64", None),
         ("status of another kind", "interface", r"step returned status of type list; allowed: .* int8", ()),
@@ -333,7 +342,27 @@ def test_arguments_are_checked() -> None:
         contract_faults(LQR, checks=["miror"])
     with pytest.raises(InputError, match=r"controller: 'lqr'; allowed: a controller instance"):
         contract_faults("lqr")  # type: ignore[arg-type]
-    for wrong in ({"scenarios": 3}, {"samples": 2.5}, {"dt": 0.0}, {"mirror_tolerance": -1.0}):
+    with pytest.raises(InputError, match=r"checks: 5; allowed: one or more of declared, "):
+        contract_faults(LQR, checks=5)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"checks: \['mirror'\]; "):
+        contract_faults(LQR, checks=[["mirror"]])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"settings: 5; allowed: ContractSettings"):
+        contract_faults(LQR, settings=5)  # type: ignore[arg-type]
+    assert [fault.check for fault in contract_faults(made("one-sided"), checks="mirror")] == ["mirror"]
+    with pytest.raises(KeyboardInterrupt):
+        contract_faults(made("interrupted"), checks="finite")
+    with pytest.raises(KeyboardInterrupt):
+        contract_faults(made("interrupted"), checks="extremes")
+    for wrong in (
+        {"scenarios": 3},
+        {"scenarios": True},
+        {"samples": 2.5},
+        {"dt": 0.0},
+        {"dt": "0.05"},
+        {"dt": np.inf},
+        {"mirror_tolerance": -1.0},
+        {"quiet_tolerance": None},
+    ):
         with pytest.raises(InputError, match=f"{next(iter(wrong))}: .*; allowed"):
             ContractSettings(**wrong)  # type: ignore[arg-type]
 

@@ -11,6 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from controllers import LQR
+from ldctoolkit import LinearLaw, Plant
+from ldctoolkit.review import review
+from studies.cli import main
+from studies.cli.review import _print_loop, _print_overview, _shown
+
 STUDY = """
 name = "tiny"
 [scenarios]
@@ -137,7 +143,11 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
         (["lqr", "--points", "1"], "allowed: a whole number from 2 to 1000"),
         (["lqr", "--dt", "0"], "allowed: a number > 0"),
         (["lqr", "--delay", "-1"], "actuator.delay: -1.0; allowed"),
-        (["lqr", "--json", "x.txt"], "must end in .json"),
+        (["lqr", "--json", "x.txt"], "error: --json x.txt: the name must end in .json"),
+        (["lqr", "--csv", "x.txt"], "error: --csv x.txt: the name must end in .csv"),
+        (["a" * 300], "aaa': neither a law, nor a study"),
+        (["lqr", "--dt", "1e-6", "--delay", "0.05"], "actuator.delay: 0.05 s with dt = 1e-06 s is 50000 samples"),
+        (["s.toml", "--speed", "20:200"], "speeds: 20 to 200 m/s; allowed"),
         (["lqr", "--csv", "nowhere/x.csv"], "the folder nowhere does not exist"),
         (["none.toml"], "none.toml: cannot be read"),
         (["s.toml", "--gain", "r_delta=1"], "--gain: goes with the name of a law"),
@@ -152,6 +162,58 @@ def test_wrong_arguments_get_one_message(arguments: list[str], message: str, fol
     assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
     assert message in done.stderr
     assert [path.name for path in folder.iterdir()] == ["s.toml"]
+
+
+def test_the_number_of_speeds_counts_without_their_range(tmp_path: Path) -> None:
+    reviewed(0, "lqr", "--points", "4", "--csv", "r.csv", cwd=tmp_path)
+    with (tmp_path / "r.csv").open(newline="", encoding="utf-8") as stream:
+        assert [float(row["v_m_s"]) for row in csv.DictReader(stream)] == [10.0, 20.0, 30.0, 40.0]
+
+
+def test_every_convention_of_a_study_is_reviewed(folder: Path) -> None:
+    both = STUDY.replace("[[design]]", '[simulation]\nconvention = ["consistent", "as_printed"]\n[[design]]', 1)
+    (folder / "both.toml").write_text(both, encoding="utf-8")
+    reviewed(3, "s.toml", "--json", "s.json", cwd=folder)
+    reviewed(3, "both.toml", "--json", "both.json", cwd=folder)
+    one, two = (json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in ("s", "both"))
+    assert [entry["design"] for entry in two] == [
+        f"{entry['design']}, {convention}" for convention in ("consistent", "as printed") for entry in one
+    ]
+    assert [entry["loop"] for entry in two[:3]] == [entry["loop"] for entry in one]
+    assert two[5]["loop"]["gain_margin_dB"] != two[2]["loop"]["gain_margin_dB"]
+
+
+def test_a_design_that_raises_does_not_hide_the_others(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prepare = LQR.prepare
+
+    def exiting(self: LQR, plant: Plant) -> LinearLaw:
+        if self.r_delta == 30.0:
+            raise SystemExit(3)
+        return prepare(self, plant)
+
+    monkeypatch.setattr(LQR, "prepare", exiting)
+    monkeypatch.chdir(folder)
+    assert main(["review", "s.toml", "--json", "r.json"]) == 3
+    assert re.search(r"fault: No review: controller 'lqr': prepare raised SystemExit: 3", capsys.readouterr().out)
+    found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    assert [[f["name"] for f in entry["findings"] if f["severity"] == "fault"] for entry in found] == [
+        [],
+        ["raises"],
+        [],
+    ]
+    assert len(found[2]["loop"]["v_m_s"]) == 13
+
+
+def test_labels_are_no_markup_and_zeros_have_no_sign(capsys: pytest.CaptureFixture[str]) -> None:
+    label = "a [b]c[/b] [/x] :smile:"
+    found = review(LQR(), speeds=[20.0])
+    _print_loop(label, found)
+    _print_overview([(label, (), found), (label, (), found)])
+    assert capsys.readouterr().out.count(label) == 3
+    assert _shown(-1e-4, 1.0, ".3f") == "0.000"
+    assert _shown(-6e-4, 1.0, ".3f") == "-0.001"
 
 
 def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
