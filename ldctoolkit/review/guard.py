@@ -27,7 +27,7 @@ def guarded(name: str, call: str) -> Iterator[None]:
 
     Examples
     --------
-    >>> with guarded("my_law", "step"):
+    >>> with guarded("my_law", "step"):  # doctest: +ELLIPSIS
     ...     [][0]
     Traceback (most recent call last):
     ...
