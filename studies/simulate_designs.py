@@ -149,6 +149,9 @@ class Simulator:
         try:
             run = drive(design.controller(convention), few, threads=1)
             reason = kept_state(result, rows, self._result(design, convention, run))
+            if reason:  # state, or a law that minds its neighbours? all of them once more tell
+                run = drive(design.controller(convention), takeover, threads=1)
+                reason = kept_state(result, np.arange(result.status.size), self._result(design, convention, run))
         except _NOT_OF_A_LAW:
             raise
         except BaseException as error:  # it did not raise the first time

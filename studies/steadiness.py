@@ -64,7 +64,7 @@ def kept_state(result: RunResult, rows: IntArray, again: RunResult) -> str:
         return ""
     i = int(np.argmax(wrong))
     return (
-        "keeps state between runs, or lets scenarios beside it change a command: the same departure, driven twice, "
-        f"gave S = {result.S[0, rows[i]]:.9g} m s and then {again.S[0, i]:.9g} m s; "
-        "allowed: state that init makes and step returns, a row a scenario"
+        "keeps state between runs: the same departure, driven twice, gave "
+        f"S = {result.S[0, rows[i]]:.9g} m s and then {again.S[0, i]:.9g} m s; "
+        "allowed: state that init makes and step returns"
     )

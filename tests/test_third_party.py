@@ -150,7 +150,7 @@ SENTENCES = {
     "raises": r"RuntimeError: the map has no lane here \(broken\.py, line \d+\)",
     "shape": r"controller 'shape': step returned shapes \(\d+, 2\), \(\d+,\); allowed: \(\d+,\)",
     "kind": r"controller 'kind': delta is None; allowed: an array of real numbers",
-    "remembers": r"keeps state between runs, or .*: the same departure, driven twice, gave S = .* m s and then .*",
+    "remembers": r"keeps state between runs: the same departure, driven twice, gave S = .* m s and then .*",
 }
 
 CONTRACT = {

@@ -82,7 +82,7 @@ FAULTS = {
     "exit": r"SystemExit: no licence \(test_failing_designs\.py, line \d+\)",
     "shape": r"controller 'broken_shape': step returned shapes \(\d+, 1\), \(\d+,\); allowed: \(\d+,\)",
     "type": r"controller 'broken_type': delta is 'straight on'; allowed: an array of real numbers",
-    "state": r"keeps state between runs, or .*: the same departure, driven twice, gave S = \S+ m s and then \S+ m.*",
+    "state": r"keeps state between runs: the same departure, driven twice, gave S = \S+ m s and then \S+ m.*",
 }
 LAWS = [broken(how) for how in (*FAULTS, "nan")]
 
