@@ -207,13 +207,11 @@ def _run_in_processes(
                 "run the study again to go on, with fewer workers if memory was short"
             ) from None
         finally:
-            # after an error or an interrupt nothing waits for designs that nobody will read
-            running = set(multiprocessing.active_children()) - children
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in running:
+            # after an error or an interrupt nothing waits for designs that nobody will read; but for the pool's own
+            # thread, which else would still be at work while Python ends
+            for process in set(multiprocessing.active_children()) - children:
                 process.terminate()
-            for process in running:
-                process.join()
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _check_importable(kinds: Sequence[type]) -> None:
