@@ -212,9 +212,12 @@ def _leave_with(parent: int) -> None:
 
 
 def _end(signum: int, frame: object) -> None:  # noqa: ARG001
-    """End this process, but not while it sends: the parent would wait for the rest of a result that never comes."""
+    """End this process, but not while it sends: the parent would wait for the rest of a result that never comes.
+
+    At the second time in any case: the pool asks so once nothing reads results any more.
+    """
     global _ended
-    if _computing:
+    if _computing or _ended:
         os._exit(1)
     _ended = True
 

@@ -52,14 +52,16 @@ def _large(marker: Path) -> None:
     _start(marker, slow=False)
 
 
-def _ended_after_marker(start: Any, marker: Path) -> Any:
+def _ended_after_marker(start: Any, marker: Path, times: int = 1) -> Any:
     context = multiprocessing.get_context("fork")
     with concurrent.futures.ProcessPoolExecutor(1, context, initializer=start, initargs=(marker,)) as pool:
         future = pool.submit(simulate_designs.work, None)  # type: ignore[arg-type]
         while not marker.exists():
             time.sleep(0.01)
-        for process in multiprocessing.active_children():
-            process.terminate()
+        for _ in range(times):
+            for process in multiprocessing.active_children():
+                process.terminate()
+            time.sleep(0.1)
         return future.result(timeout=60)
 
 
@@ -71,3 +73,9 @@ def test_a_result_on_its_way_arrives_whole(tmp_path: Path) -> None:
 def test_a_block_that_is_being_computed_ends_at_once(tmp_path: Path) -> None:
     with pytest.raises(BrokenProcessPool):
         _ended_after_marker(_slow, tmp_path / "computing")
+
+
+def test_the_second_time_a_worker_ends_whatever_it_does(tmp_path: Path) -> None:
+    """A pool that lost another worker reads no more results, and asks again: nobody may wait for one that sends."""
+    with pytest.raises(BrokenProcessPool):
+        _ended_after_marker(_large, tmp_path / "sending", times=2)
