@@ -38,6 +38,9 @@ _ROWS_A_PART = 1_000_000
 _LISTEN_EVERY = 0.2
 """Seconds after which an interrupt is noticed at the latest."""
 
+_PATIENCE = 5.0
+"""Seconds that a worker which is told to end has for sending its last result."""
+
 _SCENARIO_RUNS_A_BLOCK = 2000
 """Scenarios times designs in one task: enough to hide the cost of sending it, little enough to spread slow designs."""
 
@@ -209,8 +212,12 @@ def _run_in_processes(
         finally:
             # after an error or an interrupt nothing waits for designs that nobody will read; but for the pool's own
             # thread, which else would still be at work while Python ends
-            for process in set(multiprocessing.active_children()) - children:
+            running = set(multiprocessing.active_children()) - children
+            for process in running:
                 process.terminate()
+            for process in running:
+                process.join(_PATIENCE)
+                process.kill()  # one that sends to a pool that reads no more; nothing for those that have ended
             pool.shutdown(wait=True, cancel_futures=True)
 
 
