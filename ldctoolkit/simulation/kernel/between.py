@@ -12,8 +12,9 @@ import numba
 from ldctoolkit.simulation.kernel.plant import OPTIONS
 
 _MOST_PASSES: Final = 30
-_NEXT_TERM: Final = 4.6e-5
-"""Largest value of (u (1 - u))^4 |u - 1/2| / 9: with a last term of 1, the next one of a mode that dies once a step."""
+_NEXT_TERM: Final = (2.0 / 9.0) ** 4 / 54.0
+"""Largest value of (u (1 - u))^4 |u - 1/2| / 9, at u = 1/3: what follows a last term of 1 for a mode that dies once a
+step."""
 
 
 @numba.njit(inline="always", **OPTIONS)
