@@ -40,9 +40,11 @@ class EventStatus(enum.IntEnum):
     DIVERGED = 3
     """|e_y| left the bound of the simulation; from there on the bound counts."""
     TIMED_OUT = 4
-    """A time limit ended the scenario; no law sets one at present."""
+    """A time limit ended the scenario; the recorded path counts."""
     INVALID = 5
     """It cannot be driven: a parameter is not finite or has the wrong sign, the speed leaves 1 to 90 m/s. S is NaN."""
+    CRASHED = 6
+    """The law ended the process that it ran in, in this scenario; the recorded path counts."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,14 @@ from ldctoolkit.metrics import Companions
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
+
+FAILED_STATUSES: Final = (
+    EventStatus.SOLVER_FAILED,
+    EventStatus.DIVERGED,
+    EventStatus.TIMED_OUT,
+    EventStatus.CRASHED,
+)
+"""A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -46,7 +54,7 @@ class CaseResults:
     status : (d, n) int8
         `ldctoolkit.EventStatus`.
     companions : Companions
-        Arrays (d, n) in single precision: seven digits, which is more than any of them is known to.
+        Arrays (d, n).
     failed_solves : (d, n) int32
     law_time : (d,) [s]
         Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was not
@@ -60,6 +68,20 @@ class CaseResults:
     companions: Companions
     failed_solves: npt.NDArray[np.int32]
     law_time: FloatArray
+
+    @property
+    def failed(self) -> BoolArray:
+        """Where a design did not do its work, (d, n): a solve failed, it diverged, took too long or crashed."""
+        result: BoolArray = np.isin(self.status, FAILED_STATUSES)
+        return result
+
+    @property
+    def counted(self) -> FloatArray:
+        """S as it counts in a ranking, (d, n) [m s]: a failed scenario at least as bad as without control."""
+        failed = self.failed
+        if not failed.any():
+            return self.S
+        return np.where(failed, np.maximum(self.S, self.S_uncorrected), self.S)
 
     @property
     def drivable(self) -> BoolArray:
@@ -104,6 +126,55 @@ class FailedDesign:
 
 
 @dataclasses.dataclass(frozen=True)
+class Dropped:
+    """A design that a race gave up.
+
+    Attributes
+    ----------
+    design : Design
+    round : int
+        After which round, from 1 on.
+    scenarios : int
+        How many scenarios it had been run on.
+    S : float [m s]
+        Its mean S on them.
+    difference, low : float [m s]
+        Mean S minus that of the best of that round on the same scenarios, and the lower end of its simultaneous
+        interval, which was above 0.
+    """
+
+    design: Design
+    round: int
+    scenarios: int
+    S: float
+    difference: float
+    low: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Race:
+    """How a race went.
+
+    Attributes
+    ----------
+    rounds : tuple of int
+        Number of scenarios after each round.
+    alive : tuple of int
+        Designs that were left after each round.
+    dropped : tuple of Dropped
+        In the order in which they were given up.
+    runs, full_runs : int
+        Scenario runs of this race, and of the study without one.
+    """
+
+    rounds: tuple[int, ...]
+    alive: tuple[int, ...]
+    dropped: tuple[Dropped, ...]
+    runs: int
+    full_runs: int
+
+
+@dataclasses.dataclass(frozen=True)
 class StudyResults:
     """Everything a finished study knows.
 
@@ -117,12 +188,18 @@ class StudyResults:
         The first one is the study's primary case.
     failed : tuple of FailedDesign
         Designs whose law failed, in any case: they are in no array here, and never ranked.
+    fresh : StudyResults or None
+        The finalists, some of the designs, on scenarios that no design was chosen on.
+    race : Race or None
+        Where designs were given up early: they are in no array here.
     """
 
     designs: tuple[Design, ...]
     scenarios: Scenarios
     cases: tuple[CaseResults, ...]
     failed: tuple[FailedDesign, ...] = ()
+    fresh: StudyResults | None = None
+    race: Race | None = None
 
     def drivable(self) -> StudyResults:
         """The same without the scenarios that some design could not be driven on in some case; often all of it."""
@@ -130,4 +207,4 @@ class StudyResults:
         if rows.all():
             return self
         cases = tuple(case.take(rows) for case in self.cases)
-        return StudyResults(self.designs, self.scenarios.take(np.flatnonzero(rows)), cases, self.failed)
+        return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(rows)), cases=cases)

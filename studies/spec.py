@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import itertools
 import json
 import math
 import re
@@ -22,9 +21,8 @@ from pydantic import (
     model_validator,
 )
 
-from ldctoolkit import LdcError, VehicleParameters, controller_class
+from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, StudyError, nearest
-from ldctoolkit.gains import Gain, find_gain
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import SETTLE, InitialYawRate, Window
 from ldctoolkit.simulation.takeover import LONGEST_SETTLE
@@ -32,8 +30,9 @@ from ldctoolkit.vehicle import Convention
 from studies._messages import study_error
 from studies._part import Part, fail
 from studies.design import CONVENTION_GAIN, Design
-from studies.grid import EntryError, expand
+from studies.design_block import DesignBlock
 from studies.plant_table import read_plant
+from studies.ranking_settings import RankingSettings, SearchSettings
 from studies.results import Case
 from studies.scenario_settings import ScenarioSettings
 
@@ -93,91 +92,6 @@ class ReportSettings(Part):
     D_y: float = Field(default=0.5, gt=0)
 
 
-class RankingSettings(Part):
-    """``[ranking]``.
-
-    Attributes
-    ----------
-    bootstrap : int
-        Resamples of the scenarios behind every interval.
-    confidence : float
-        Of the intervals.
-    """
-
-    bootstrap: int = Field(default=2000, ge=100, le=1_000_000)
-    confidence: float = Field(default=0.95, gt=0, lt=1)
-
-
-class DesignBlock(Part):
-    """``[[design]]``: a law and a grid over its trigger threshold and gains.
-
-    Attributes
-    ----------
-    law : str
-        Registry name.
-    y_s : tuple of float [m]
-        Trigger thresholds.
-    gains : dict of str to tuple
-        Values of every gain that is set; the others keep their defaults.
-    """
-
-    law: str
-    y_s: tuple[float, ...] = (0.2,)
-    gains: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check(cls, block: Any) -> Any:
-        if not isinstance(block, dict) or not isinstance(block.get("law"), str):
-            return block  # the field's own message says what is missing
-        checked = dict(block)
-        try:
-            kind = controller_class(block["law"])
-        except LdcError as error:
-            raise fail("law", str(error).removeprefix("law ")) from None
-        if "y_s" in block:
-            checked["y_s"] = tuple(_threshold(value) for value in _expand("y_s", block["y_s"]))
-        gains = block.get("gains", {})
-        if isinstance(gains, dict):
-            checked["gains"] = {name: _gain_values(kind, name, entry) for name, entry in gains.items()}
-        return checked
-
-    def designs(self) -> list[Design]:
-        """The full grid, thresholds slowest, in the order written."""
-        names = list(self.gains)
-        return [
-            Design.from_gains(self.law, y_s, dict(zip(names, values, strict=True)))
-            for y_s in self.y_s
-            for values in itertools.product(*(self.gains[name] for name in names))
-        ]
-
-
-def _expand(path: str, entry: Any, declared: Gain | None = None) -> tuple[Any, ...]:
-    try:
-        if declared is None:
-            return expand(entry)
-        whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
-        return expand(entry, declared.scale, whole=whole)
-    except EntryError as error:
-        raise fail(path + error.path, str(error)) from None
-
-
-def _threshold(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
-        raise fail("y_s", f"{value!r}; allowed: a finite number >= 0 [m]")
-    return float(value) + 0.0
-
-
-def _gain_values(kind: Any, name: str, entry: Any) -> tuple[Any, ...]:
-    path = f"gains.{name}"
-    try:
-        declared = find_gain(kind, name, kind.name)
-        return tuple(declared.check(value, kind.name) for value in _expand(path, entry, declared))
-    except LdcError as error:
-        # the path in the study file says more than the law's own prefix
-        raise fail(path, str(error).removeprefix(f"{kind.name}.{name}: ")) from None
-
-
 def _vehicle(entry: Any) -> Any:
     if not isinstance(entry, dict):
         return entry
@@ -211,6 +125,10 @@ class Study(Part):
         What differs from the ideal plant; nothing by default.
     report : ReportSettings
     ranking : RankingSettings
+    race : bool
+        Give up designs that are separable from the best before they have run on all scenarios.
+    search : SearchSettings or None
+        Ask for designs instead of running all that the tables stand for.
     design : tuple of DesignBlock
 
     Raises
@@ -235,6 +153,8 @@ class Study(Part):
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
     ranking: RankingSettings = Field(default_factory=RankingSettings)
+    race: bool = False
+    search: SearchSettings | None = None
     design: tuple[DesignBlock, ...]
 
     _folder: Path = PrivateAttr(default_factory=Path)
@@ -373,6 +293,7 @@ __all__ = [
     "RankingSettings",
     "ReportSettings",
     "ScenarioSettings",
+    "SearchSettings",
     "SimulationSettings",
     "Study",
 ]
