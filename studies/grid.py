@@ -1,4 +1,4 @@
-"""The values that one entry of a study file stands for: a scalar, a list, or an evenly spaced range."""
+"""What one entry of a study file stands for: a scalar, a list, an evenly spaced range, or all between two ends."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from ldctoolkit.errors import InputError, nearest
+from studies.dimensions import Choices, Dimension, Span, rounded
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
 MOST_VALUES: Final = 10_000
@@ -20,6 +21,40 @@ class EntryError(InputError):
     def __init__(self, path: str, message: str) -> None:
         super().__init__(message)
         self.path = path
+
+
+def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
+    """The dimension of a design space that one entry stands for.
+
+    Parameters
+    ----------
+    entry : scalar, list or table
+        As in `expand`; a table without ``count`` holds all numbers between its ends.
+    scale : {"linear", "log"}
+        Spacing of a table that does not say.
+    whole : bool
+        Whole numbers only, of a table.
+
+    Returns
+    -------
+    Choices or Span
+
+    Raises
+    ------
+    EntryError
+        As in `expand`.
+
+    Examples
+    --------
+    >>> read_entry({"from": 0.1, "to": 0.3})
+    Span(first=0.1, last=0.3, scale='linear', whole=False)
+    """
+    if not isinstance(entry, dict) or "count" in entry:
+        return Choices(expand(entry, scale, whole=whole))
+    first, last, spacing = _ends(entry, scale)
+    if first == last:
+        raise EntryError("", f"from and to are both {first!r}; allowed: two different numbers")
+    return Span(first, last, spacing, whole)
 
 
 def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
@@ -69,25 +104,34 @@ def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: boo
 
 
 def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
+    first, last, scale = _ends(entry, scale)
+    if "count" not in entry:
+        raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
+    count = entry["count"]
+    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MOST_VALUES:
+        raise EntryError(".count", f"{count!r}; allowed: a whole number from 2 to {MOST_VALUES}")
+    points = np.geomspace(first, last, count) if scale == "log" else np.linspace(first, last, count)
+    values = [rounded(value) for value in points.tolist()]
+    values[0], values[-1] = float(first), float(last)  # the ends stay as written
+    return [round(value) for value in values] if whole else values
+
+
+def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
+    """Ends and spacing of a table."""
     for key in entry:
         if key not in RANGE_KEYS:
             raise EntryError(f".{key}", f"no such key; {nearest(key, RANGE_KEYS)}")
-    for key in ("from", "to", "count"):
+    for key in ("from", "to"):
         if key not in entry:
             raise EntryError(f".{key}", "missing; a range is written {from = ..., to = ..., count = ...}")
-    first, last, count = entry["from"], entry["to"], entry["count"]
-    for key, value in (("from", first), ("to", last)):
+        value = entry[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise EntryError(f".{key}", f"{value!r}; allowed: a finite number")
-    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MOST_VALUES:
-        raise EntryError(".count", f"{count!r}; allowed: a whole number from 2 to {MOST_VALUES}")
-    scale = entry.get("scale", scale if first * last > 0 else "linear")
-    if scale not in ("linear", "log"):
-        raise EntryError(".scale", f"{scale!r}; {nearest(str(scale), ('linear', 'log'))}")
-    if scale == "log" and not first * last > 0:
+    first, last = entry["from"], entry["to"]
+    one_sign = (first > 0) == (last > 0) and first != 0 and last != 0
+    chosen = entry.get("scale", scale if one_sign else "linear")
+    if chosen not in ("linear", "log"):
+        raise EntryError(".scale", f"{chosen!r}; {nearest(str(chosen), ('linear', 'log'))}")
+    if chosen == "log" and not one_sign:
         raise EntryError(".scale", f"'log' from {first!r} to {last!r}; allowed: both ends of one sign, neither zero")
-    points = np.geomspace(first, last, count) if scale == "log" else np.linspace(first, last, count)
-    # twelve digits: 0.3 and not 0.30000000000000004 in names and identities; the ends stay as written
-    values = [float(f"{value:.12g}") + 0.0 for value in points.tolist()]
-    values[0], values[-1] = float(first), float(last)
-    return [round(value) for value in values] if whole else values
+    return first, last, "log" if chosen == "log" else "linear"
