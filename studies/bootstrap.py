@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,8 +18,11 @@ _STREAM = 0x626F6F74
 _BLOCK_ENTRIES = 2_000_000
 """Weights held at once (16 MB)."""
 
+_MANTISSA = 53
+"""Bits of a double precision number."""
 
-def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: int) -> FloatArray:
+
+def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
     """Means of d designs over resampled scenarios.
 
     Parameters
@@ -29,6 +34,8 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
     samples : int
         Number of resamples B.
     seed : int
+    stream : int
+        Another stream gives other resamples from the same seed.
 
     Returns
     -------
@@ -43,7 +50,7 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
     Notes
     -----
     A resample is a multinomial weight vector w / n; the means are one matrix product, in blocks of B. The weights
-    depend on seed, B and the sides only.
+    depend on seed, stream, B and the sides only. A column depends on its own row and the weights, to the last bit.
 
     Examples
     --------
@@ -53,15 +60,43 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
            [1., 1.],
            [1., 1.]])
     """
+    return bootstrap_deviations(values, side, samples=samples, seed=seed, stream=stream) + row_means(values)
+
+
+def bootstrap_deviations(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
+    """What `bootstrap_means` gives minus the designs' means, (B, d); parameters and errors are the same."""
     d, n = values.shape
+    # centred: a spread that is small against the mean keeps its digits
+    grid, unit = exact_grid(values - row_means(values)[:, None], n)
+    deviations = np.empty((max(samples, 0), d))
+    first = 0
+    for weights in weight_blocks(side, samples=samples, seed=seed, stream=stream):
+        np.matmul(weights, grid.T, out=deviations[first : first + len(weights)])
+        first += len(weights)
+    deviations *= unit / n
+    return deviations
+
+
+def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:
+    """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together.
+
+    Parameters
+    ----------
+    side : (n,) int
+        Stratum of each scenario: the weights of a side sum to its number of scenarios.
+    samples, seed, stream : int
+        As for `bootstrap_means`.
+
+    Raises
+    ------
+    InputError
+        If samples is not positive, or there are no scenarios.
+    """
+    n = side.size
     if samples < 1 or n < 1:
         raise InputError(f"bootstrap: {samples} samples of {n} scenarios; allowed: at least one of each")
     strata = [np.flatnonzero(side == which) for which in np.unique(side)]
-    generator = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
-    # centred: a spread that is small against the mean keeps its digits
-    centre = values.mean(axis=1)
-    centred = np.ascontiguousarray((values - centre[:, None]).T)
-    means = np.empty((samples, d))
+    generator = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, stream]))
     size = max(1, _BLOCK_ENTRIES // n)
     for first in range(0, samples, size):
         block = min(size, samples - first)
@@ -70,8 +105,40 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
             drawn = generator.integers(rows.size, size=(block, rows.size))
             drawn += rows.size * np.arange(block)[:, None]
             weights[:, rows] = np.bincount(drawn.ravel(), minlength=block * rows.size).reshape(block, rows.size)
-        means[first : first + block] = weights @ centred / n + centre
-    return means
+        yield weights
+
+
+def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
+    """Values as whole numbers of a unit, so that weighted sums of them are exact.
+
+    Parameters
+    ----------
+    values : (d, n)
+    total : int
+        Sum of the weights, which are whole numbers of 0 or more, at most.
+
+    Returns
+    -------
+    grid : (d, n)
+        Whole numbers: values / unit, rounded.
+    unit : (d,)
+        A power of two for each row: 2^-42 of its largest value at 1,000 scenarios.
+
+    Notes
+    -----
+    Every partial sum of weights times grid is a whole number below 2^53. A matrix product is then the same to the last
+    bit in whatever order a BLAS sums, on any machine, for any number of threads and any rows beside it.
+    """
+    _, exponent = np.frexp(np.abs(values).max(axis=1, initial=0.0))
+    unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
+    grid: FloatArray = np.rint(values / unit[:, None])
+    return grid, unit
+
+
+def row_means(values: FloatArray) -> FloatArray:
+    """Mean of every row, (d,): a sum that does not depend on the rows beside it."""
+    result: FloatArray = np.ascontiguousarray(values).mean(axis=1)
+    return result
 
 
 def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
@@ -92,8 +159,18 @@ def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArra
     InputError
         For a confidence outside (0, 1).
     """
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+    check_confidence(confidence)
     tail = 0.5 * (1.0 - confidence)
     low, high = np.quantile(means, [tail, 1.0 - tail], axis=0)
     return low, high
+
+
+def check_confidence(confidence: float) -> None:
+    """Refuse what is not between 0 and 1.
+
+    Raises
+    ------
+    InputError
+    """
+    if not 0.0 < confidence < 1.0:
+        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")

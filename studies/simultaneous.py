@@ -1,0 +1,177 @@
+"""Comparisons with the best design that are valid although the data choose which design that is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from studies.bootstrap import bootstrap_deviations, check_confidence, row_means
+from studies.standard_error import degrees_of_freedom, error_parts, paired_errors, with_tails_of_t
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+SAME = 1e-6
+"""Differences of mean S [m s] up to this are a solver's tolerance, not design."""
+
+_MOST_TERMS = 400_000_000
+"""Resampled differences that are looked at: references x designs x resamples."""
+
+_MOST_SCORES = 100_000_000
+"""Paired scores that are looked at: references x designs x scenarios."""
+
+_BLOCK_ENTRIES = 32_000
+"""Resampled differences held at once; they stay in the cache."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Separation:
+    """How far k designs are from the best of them.
+
+    Attributes
+    ----------
+    mean : (k,) [m s]
+        Mean score.
+    best : int
+        The design with the smallest one; the first of equal ones.
+    difference : (k,) [m s]
+        Mean minus that of `best`.
+    error : (k,) [m s]
+        Standard error of the difference.
+    low : (k,) [m s]
+        Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the best: the
+        truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs there
+        are.
+    low_of_all, high_of_all : (k,) [m s]
+        Interval of the difference to the design `best`; all k hold at once, whichever design came out best.
+    critical, critical_of_all : float
+        Standard errors behind `low`, and behind the interval.
+    """
+
+    mean: FloatArray
+    best: int
+    difference: FloatArray
+    error: FloatArray
+    low: FloatArray
+    low_of_all: FloatArray
+    high_of_all: FloatArray
+    critical: float
+    critical_of_all: float
+
+    @property
+    def clear(self) -> BoolArray:
+        """Designs that are worse than the best by more than a solver's tolerance, (k,): all but the set of best."""
+        result: BoolArray = self.low > SAME
+        return result
+
+
+def separable(
+    scores: FloatArray, side: IntArray, *, seed: int, confidence: float, samples: int, stream: int = 0
+) -> Separation:
+    """Compare k designs with the best of them on common scenarios.
+
+    Parameters
+    ----------
+    scores : (k, m) [m s]
+        Counted S, one row a design.
+    side : (m,) int
+        Stratum of each scenario.
+    seed : int
+    confidence : float
+        Between 0 and 1.
+    samples : int
+        Resamples of the scenarios.
+    stream : int
+        Another stream gives other resamples from the same seed.
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    InputError
+        For a confidence outside (0, 1), no samples, or no scenarios.
+
+    Notes
+    -----
+    Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more than
+    c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference to r
+    (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One critical
+    value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is worked out
+    for some of them, evenly over the ranks.
+
+    The interval of the difference to the design that came out best needs more: its critical value is the quantile of
+    the largest difference over all these r at once.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
+    >>> side = np.repeat([1, -1], 50)
+    >>> separable(np.stack([S + 0.1, S]), side, seed=1, confidence=0.95, samples=200).clear
+    array([ True, False])
+    """
+    check_confidence(confidence)
+    mean, df = row_means(scores), degrees_of_freedom(side)
+    best = int(np.argmin(mean))
+    difference = row_means(scores - scores[best])
+    deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream)
+    parts, largest = error_parts(scores, side), float(np.abs(scores[best]).max())
+    error = paired_errors(parts, parts[best], largest)
+    may = _may_be_best(difference, error, df, confidence)
+    most = max(2, min(_MOST_TERMS // deviations.size, _MOST_SCORES // scores.size))
+    if may.size > most:
+        may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
+
+    critical, of_all = 0.0, np.zeros(samples)
+    errors = np.empty((may.size, mean.size))
+    for r, row in zip(may, errors, strict=True):
+        row[:] = paired_errors(parts, parts[r], largest)
+        above, below = _extremes(deviations, r, row)
+        critical = max(critical, float(np.quantile(above, confidence)))
+        np.maximum(of_all, np.maximum(above, below), out=of_all)
+    critical = with_tails_of_t(critical, df)
+    critical_of_all = with_tails_of_t(float(np.quantile(of_all, confidence)), df)
+    low = difference - critical * error
+    for r, row in zip(may, errors, strict=True):
+        np.maximum(low, mean - mean[r] - critical * row, out=low)
+    return Separation(
+        mean=mean,
+        best=best,
+        difference=difference,
+        error=error,
+        low=low,
+        low_of_all=difference - critical_of_all * error,
+        high_of_all=difference + critical_of_all * error,
+        critical=critical,
+        critical_of_all=critical_of_all,
+    )
+
+
+def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
+    """Designs that even Bonferroni's bound does not part from the best, by rank; the best is the first."""
+    from scipy.special import stdtrit
+
+    bound = float(-stdtrit(df, (1.0 - confidence) / (2 * max(1, difference.size - 1))))
+    order = np.argsort(difference, kind="stable")
+    result: IntArray = order[difference[order] <= bound * error[order] + SAME].astype(np.int64)
+    return result
+
+
+def _extremes(deviations: FloatArray, r: int, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """By how many errors r is worse, and better, than the design it is worst, best against, in each resample, (B,)."""
+    scale = np.divide(1.0, error, out=np.zeros_like(error), where=error > 0)
+    samples, k = deviations.shape
+    above, below = np.empty(samples), np.empty(samples)
+    size = max(1, _BLOCK_ENTRIES // k)
+    for first in range(0, samples, size):
+        rows = slice(first, first + size)
+        t = deviations[rows] - deviations[rows, r : r + 1]
+        t *= scale
+        np.negative(t.min(axis=1), out=above[rows])
+        t.max(axis=1, out=below[rows])
+    return above, below
