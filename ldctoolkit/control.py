@@ -213,6 +213,12 @@ class Controller(abc.ABC):
     title: ClassVar[str]
     """Name for people: tables and legends."""
 
+    batch: ClassVar[int] = 1000
+    """Scenarios that a study drives as one batch; less for a law that takes long, so that its work can be spread.
+
+    It belongs to the law, so that no number depends on how many workers there are.
+    """
+
     def __post_init__(self) -> None:
         check_class(type(self))
         for declared in self.gains():

@@ -6,6 +6,7 @@ Sweeps, the command line, study validation and report columns all read this decl
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 from typing import Any, Literal
@@ -179,6 +180,11 @@ def _field(
 
 def declared_gains(owner: Any) -> tuple[Gain, ...]:
     """The gains declared on a dataclass or an instance of one, in the order of its fields."""
+    return _declared(owner if isinstance(owner, type) else type(owner))
+
+
+@functools.cache  # asked for every design that is made
+def _declared(owner: type) -> tuple[Gain, ...]:
     return tuple(_named(field) for field in dataclasses.fields(owner) if _KEY in field.metadata)
 
 

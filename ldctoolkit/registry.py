@@ -65,6 +65,16 @@ def register(controller: type[Controller]) -> type[Controller]:
     return controller
 
 
+def registered() -> tuple[type[Controller], ...]:
+    """Classes that `register` made known in this process, by name."""
+    return tuple(_registered[name] for name in sorted(_registered))
+
+
+def forget(name: str) -> None:
+    """Undo `register`; a name that was not registered is left alone."""
+    _registered.pop(name, None)
+
+
 def _check(controller: type[Controller]) -> None:
     """Raise if a class cannot be used by name: studies see, write and compare its gains and nothing else."""
     check_class(controller)

@@ -96,6 +96,11 @@ class Design:
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property
+    def batch(self) -> int:
+        """Scenarios that are driven as one batch: the law's own choice."""
+        return controller_class(self.law).batch
+
+    @property
     def is_baseline(self) -> bool:
         """Whether the design never intervenes."""
         return self.law == NO_CONTROL

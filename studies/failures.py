@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ldctoolkit.errors import StoreError
 from studies.files import write_text
-from studies.run_table import RunKey
+from studies.tasks import RunKey
 
 FAILURES = "failures.json"
 

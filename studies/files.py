@@ -47,7 +47,22 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
-    """Read a Parquet file and check its columns, types and that nothing is missing, nor, with `finite`, not finite.
+    """Read a Parquet file and check it as `parse_parquet` does.
+
+    Raises
+    ------
+    StoreError
+        Naming the file and what is wrong with it.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return parse_parquet(path, data, schema, finite=finite)
+
+
+def parse_parquet(path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
+    """A table from a Parquet file's content, checked: columns, types, nothing missing, nor, with `finite`, not finite.
 
     Raises
     ------
@@ -57,10 +72,7 @@ def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> 
     import polars as pl
 
     try:
-        content = path.read_bytes()
-        table = pl.read_parquet(content)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+        table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
         raise StoreError(f"{path}: broken: {str(error).splitlines()[0]}") from None
     if dict(table.schema) != schema:

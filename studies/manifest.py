@@ -20,9 +20,21 @@ from ldctoolkit.errors import StoreError, StudyError
 from studies.files import write_text
 from studies.spec import Study
 
-FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 3
 
-_PACKAGES: Final = ("ldctoolkit", "numpy", "scipy", "polars", "pydantic", "casadi", "control", "osqp", "qpsolvers")
+_PACKAGES: Final = (
+    "ldctoolkit",
+    "numpy",
+    "scipy",
+    "polars",
+    "pydantic",
+    "casadi",
+    "control",
+    "osqp",
+    "qpsolvers",
+    "numba",
+    "loky",
+)
 
 
 class Machine(BaseModel):
@@ -52,8 +64,8 @@ class Manifest(BaseModel):
         Where the model comes from, for readers.
     model_synthetic : bool
         Whether it was fitted to invented driving.
-    identity : dict
-        What decides the stored numbers.
+    inputs : dict
+        What decides the numbers of any design.
     seed : int
     versions : dict of str to str
         Packages.
@@ -63,6 +75,8 @@ class Manifest(BaseModel):
         UTC, ISO 8601; `finished` is empty until every design is done.
     wall_time_s : float
         Summed over all runs into the folder.
+    executor : str
+        Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``.
     workers : int
         Of the last run.
     command : str
@@ -79,7 +93,7 @@ class Manifest(BaseModel):
     model_hash: str
     model_notes: tuple[str, ...] = ()
     model_synthetic: bool = False
-    identity: dict[str, Any]
+    inputs: dict[str, Any]
     seed: int
     versions: dict[str, str]
     python: str
@@ -87,6 +101,7 @@ class Manifest(BaseModel):
     created: str
     finished: str = ""
     wall_time_s: float = 0.0
+    executor: str = "serial"
     workers: int = 1
     command: str = ""
 
@@ -104,7 +119,7 @@ class Manifest(BaseModel):
             model_hash=model_hash,
             model_notes=model_notes,
             model_synthetic=model_synthetic,
-            identity=study.identity(),
+            inputs=study.inputs(),
             seed=study.seed,
             versions=_versions(),
             python=platform.python_version(),
@@ -122,9 +137,14 @@ class Manifest(BaseModel):
         """The same with the settings of a new run into the same folder."""
         return fresh.model_copy(update={"created": self.created, "wall_time_s": self.wall_time_s})
 
-    def ended(self, *, seconds: float, workers: int, complete: bool) -> Manifest:
+    def ended(self, *, seconds: float, executor: str, workers: int, complete: bool) -> Manifest:
         """The same after a run."""
-        update = {"wall_time_s": self.wall_time_s + seconds, "workers": workers, "finished": _now() if complete else ""}
+        update = {
+            "wall_time_s": self.wall_time_s + seconds,
+            "executor": executor,
+            "workers": workers,
+            "finished": _now() if complete else "",
+        }
         return self.model_copy(update=update)
 
     def read_study(self) -> Study:
@@ -172,27 +192,26 @@ def _relative(word: str) -> str:
 
 def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
     """Raise a `StoreError` that says what differs if two manifests do not belong to the same numbers."""
-    differences = list(_differences(found.identity, wanted.identity))
+    differing = list(differences(found.inputs, wanted.inputs))
     if found.model_hash != wanted.model_hash:
         was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
-        differences.insert(0, f"model: {was} there, {now} now")
+        differing.insert(0, f"model: {was} there, {now} now")
     was, now = (m.versions.get("ldctoolkit", "?") for m in (found, wanted))
     if was != now:
-        differences.append(f"ldctoolkit: {was} there, {now} now")
-    if differences:
+        differing.append(f"ldctoolkit: {was} there, {now} now")
+    if differing:
         name = found.study.get("name", "?")
-        raise StoreError(f"{folder}: holds another study ({name}): {'; '.join(differences)}; choose another folder")
+        raise StoreError(f"{folder}: holds another study ({name}): {'; '.join(differing)}; choose another folder")
 
 
-def _differences(found: dict[str, Any], wanted: dict[str, Any], prefix: str = "") -> Iterable[str]:
+def differences(found: dict[str, Any], wanted: dict[str, Any], prefix: str = "") -> Iterable[str]:
+    """What differs between two `Manifest.inputs`, one text ``"key: X there, Y now"`` each."""
     for key in {**found, **wanted}:
         a, b = found.get(key), wanted.get(key)
         if a == b:
             continue
         if isinstance(a, dict) and isinstance(b, dict):
-            yield from _differences(a, b, f"{prefix}{key}.")
-        elif key == "designs" and isinstance(a, list) and isinstance(b, list):
-            yield f"designs: {len(a)} there, {len(b)} now, {len(set(a) & set(b))} of them the same"
+            yield from differences(a, b, f"{prefix}{key}.")
         else:
             was, now = ("not set" if value is None else repr(value) for value in (a, b))
             yield f"{prefix}{key}: {was} there, {now} now"

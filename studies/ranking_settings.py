@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
+from ldctoolkit import LdcError
 from studies._part import Part, fail
+from studies.figures import check_figure, check_requirement
 
 
 def _names(entry: Any) -> Any:
@@ -14,6 +17,21 @@ def _names(entry: Any) -> Any:
     if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
         raise fail("", f"{entry!r}; allowed: each once")
     return tuple(values) if isinstance(values, list | tuple) else entry
+
+
+def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_checked(check_requirement, text) for text in texts)
+
+
+def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_checked(check_figure, name) for name in names)
+
+
+def _checked(check: Callable[[str], str], text: str) -> str:
+    try:
+        return check(text)
+    except LdcError as error:
+        raise fail("", str(error)) from None
 
 
 class RankingSettings(Part):
@@ -39,8 +57,13 @@ class RankingSettings(Part):
     bootstrap: int = Field(default=2000, ge=100, le=1_000_000)
     confidence: float = Field(default=0.95, gt=0, lt=1)
     baseline: str = ""
-    require: Annotated[tuple[str, ...], BeforeValidator(_names)] = ()
-    pareto: Annotated[tuple[str, ...], BeforeValidator(_names)] = ("S", "needless", "a_y_peak_mean", "effort_mean")
+    require: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_requirements)] = ()
+    pareto: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures)] = (
+        "S",
+        "needless",
+        "a_y_peak_mean",
+        "effort_mean",
+    )
     finalists: int = Field(default=10, ge=0, le=1000)
 
 
@@ -63,4 +86,6 @@ class SearchSettings(Part):
     sampler: Literal["tpe", "random", "nsga2"] = "tpe"
     trials: int = Field(default=200, ge=1, le=100_000)
     batch: int = Field(default=16, ge=1, le=10_000)
-    objectives: Annotated[tuple[str, ...], BeforeValidator(_names)] = ("S",)
+    objectives: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures), Field(min_length=1)] = (
+        "S",
+    )

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import hashlib
 import json
-import math
 import re
 import tomllib
 from pathlib import Path
@@ -30,7 +29,7 @@ from ldctoolkit.vehicle import Convention
 from studies._messages import study_error
 from studies._part import Part, fail
 from studies.design import CONVENTION_GAIN, Design
-from studies.design_block import DesignBlock
+from studies.design_block import DesignBlock, check_blocks
 from studies.plant_table import read_plant
 from studies.ranking_settings import RankingSettings, SearchSettings
 from studies.results import Case
@@ -163,7 +162,10 @@ class Study(Part):
     def _grid_size(self) -> Self:
         if not self.design:
             raise fail("design", "no designs; allowed: one [[design]] table or more")
-        size = sum(len(b.y_s) * math.prod(len(values) for values in b.gains.values()) for b in self.design)
+        check_blocks(self.design, searched=self.search is not None)
+        size = 0 if self.search else sum(block.size for block in self.design)
+        if self.race and self.search is not None:
+            raise fail("race", "true with [search]; allowed: one of the two")
         if size > MOST_DESIGNS:
             raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
         return self
@@ -245,7 +247,9 @@ class Study(Part):
 
     @functools.cached_property
     def designs(self) -> tuple[Design, ...]:
-        """All designs in the order written, each once."""
+        """All designs in the order written, each once; none where a search asks for them."""
+        if self.search is not None:
+            return ()
         every = (design for block in self.design for design in block.designs())
         return tuple({design.id: design for design in every}.values())
 
@@ -263,14 +267,25 @@ class Study(Part):
         """Everything in plain JSON types; `from_dict` reads it back."""
         return self.model_dump(mode="json")
 
-    def identity(self) -> dict[str, Any]:
-        """What decides the stored numbers: not the title, the report or the ranking."""
+    def inputs(self) -> dict[str, Any]:
+        """What decides the numbers of any design: not which designs there are, the title, the report or the ranking."""
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
         same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
         if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
             same["scenarios"]["given"] = content["scenarios"]["given"]
-        same["designs"] = [design.id for design in self.designs]
+        if self.race:
+            same["race"] = True
+        return same
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the stored numbers: `inputs`, and the designs."""
+        same = self.inputs()
+        if self.search is None:
+            same["designs"] = [design.id for design in self.designs]
+        else:
+            content = self.content()
+            same |= {key: content[key] for key in ("search", "design")}
         return same
 
     @property

@@ -5,14 +5,13 @@ What a design scores would otherwise depend on what was run before it, and so on
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.metrics import COMPANION_UNITS
-from ldctoolkit.simulation import InitialYawRate, Takeover
-from studies.run_table import RunResult
+from ldctoolkit.simulation import InitialYawRate, Outcome, Takeover
 
 IntArray = npt.NDArray[np.int64]
 
@@ -21,8 +20,8 @@ _DEPARTURES = 6
 _SAME = 1e-9
 """Of S: sums in another order, in a batch of another size, are no state."""
 
-_SAME_SINGLE = 1e-6
-"""Of the companions, which are kept in single precision."""
+_SAME_COMPANION = 1e-6
+"""Of the companions: peaks and rates magnify what S averages."""
 
 
 def first_departures(takeover: Takeover, initial_yaw_rate: InitialYawRate, settle: float) -> tuple[IntArray, Takeover]:
@@ -40,31 +39,36 @@ def first_departures(takeover: Takeover, initial_yaw_rate: InitialYawRate, settl
     )
 
 
-def kept_state(result: RunResult, rows: IntArray, again: RunResult) -> str:
-    """A sentence if some departures have other numbers when they are driven once more; empty if they do not.
+def kept_state(
+    columns: Sequence[str],
+    values: npt.NDArray[np.float64],
+    status: npt.NDArray[np.int8],
+    failed_solves: npt.NDArray[np.int32],
+    again: Sequence[Outcome],
+) -> str:
+    """A sentence if departures have other numbers when they are driven once more; empty if they do not.
 
     Parameters
     ----------
-    result : RunResult
-        Of all departures.
-    rows : (k,) int
-        Which were driven again.
-    again : RunResult
-        Of these alone.
+    columns : sequence of str
+        c names of the columns of a result.
+    values : (c, m)
+        Of m departures.
+    status, failed_solves : (m,)
+    again : sequence of Outcome
+        Of the same departures, one a window.
     """
-    pairs: list[tuple[npt.NDArray[Any], npt.NDArray[Any], float]] = [(result.S[:, rows], again.S, _SAME)]
-    pairs += [(result.status[rows], again.status, 0.0), (result.failed_solves[rows], again.failed_solves, 0.0)]
-    pairs += [
-        (getattr(result.companions, name)[rows], getattr(again.companions, name), _SAME_SINGLE)
-        for name in COMPANION_UNITS
-    ]
-    same = [np.isclose(a, b, rtol=most, atol=most, equal_nan=True).reshape(-1, rows.size) for a, b, most in pairs]
-    wrong = ~np.concatenate(same).all(axis=0)
-    if not wrong.any():
+    scores = [numbers for outcome in again for numbers in (outcome.S, outcome.S_uncorrected)]
+    second = [*scores, *(getattr(again[0].companions, name) for name in COMPANION_UNITS)]
+    same = (status == again[0].status) & (failed_solves == again[0].failed_solves)
+    for column, (name, numbers) in enumerate(zip(columns, second, strict=True)):
+        most = _SAME_COMPANION if name in COMPANION_UNITS else _SAME
+        same &= np.isclose(values[column], numbers, rtol=most, atol=most, equal_nan=True)
+    if same.all():
         return ""
-    i = int(np.argmax(wrong))
+    i = int(np.argmin(same))
     return (
         "keeps state between runs: the same departure, driven twice, gave "
-        f"S = {result.S[0, rows[i]]:.9g} m s and then {again.S[0, i]:.9g} m s; "
+        f"S = {values[0, i]:.9g} m s and then {second[0][i]:.9g} m s; "
         "allowed: state that init makes and step returns"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Mapping
@@ -10,9 +11,34 @@ from typing import Any
 
 from ldctoolkit.errors import StoreError
 from studies.files import write_text
-from studies.run_table import LawTime, RunKey
+from studies.tasks import RunKey
 
 FILE_NAME = "timing.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class LawTime:
+    """Wall time inside a law's own steps.
+
+    Attributes
+    ----------
+    seconds : float [s]
+        Of all steps of one run.
+    commands : int
+        Scenarios times samples that they gave a command for.
+    """
+
+    seconds: float
+    commands: int
+
+    @property
+    def per_command(self) -> float:
+        """Mean wall time per command [s]; 0 where nobody was steered."""
+        return self.seconds / self.commands if self.commands else 0.0
+
+    def __add__(self, other: LawTime) -> LawTime:
+        """Of two parts of a run together."""
+        return LawTime(self.seconds + other.seconds, self.commands + other.commands)
 
 
 def read_times(folder: Path) -> dict[RunKey, LawTime]:

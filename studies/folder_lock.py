@@ -1,0 +1,46 @@
+"""One run at a time into a study's folder."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from ldctoolkit.errors import StoreError
+
+_NAME = ".lock"
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, as long as the block or the process lives; a killed process holds nothing.
+
+    Raises
+    ------
+    StoreError
+        If another process holds it, or the lock cannot be made.
+    """
+    try:
+        fcntl = importlib.import_module("fcntl")
+    except ImportError:  # Windows: nobody guards the folder there
+        yield
+        return
+    try:
+        with (folder / _NAME).open("ab") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
+            except OSError:
+                pass  # a file system without locks, as some network ones: nobody guards the folder there
+            yield
+    except PermissionError as error:
+        raise StoreError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a killed process had not finished writing; call it only while the folder is held."""
+    for path in (*folder.glob(".*.part"), *(folder / "results").glob(".*.part")):
+        with contextlib.suppress(OSError):
+            path.unlink()
