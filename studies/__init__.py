@@ -6,6 +6,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from studies.compare_studies import compare
+    from studies.comparison import Comparison
     from studies.design import Design
     from studies.manifest import Manifest, read_manifest
     from studies.ranking import Ranking, rank_study
@@ -18,11 +20,13 @@ if TYPE_CHECKING:
 _HOMES = {
     "Case": "results",
     "CaseResults": "results",
+    "Comparison": "comparison",
     "Design": "design",
     "Manifest": "manifest",
     "Ranking": "ranking",
     "Study": "spec",
     "StudyResults": "results",
+    "compare": "compare_studies",
     "rank_study": "ranking",
     "read_manifest": "manifest",
     "read_results": "store",
@@ -32,11 +36,13 @@ _HOMES = {
 __all__ = [
     "Case",
     "CaseResults",
+    "Comparison",
     "Design",
     "Manifest",
     "Ranking",
     "Study",
     "StudyResults",
+    "compare",
     "rank_study",
     "read_manifest",
     "read_results",

@@ -1,0 +1,122 @@
+"""A comparison of two studies as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from studies.comparison import CaseComparison, Comparison
+from studies.paired_verdicts import Verdict
+from studies.winners import Winners
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+_STYLE: Final = {Verdict.WORSE: "red", Verdict.BETTER: "green", Verdict.UNTOLD: "", Verdict.SAME: "dim"}
+_TOP_OF_OTHER_CASES: Final = 3
+_MOST_LISTED: Final = 20
+
+
+def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
+    """What differs between the inputs first, then the cases, the failures, the warnings and one sentence."""
+    _say(out, f"old: {comparison.old} ({comparison.old_name})", f"new: {comparison.new} ({comparison.new_name})")
+    if comparison.differences:
+        _say(out, "Inputs that differ, old -> new:", *(f"  {text}" for text in comparison.differences))
+    else:
+        _say(out, "The inputs are the same: what differs below is in the code of a law, or in the machine.")
+    out.print()
+    for i, case in enumerate(comparison.cases):
+        if len(case):
+            out.print(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+        _say(out, *_told(case))
+        out.print()
+    for heading, failed in (
+        ("failed only in the new study, worse:", comparison.new_failures),
+        ("failed only in the old study:", comparison.repaired),
+        ("failed in both studies:", comparison.failed_in_both),
+    ):
+        if failed:
+            _say(out, f"{len(failed)} design{'s' if len(failed) > 1 else ''} {heading}")
+            _say(out, *_some([f"  {one.sentence}" for one in failed]))
+    for heading, designs in (("old", comparison.only_old), ("new", comparison.only_new)):
+        if designs:
+            _say(out, f"Only in the {heading} study: {len(designs)} design{'s' if len(designs) > 1 else ''}")
+    for warning in comparison.warnings:
+        out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False)
+    _say(out, comparison.summary)
+
+
+def _say(out: Console, *lines: str) -> None:
+    for line in lines:
+        out.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+def _some(lines: Sequence[str]) -> Iterator[str]:
+    yield from lines[:_MOST_LISTED]
+    if len(lines) > _MOST_LISTED:
+        yield f"  and {len(lines) - _MOST_LISTED} more"
+
+
+def _table(comparison: Comparison, case: CaseComparison, top: int) -> Table:
+    """Worse designs first; those that are the same are counted below."""
+    from rich.table import Table
+    from rich.text import Text
+
+    percent, shared = f"{100 * comparison.confidence:g}%", comparison.shared
+    title = f"{len(case)} designs in both studies, {shared.n:,} shared scenarios, {case.case.label}"
+    table = Table(title=Text(title, style="table.title"), title_justify="left")
+    table.add_column("verdict")
+    table.add_column("design")
+    for heading in ("old S\n[m s]", "new S\n[m s]", "new - old\n[m s]", f"{percent}\ninterval", "scenarios\nchanged",
+                    "largest change\n[m s]", "failed\nold, new"):  # fmt: skip
+        table.add_column(Text(heading), justify="right")
+    shown = [i for i in case.order if case.S.verdict[i] is not Verdict.SAME][:top] or list(case.order[:top])
+    for i in shown:
+        table.add_row(*map(Text, _cells(comparison, case, i)), style=_STYLE[case.S.verdict[i]] or None)
+    return table
+
+
+def _cells(comparison: Comparison, case: CaseComparison, i: int) -> list[str]:
+    S, changed = case.S, int(case.S.changed[i])
+    at = f" (no. {comparison.shared.new[S.largest_at[i]]})"
+    failed = (case.failed_old[i], case.failed_new[i])
+    return [
+        str(S.verdict[i]),
+        case.designs[i].label,
+        f"{S.S_old[i]:.4f}",
+        f"{S.S_new[i]:.4f}",
+        f"{S.difference[i]:+.2g}" if abs(S.difference[i]) < 1e-4 else f"{S.difference[i]:+.4f}",
+        _interval(float(S.low[i]), float(S.high[i])),
+        str(changed) if changed else "-",
+        f"{S.largest[i]:+.2g}{at}" if changed else "-",
+        f"{failed[0]}, {failed[1]}" if any(failed) else "-",
+    ]
+
+
+def _interval(low: float, high: float) -> str:
+    if np.isnan(low):
+        return "too few changed"
+    if np.isinf(low):
+        return "too few"
+    digits = ".2g" if max(abs(low), abs(high)) < 1e-3 else ".4f"
+    return f"{low:+{digits}} .. {high:+{digits}}"
+
+
+def _told(case: CaseComparison) -> Iterator[str]:
+    same = case.count(Verdict.SAME)
+    if same:
+        yield f"the same within 1e-6 m s: {same} of {len(case)} designs"
+    yield f"{case.case.label}: {_winners_sentence(case.winners)}"
+
+
+def _winners_sentence(winners: Winners) -> str:
+    on = f"{winners.scenarios:,} {'fresh ' if winners.fresh else ''}shared scenarios"
+    who = f"{winners.new.label} won both studies" if winners.same_design else (
+        f"the new winner {winners.new.label} against the old one {winners.old.label}"
+    )  # fmt: skip
+    interval = _interval(winners.low, winners.high)
+    numbers = f"{winners.S_old:.4f} -> {winners.S_new:.4f} m s, {winners.difference:+.4f} ({interval})"
+    return f"{who}: {winners.verdict}, {numbers} on {on}"
