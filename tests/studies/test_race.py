@@ -16,7 +16,8 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import Takeover, drive_many
 from ldctoolkit.vehicle import BicycleModel
 from studies import Study
-from studies.race import Decision, prefix_rows, race_round, replay, schedule
+from studies.race import Decision, prefix_rows, race_round, schedule
+from studies.race_replay import replay
 from studies.ready import load_study
 
 LINEAR = {"none", "preview_proportional", "lqr", "lqi", "preview_lqr"}
@@ -58,7 +59,7 @@ def test_rounds_of_usual_studies() -> None:
 
 @pytest.mark.parametrize("n", [0, -1, 2.0, True])
 def test_rounds_of_no_number(n: Any) -> None:
-    with pytest.raises(InputError, match="n: .* allowed: a whole number >= 1"):
+    with pytest.raises(InputError, match="allowed: a whole number >= 1"):
         schedule(n)
 
 
@@ -102,12 +103,12 @@ def test_the_bound_is_at_least_as_careful_as_students_t(seed: int) -> None:
     k, m, rounds = 6, 200, 5
     scores = table(np.linspace(1.0, 1.6, k), m, seed=seed)
     decision = decide(scores, sides(120, 80), confidence=0.9, rounds=rounds, started=50)
-    error = 0.1 / (rounds - 1) / 49  # a round's share, then one of 49 pairs'
-    capped = np.minimum(scores, scores[decision.best].max())
+    error = 0.1 / (rounds - 1)  # a round's share; each of 49 pairs has one of that
+    largest = max(np.abs(np.minimum(s, scores[decision.best].max()) - scores[decision.best]).max() for s in scores)
     for i in set(range(k)) - {decision.best}:
-        d = capped[i] - capped[decision.best]
-        t = stats.ttest_1samp(d, 0.0).confidence_interval(1 - 2 * error)
-        assert decision.low[i] <= t.low - np.log(1 / error) / m * np.abs(d).max() + 1e-9
+        pairs = [np.minimum(scores[i], scores[j].max()) - scores[j] for j in range(k) if j != i]
+        bounds = [stats.ttest_1samp(d, 0.0).confidence_interval(1 - 2 * error / 49).low for d in pairs]
+        assert decision.low[i] <= max(0.0, *bounds) - np.log(1 / error) / m * largest + 1e-9
 
 
 def test_the_last_round_gives_up_nothing() -> None:
@@ -237,6 +238,26 @@ def test_twenty_races_keep_the_winner_of_the_full_study() -> None:
         shares.append(raced.share)
     # these tables are harder than the catalog's: scores vary more from design to design
     assert np.mean(shares) <= 0.2
+
+
+def rare_failures(seed: int) -> np.ndarray:
+    """Design 0 never fails, the 39 others lose 3 m s in two departures of a hundred, and are a little worse in truth.
+
+    After 100 scenarios some of them have met no failure, and look better by 0.05 m s beyond any doubt of a t test.
+    """
+    rng = np.random.default_rng(seed)
+    scores = rng.gamma(2.0, 0.5, 2000) + 0.2 * rng.random((40, 2000))
+    scores[1:] += 3.0 * (rng.random((39, 2000)) < 0.02) - 0.05
+    return scores
+
+
+def test_luck_with_rare_failures_throws_nobody_out() -> None:
+    tables = [rare_failures(seed) for seed in range(20)]
+    kept = [replay(scores, sides(1000, 1000), seed=1, samples=200).kept for scores in tables]
+    assert sum(stay[0] for stay in kept) >= 19
+    assert all(stay[scores.mean(axis=1).argmin()] for stay, scores in zip(kept, tables, strict=True))
+    # it is a trap: a race that asks each pair by itself falls into it
+    assert sum(0 in naive(scores, sides(1000, 1000)) for scores in tables) <= 5
 
 
 def naive(scores: np.ndarray, side: np.ndarray) -> np.ndarray:
