@@ -197,7 +197,7 @@ class _Run:
                 # where the disk is full, why the run ended says more than that this cannot be written either
                 with contextlib.suppress(*(() if complete else (StoreError,))):
                     store.write_manifest(ended)
-            results = table.results(scenarios, store.times, store.failures, source=str(folder), designs=designs)
+            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
             return dataclasses.replace(results, race=race)
 
     def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, positive_number
+from studies.cli._console import Subparsers, number, positive_number
+
+if TYPE_CHECKING:
+    from studies.progress import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -23,8 +28,24 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=number,
+        metavar="S",
+        help="seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)",
+    )
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON object a line on stdout: progress, then the result; no bar and no table",
+    )
     parser.set_defaults(run=run)
 
 
@@ -34,11 +55,13 @@ SOME_FAILED = 3
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    from studies.cli._race_table import print_race
     from studies.cli._results import print_rankings, write_ranking, write_study_report
+    from studies.cli._summary import json_summary
     from studies.manifest import read_manifest
     from studies.ranking import rank_study
     from studies.ready import load_study
-    from studies.runner import run_study
+    from studies.runner import TIME_LIMIT, run_study
 
     study = load_study(chosen.study)
     folder = Path(chosen.output or Path("out") / study.name)
@@ -47,19 +70,35 @@ def run(chosen: argparse.Namespace) -> int:
         directory=folder,
         model=chosen.model,
         workers=chosen.workers,
-        progress=False if chosen.quiet else None,
+        dask=chosen.dask,
+        progress=_progress(chosen),
+        time_limit=TIME_LIMIT if chosen.time_limit is None else chosen.time_limit,
     )
     manifest = read_manifest(folder)
     rankings = rank_study(results, study)
-    if not chosen.quiet:
+    silent = chosen.quiet or chosen.json
+    if not silent:
+        if results.race is not None:
+            print_race(results.race)
         print_rankings(rankings, chosen.top)
         print(
-            f"{study.name}: {len(study.designs)} designs x {len(results.scenarios):,} scenarios, "
+            f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, model {manifest.model} ({manifest.model_hash[:12]})"
         )
     # files last: what they are called is the last thing on the screen
     ranking_path = write_ranking(folder, rankings)
     report_path = write_study_report(folder, study, manifest, results, rankings)
-    print(f"ranking: {ranking_path}")
-    print(f"report:  {report_path}")
+    if chosen.json:
+        print(json_summary(results, rankings[0], manifest, ranking_path, report_path))
+    else:
+        print(f"ranking: {ranking_path}")
+        print(f"report:  {report_path}")
     return SOME_FAILED if results.failed else 0
+
+
+def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
+    from studies.progress import Lines
+
+    if chosen.json:
+        return Lines(sys.stdout)
+    return False if chosen.quiet else None

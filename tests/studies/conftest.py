@@ -86,7 +86,7 @@ def make_study() -> Callable[..., Study]:
             "seed": 3,
             "scenarios": {"left": 7, "right": 5},
             "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
-            "ranking": {"bootstrap": 200},
+            "ranking": {"bootstrap": 200, "finalists": 0},
             "design": [
                 {"law": "none"},
                 {"law": "preview_proportional", "y_s": [0.05, 0.2], "gains": {"K_y": [-0.02, -0.005]}},

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, Scenario
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
 from ldctoolkit.simulation import Run, Takeover, closed_loop
-from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study, runner
+from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 from studies.store import Store
 
 pytestmark = pytest.mark.usefixtures("laws")
@@ -36,7 +35,7 @@ def assert_same_bits(a: StudyResults, b: StudyResults) -> None:
             np.testing.assert_array_equal(left, right)
         for name in COMPANION_UNITS:
             left, right = getattr(one.companions, name), getattr(other.companions, name)
-            assert left.dtype == right.dtype == np.float32
+            assert left.dtype == right.dtype == np.float64
             np.testing.assert_array_equal(left, right)
 
 
@@ -52,7 +51,8 @@ def reference(make_study: MakeStudy, tmp_path: Path) -> StudyResults:
         {"workers": 2, "block_size": 1},
         {"workers": 2, "block_size": 3},
         {"workers": 3, "block_size": 100},
-        {"workers": 2, "start_method": "spawn"},
+        {"executor": "serial", "block_size": 2},
+        {"executor": "processes", "workers": 1},
     ],
     ids=str,
 )
@@ -80,9 +80,7 @@ def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyRe
             np.testing.assert_array_equal(case.status[i], outcome.status)
             for name in COMPANION_UNITS:
                 exact = getattr(outcome.companions, name)
-                np.testing.assert_array_equal(getattr(case.companions, name)[i], exact.astype(np.float32))
-                # single precision keeps seven digits
-                np.testing.assert_allclose(getattr(case.companions, name)[i], exact, rtol=6e-8, atol=1e-37)
+                np.testing.assert_array_equal(getattr(case.companions, name)[i], exact)
 
 
 def counting(drives: list[Controller]) -> Callable[..., Iterator[Run]]:
@@ -132,7 +130,7 @@ def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Pat
     assert (longer.companions.travel > shorter.companions.travel).any()
 
 
-def test_parts_hold_single_precision_and_no_times(make_study: MakeStudy, tmp_path: Path) -> None:
+def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_path: Path) -> None:
     """The same runs give the same file, byte by byte; the times, which no second run gives again, stand apart."""
     import polars as pl
 
@@ -143,7 +141,7 @@ def test_parts_hold_single_precision_and_no_times(make_study: MakeStudy, tmp_pat
     assert one.name == other.name
     assert one.read_bytes() == other.read_bytes()
     schema = pl.read_parquet_schema(one)
-    assert [schema[column] for column in COMPANION_COLUMNS.values()] == [pl.Float32()] * len(COMPANION_COLUMNS)
+    assert [schema[column] for column in COMPANION_COLUMNS.values()] == [pl.Float64()] * len(COMPANION_COLUMNS)
     assert schema["S_departure_m_s"] == pl.Float64()
     assert not [name for name in schema if "second" in name]
 
@@ -268,7 +266,8 @@ def test_a_study_resumes_where_it_was_stopped(
     assert read_manifest(tmp_path / "s").study["title"] == "new words"
 
 
-def test_a_law_that_workers_cannot_import_is_named(make_study: MakeStudy, tmp_path: Path) -> None:
+def test_a_law_that_only_this_process_knows_reaches_the_workers(make_study: MakeStudy, tmp_path: Path) -> None:
+    """A class inside a function: no other process could import it."""
     from ldctoolkit import registry
 
     class Local(registry._registered["toy"]):  # type: ignore[name-defined,misc]
@@ -277,10 +276,43 @@ def test_a_law_that_workers_cannot_import_is_named(make_study: MakeStudy, tmp_pa
     registry.register(Local)
     try:
         study = make_study(design=[{"law": "local", "gains": {"N": [1, 2, 3]}}])
-        with pytest.raises(LdcError, match="controller Local cannot be sent to worker processes"):
-            run_study(study, directory=tmp_path, workers=2, block_size=1, start_method="spawn")
+        one = run_study(study, directory=tmp_path / "a", workers=1)
+        assert_same_bits(run_study(study, directory=tmp_path / "b", workers=2, block_size=1), one)
     finally:
-        del registry._registered["local"]
+        registry.forget("local")
+
+
+def test_a_law_that_cannot_be_sent_is_named(make_study: MakeStudy, tmp_path: Path) -> None:
+    import threading
+
+    from ldctoolkit import registry
+
+    class Held(registry._registered["toy"]):  # type: ignore[name-defined,misc]
+        name = "held"
+        lock = threading.Lock()
+
+    registry.register(Held)
+    try:
+        with pytest.raises(LdcError, match=r"registered controllers \(.*Held.*\) cannot be sent to worker processes"):
+            run_study(make_study(design=[{"law": "held"}]), directory=tmp_path, workers=2)
+    finally:
+        registry.forget("held")
+
+
+def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
+    """A folder belongs to its scenarios and plant; what it holds of a design is used again."""
+    folder = tmp_path / "reference"
+    before = {path.name for path in (folder / "results").iterdir()}
+    fewer = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [50, 500]}}])
+    results = run_study(fewer, directory=folder, workers=1)
+    assert {path.name for path in (folder / "results").iterdir()} == before
+    assert [d.id for d in results.designs] == [d.id for d in fewer.designs]
+    np.testing.assert_array_equal(results.cases[0].S, reference.cases[0].S[[0, 5, 6]])
+    assert_same_bits(read_results(folder), results)
+    more = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": [0.1, 0.3], "gains": {"r_delta": [50, 500]}}])
+    run_study(more, directory=folder, workers=1)
+    (new,) = {path.name for path in (folder / "results").iterdir()} - before
+    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
 
 
 def test_failed_solves_are_kept(make_study: MakeStudy, tmp_path: Path) -> None:
@@ -301,7 +333,6 @@ def test_failed_solves_are_kept(make_study: MakeStudy, tmp_path: Path) -> None:
         ({"seed": 4}, r"holds another study \(small\): seed: 3 there, 4 now; choose another folder"),
         ({"vehicle": {"m": 900.0}}, r"vehicle\.m: 1000\.0 there, 900\.0 now"),
         ({"scenarios": {"left": 7, "right": 6}}, r"scenarios\.right: 5 there, 6 now"),
-        ({"design": [{"law": "none"}]}, r"designs: 7 there, 1 now, 1 of them the same"),
         (
             {
                 "simulation": {
@@ -380,8 +411,8 @@ def test_a_truncated_part_is_always_noticed(where: int, reference: StudyResults,
         ("{", "broken"),
         ("[]", "broken"),
         ("{}", "broken"),
-        ('{"format_version": 99}', "format 99; this version reads 2"),
-        ('{"format_version": 2}', "broken"),
+        ('{"format_version": 99}', "format 99; this version reads 3"),
+        ('{"format_version": 3}', "broken"),
     ],
 )
 def test_a_broken_manifest_is_named(content: str, message: str, tmp_path: Path) -> None:
@@ -422,19 +453,12 @@ def test_the_manifest_says_what_ran_and_nothing_about_who(
 def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="workers: 0; allowed"):
         run_study(make_study(), directory=tmp_path, workers=0)
+    with pytest.raises(InputError, match="time_limit: -1; allowed"):
+        run_study(make_study(), directory=tmp_path, time_limit=-1)
+    with pytest.raises(InputError, match="executor: 'process'; .*processes"):
+        run_study(make_study(), directory=tmp_path, executor="process")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="block_size: 'a'; allowed"):
         run_study(make_study(), directory=tmp_path, block_size="a")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="referenc"):
         run_study(make_study(scenarios={"model": "referenc"}), directory=tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_worker_that_dies_is_told(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if multiprocessing.get_start_method() != "fork":
-        pytest.skip("the patched function reaches worker processes by fork alone")
-    from studies import simulate_designs
-
-    monkeypatch.setattr(simulate_designs.Simulator, "run", lambda self, block: __import__("os")._exit(3))
-    with pytest.raises(LdcError, match="a worker process ended abruptly"):
-        run_study(make_study(), directory=tmp_path, workers=2, block_size=1)
-    assert runner._STORE_EVERY > 0
