@@ -156,6 +156,7 @@ def test_objectives_of_which_more_is_better_are_made_large() -> None:
     assert np.mean([d.y_s for d in more.asked[30:]]) > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
 def test_two_objectives_fill_a_front(sampler: str) -> None:
     """Zitzler's ZDT1 in three variables: on the front K = -1 and N = 1; hypervolume below (1.1, 1.1)."""
