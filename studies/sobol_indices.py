@@ -99,9 +99,17 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
     Returns
     -------
     Indices
+
+    Raises
+    ------
+    InputError
+        If nothing differs in any resample.
     """
     first, total = (shares[0] for shares in factorial_shares(S.reshape(1, *levels)))
-    one, all_ = factorial_shares(resampled.reshape(-1, *levels))
+    # a resample in which nothing differs has no indices
+    one, all_ = (shares[~np.isnan(shares).any(axis=1)] for shares in factorial_shares(resampled.reshape(-1, *levels)))
+    if not len(one):
+        raise InputError("S: the same for all designs in every resample; there is no variance to share out")
     return Indices(first, *percentile_interval(one, confidence), total, *percentile_interval(all_, confidence))
 
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from ldctoolkit import controller_class
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
-from studies.bootstrap import bootstrap_means, percentile_interval
 from studies.design import Design
 from studies.design_space import THRESHOLD
 from studies.drive_again import check_reproduced, drive_designs
 from studies.profile_points import ProfilePoint, profile_points
+from studies.resampled import Resampled, simultaneous_interval
 from studies.results import CaseResults, StudyResults
 from studies.spec import Study
 
@@ -45,7 +45,8 @@ class Profile:
     S : (k,) [m s]
         Mean on the scenarios that all profiles share; NaN where the law failed.
     difference, low, high : (k,) [m s]
-        Mean S minus that of the design, paired on the scenarios, and its bootstrap interval, value by value.
+        Mean S minus that of the design, paired on the scenarios, and its interval; those of all profiles of a call hold
+        at once.
     stored : (k,) bool
         Designs of the study; the others were driven for the profile.
     failures : tuple of str
@@ -155,10 +156,10 @@ def _profiles(
     if not columns.any():
         raise InputError("results: no scenario could be driven under every design; there is no profile")
     S = S[:, columns]
-    paired = S - S[0]
-    means = bootstrap_means(paired, results.scenarios.side[columns], samples=study.ranking.bootstrap, seed=study.seed)
-    low, high = percentile_interval(means, study.ranking.confidence)
-    numbers = np.stack([S.mean(axis=1), paired.mean(axis=1), low, high])
+    side, settings = results.scenarios.side[columns], study.ranking
+    resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap)
+    interval = simultaneous_interval(resampled, settings.confidence, reference=0)
+    numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
     position = {design: i for i, design in enumerate(scored)}
     units = {gain.name: gain.unit for gain in controller_class(winner.law).gains()} | {THRESHOLD: "m"}
     for name in dict.fromkeys(one.name for one in along):

@@ -53,8 +53,12 @@ def run(chosen: argparse.Namespace) -> None:
     if chosen.case > len(results.cases):
         raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
     case = chosen.case - 1
-    named = chosen.design
-    middle = rank_study(results, study)[case].designs[0] if named is None else _design(results, named)
+    if chosen.design is not None:
+        middle = _design(results, chosen.design)
+    else:
+        ranking = rank_study(results, study)[case]
+        # no design is the winner where none meets the requirements: the smallest S then
+        middle = ranking.designs[ranking.winner or 0]
     blocks = sensitivity(results, study, case=case)
     with progress_bar("profile") as advance:
         profiles = winner_profile(results, study, middle, case=case, points=chosen.points, advance=advance)

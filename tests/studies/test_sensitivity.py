@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,7 +32,6 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.metrics import Companions
 from ldctoolkit.scenario_model import load_model
 from studies import Case, CaseResults, Design, Study, StudyResults
-from studies.bootstrap import bootstrap_means, percentile_interval
 from studies.results import Dropped, FailedDesign, Race
 from studies.sensitivity import BlockSensitivity, gain_value, sensitivity
 from studies.sensitivity_csv import COLUMNS, write_sensitivity
@@ -369,8 +369,12 @@ def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:
 
 @pytest.mark.parametrize("case", [0, 1])
 def test_a_profile_is_what_simulate_gives(case: int) -> None:
-    study = study_of({"law": "waves", "y_s": [0.1, 0.3], "gains": {"a": [0.5, 2.0], "N": [2, 8]}}, **SETTINGS)
-    results = driven(study)
+    study = study_of(
+        {"law": "waves", "y_s": [0.1, 0.3], "gains": {"a": [0.5, 2.0], "N": [2, 8]}},
+        **SETTINGS,
+        ranking={"bootstrap": 1000},
+    )
+    results = driven(study, n=30)
     winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
     counts: list[tuple[int, int]] = []
     found = by_name(winner_profile(results, study, winner, case=case, points=5, advance=lambda *c: counts.append(c)))
@@ -380,6 +384,8 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
     # whole, and even on a logarithmic scale
     assert found["N"].values == (2, 3, 4, 6, 8)
     at_winner = _outcome(study, winner, results.scenarios, study.cases[case]).S
+    critical: list[float] = []
+    errors: list[float] = []
     for profile in found.values():
         assert profile.values[profile.at] == gain_value(winner, profile.name)
         assert profile.stored.tolist() == [True, False, False, False, True]
@@ -387,13 +393,19 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
         np.testing.assert_allclose(profile.S, np.mean(rows, axis=1), rtol=1e-12)
         paired = np.stack(rows) - at_winner
         np.testing.assert_allclose(profile.difference, paired.mean(axis=1), rtol=1e-9, atol=1e-12)
-        means = bootstrap_means(paired, results.scenarios.side, samples=200, seed=5)
-        low, high = percentile_interval(means, 0.95)
-        # each row is rounded to its own grid of about 1e-12 of its largest value
-        np.testing.assert_allclose(profile.low, low, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(profile.high, high, rtol=1e-6, atol=1e-9)
+        # all intervals have one critical value, in standard errors of a mean of two strata
+        strata = [paired[:, results.scenarios.side == side] for side in (1, -1)]
+        error = np.sqrt(sum(part.shape[1] * part.var(axis=1, ddof=1) for part in strata)) / paired.shape[1]
+        np.testing.assert_allclose(profile.high - profile.difference, profile.difference - profile.low, atol=1e-12)
+        critical += [c for c, e in zip(profile.high - profile.difference, error, strict=True) if e > 0]
+        errors += [e for e in error if e > 0]
         assert profile.low[profile.at] == profile.high[profile.at] == 0.0
         assert {design.law for design in profile.designs} == {"waves"}
+    widths = np.array(critical) / np.array(errors)
+    np.testing.assert_allclose(widths, widths[0], rtol=1e-9)
+    # between one comparison's and Bonferroni's for all; 1,000 resamples give the quantile to a few per cent
+    df = len(results.scenarios) - 2
+    assert 0.95 * scipy.stats.t.ppf(0.975, df) < widths[0] < 1.1 * scipy.stats.t.ppf(1 - 0.025 / widths.size, df)
     # nine designs and the winner, which is driven once more to see that nothing has changed
     assert counts == [(i, 10) for i in range(1, 11)]
     assert found["a"].unit == "1"

@@ -1,0 +1,129 @@
+"""``ldc sensitivity`` as people meet it: tables, the file, exit codes, one message for wrong input."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from studies import Study, read_results, run_study
+from studies.cli import main
+
+STUDY = {
+    "name": "tiny",
+    "seed": 4,
+    "scenarios": {"left": 6, "right": 6},
+    "simulation": {"window": ["departure", "control"], "settle": 1.0},
+    "ranking": {"bootstrap": 100, "finalists": 0},
+    "design": [
+        {"law": "none"},
+        {"law": "preview_proportional", "y_s": [0.05, 0.2], "gains": {"K_y": [-0.02, -0.005], "K_psi": -0.3}},
+        {"law": "lqr", "gains": {"r_delta": {"from": 300, "to": 3000}}, "sample": {"method": "sobol", "count": 64}},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study") / "out"
+    run_study(Study.from_dict(STUDY), directory=folder, workers=1, progress=False)
+    return folder
+
+
+@pytest.fixture
+def folder(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "out"))
+
+
+def refused(arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """Exit code 2, one line on stderr, no file."""
+    try:
+        code = main(["sensitivity", *arguments])
+    except SystemExit as ended:  # argparse
+        code = ended.code  # type: ignore[assignment]
+    out = capsys.readouterr()
+    assert code == 2
+    assert out.out == ""
+    assert out.err.startswith("ldc: error: ")
+    assert out.err.count("\n") == 1
+    assert not (folder / "sensitivity.csv").exists()
+    return out.err
+
+
+def test_indices_and_profiles_are_printed_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sensitivity", str(folder), "--points", "3"]) == 0
+    out = capsys.readouterr()
+    assert out.err == ""
+    for words in ("design[1], Preview P: Sobol indices", "design[2], LQR: Sobol indices", "first order only",
+                  "intervals over scenarios", "one at a time, departure window"):  # fmt: skip
+        assert words in out.out
+    assert out.out.endswith(f"sensitivity: {folder / 'sensitivity.csv'}\n")
+    table = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None)
+    counts = table.group_by("kind").len()
+    assert dict(zip(counts["kind"], counts["len"], strict=True)) == {
+        "first": 3,  # y_s and K_y of the grid, r_delta of the sample, which has no total one
+        "total": 2,
+        "profile": table.filter(pl.col("kind") == "profile").height,
+    }
+    # the design with the smallest mean S is the middle
+    results = read_results(folder)
+    best = results.designs[int(results.cases[0].counted.mean(axis=1).argmin())]
+    assert f"Around {best.label} ({best.id})" in out.out
+    assert best.id in table["design"]
+
+
+def test_the_middle_the_case_and_the_points_can_be_chosen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    middle = next(d for d in Study.from_dict(STUDY).designs if d.law == "preview_proportional")
+    assert main(["sensitivity", str(folder), "--design", middle.id[:8], "--points", "0", "--case", "2"]) == 0
+    first = capsys.readouterr()
+    assert "control window" in first.out
+    assert "different y_s are not comparable" in first.err
+    assert middle.label in first.out
+    profile = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None).filter(pl.col("kind") == "profile")
+    assert profile["stored"].to_list() == [True] * 4
+    assert profile["dimension"].to_list() == ["y_s", "y_s", "K_y", "K_y"]
+    assert main(["sensitivity", str(folder), "--design", middle.label, "--points", "0", "--case", "2"]) == 0
+    assert capsys.readouterr().out == first.out
+
+
+def test_a_design_without_neighbours_has_no_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nothing = Study.from_dict(STUDY).designs[0]
+    assert main(["sensitivity", str(folder), "--design", nothing.id]) == 0
+    assert "nothing varies in the designs of this law" in capsys.readouterr().out
+
+
+def test_without_salib_the_rest_goes_on(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "SALib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "SALib", None)
+    assert main(["sensitivity", str(folder), "--points", "0"]) == 0
+    out = capsys.readouterr().out
+    assert "design[2], LQR: no Sobol indices: Sobol indices of a sample need SALib" in out
+    assert 'pip install "ldctoolkit[sensitivity]"' in out
+    assert "design[1], Preview P: Sobol indices" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--case", "3"], "--case 3; allowed: 1 to 2"),
+        (["--case", "0"], "allowed: a whole number >= 1"),
+        (["--points", "-1"], "allowed: a whole number >= 0"),
+        (["--design", "zz"], "--design 'zz': no such design"),
+        (["--design", ""], "--design '': no such design"),
+        (["--design", "No control, y_s=0.3 m"], "did you mean 'No control, y_s=0.2 m'?"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    arguments: list[str], words: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert words in refused([str(folder), *arguments], folder, capsys)
+
+
+def test_a_folder_without_a_study_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "holds no study" in refused([str(tmp_path)], tmp_path, capsys)
