@@ -25,7 +25,8 @@ _NAMED = 3
 def warnings_of(case: CaseResults, designs: Sequence[Design]) -> Iterator[str]:
     """Sentences that name designs: from the first command where it cannot be a fallback, else where it is often."""
     wrong, often = [], []
-    for design, failed_solves, status in zip(designs, case.failed_solves, case.status, strict=True):
+    for i in np.flatnonzero((case.failed_solves > 0).any(axis=1)).tolist():
+        design, failed_solves, status = designs[i], case.failed_solves[i], case.status[i]
         driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
         failing, total = int((failed_solves[driven] > 0).sum()), int(driven.sum())
         if not failing:

@@ -1,76 +1,64 @@
-"""The ranking of a study: designs by mean S, with paired differences to the best and bootstrap intervals."""
+"""The ranking of a study: designs by mean S, with what the scenarios allow to say of them."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus
-from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.errors import InputError
-from studies.bootstrap import bootstrap_means, percentile_interval
+from studies.baseline import find_baseline
+from studies.case_figures import CaseFigures, DrivableCase, case_figures, in_order
 from studies.design import Design
 from studies.failed_commands import warnings_of
-from studies.release import ReleaseFigures
+from studies.figures import Requirement, figure, parse_requirement
+from studies.fresh_scores import FreshScores, fresh_case, fresh_scores, no_fresh_scores
+from studies.inference import Inference, infer
+from studies.pareto import pareto_costs, pareto_front
+from studies.requirements import missed_requirements
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.spec import Study
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 
-_SAME = 1e-6
-"""Differences of mean S [m s] below this are solver tolerance, not design."""
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
-class Ranking:
+class Ranking(CaseFigures, Inference, FreshScores):
     """Designs of one case, best first; every array has one entry a design in that order.
 
-    Failed and diverged scenarios count in every mean with the S that they got. Scenarios that cannot be driven under
-    some design have no S: they are left out for all designs, counted in `invalid`, and a warning says so.
+    Beside the fields below it has those of `CaseFigures` (means, tails, reductions, shares, counts and `release`), of
+    `Inference` (intervals, set of best) and of `FreshScores` (the finalists and the winner).
 
     Attributes
     ----------
     case : Case
         Window and convention.
     designs : tuple of Design
-        d designs, smallest mean S first; equal ones in the study's order.
+        d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
+        others in the same way.
     index : (d,) int
         Position of each in `StudyResults.designs`.
     rank : (d,) int
-        1 for the best; designs with the same mean S share a rank.
-    S, S_left, S_right : (d,) [m s]
-        Mean over all scenarios and over those of a side; NaN for a side without scenarios.
-    S_low, S_high : (d,) [m s]
-        Bootstrap interval of the mean S.
-    S_uncorrected : (d,) [m s]
-        Mean without control, over the same window.
-    reduction, reduction_left, reduction_right : (d,)
-        1 - mean S / mean S_uncorrected.
-    difference, difference_low, difference_high : (d,) [m s]
-        Mean S minus that of the best, paired on the scenarios, and its bootstrap interval.
-    tied_with_best : (d,) bool
-        The interval of the difference comes within 1e-6 m s of 0, the accuracy of an iterative solver.
-    triggered : (d,)
-        Share of scenarios in which the design took over.
-    deeper : (d,)
-        Share of scenarios deeper than D_y.
-    solver_failed, diverged, timed_out, invalid : (d,) int
-        Scenarios with that status.
-    failed_solves : (d,) int
-        Commands that were not finite, or came from a fallback.
-    release : ReleaseFigures
-        What is reported beside S.
+        1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is not
+        ranked.
+    unmet : tuple of tuple of str
+        For each design, the requirements that it misses.
+    require : tuple of str
+        The requirements.
+    baseline : int or None
+        Position of the design behind `baseline_difference`.
+    pareto : (d,) bool
+        Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
+        another.
+    pareto_figures : tuple of str
     D_y : float [m]
     bootstrap : int
         Resamples.
     confidence : float
-        Of the intervals.
+        Of every family of intervals, and of the set of best.
     warnings : tuple of str
         What a reader must know before comparing designs.
     failed : tuple of FailedDesign
@@ -81,27 +69,11 @@ class Ranking:
     designs: tuple[Design, ...]
     index: IntArray
     rank: IntArray
-    S: FloatArray
-    S_left: FloatArray
-    S_right: FloatArray
-    S_low: FloatArray
-    S_high: FloatArray
-    S_uncorrected: FloatArray
-    reduction: FloatArray
-    reduction_left: FloatArray
-    reduction_right: FloatArray
-    difference: FloatArray
-    difference_low: FloatArray
-    difference_high: FloatArray
-    tied_with_best: BoolArray
-    triggered: FloatArray
-    deeper: FloatArray
-    solver_failed: IntArray
-    diverged: IntArray
-    timed_out: IntArray
-    invalid: IntArray
-    failed_solves: IntArray
-    release: ReleaseFigures
+    unmet: tuple[tuple[str, ...], ...]
+    require: tuple[str, ...]
+    baseline: int | None
+    pareto: BoolArray
+    pareto_figures: tuple[str, ...]
     D_y: float
     bootstrap: int
     confidence: float
@@ -112,8 +84,18 @@ class Ranking:
         return len(self.designs)
 
     def __repr__(self) -> str:
-        best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s"
+        best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s" if self.ranked else "none is ranked"
         return f"<Ranking of {len(self)} designs, {self.case.label}: {best}>"
+
+    @property
+    def ranked(self) -> int:
+        """Number of designs that have a rank; they are the first ones."""
+        return int((self.rank > 0).sum())
+
+    @property
+    def tied_with_best(self) -> BoolArray:
+        """The set of best under its former name, (d,)."""
+        return self.set_of_best
 
     @classmethod
     def of(
@@ -125,13 +107,16 @@ class Ranking:
         bootstrap: int = 2000,
         confidence: float = 0.95,
         D_y: float = 0.5,
+        baseline: str = "",
+        require: Sequence[str] = (),
+        pareto: Sequence[str] = (),
     ) -> Ranking:
         """Rank the designs of one case.
 
         Parameters
         ----------
         results : StudyResults
-            Designs and scenarios.
+            Designs and scenarios, and the finalists on fresh ones.
         case : CaseResults
             One of its cases.
         seed : int
@@ -139,9 +124,15 @@ class Ranking:
         bootstrap : int
             Resamples, drawn within each side; all designs see the same ones.
         confidence : float
-            Of the percentile intervals, between 0 and 1.
+            Of each family of simultaneous intervals, between 0 and 1.
         D_y : float [m]
             Depth that counts as deep.
+        baseline : str
+            As `studies.baseline.find_baseline` takes it.
+        require : sequence of str
+            Requirements, as `studies.figures.parse_requirement` takes them.
+        pareto : sequence of str
+            Figures of the Pareto front; none for no front.
 
         Returns
         -------
@@ -150,67 +141,62 @@ class Ranking:
         Raises
         ------
         InputError
-            For settings outside what is allowed, or scores that are not finite.
+            For settings outside what is allowed, a baseline that is not there, or scores that are not finite.
+        UnknownNameError
+            For a figure that does not exist.
         """
-        every, drivable, scenarios = case.status, case.drivable, results.scenarios
-        if not drivable.any():
-            raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
-        if not drivable.all():
-            case, scenarios = case.take(drivable), scenarios.take(np.flatnonzero(drivable))
-        if not np.isfinite(case.S).all():
-            raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
-        left, right = (scenarios.side == side for side in (LEFT, RIGHT))
-        S = _mean(case.S, left | right)
-        order = np.argsort(S, kind="stable")
-        sorted_S = S[order]
-        means = bootstrap_means(case.S[order], scenarios.side, samples=bootstrap, seed=seed)
-        S_low, S_high = percentile_interval(means, confidence)
-        best = case.S[order[0]]
-        difference = np.array([(case.S[i] - best).mean() for i in order])
-        means -= means[:, :1].copy()
-        difference_low, difference_high = percentile_interval(means, confidence)
-        # exact for a design whose scores equal the best's: rounding of the product must not untie it
-        same = difference == 0.0
-        difference_low[same] = np.minimum(difference_low[same], 0.0)
-
-        def share(values: BoolArray) -> FloatArray:
-            result: FloatArray = values.mean(axis=1)[order]
-            return result
-
-        def count(status: EventStatus) -> IntArray:
-            result: IntArray = (every == status).sum(axis=1)[order].astype(np.int64)
-            return result
-
+        requirements = [parse_requirement(text) for text in require]
+        pareto_figures = tuple(figure(name).name for name in pareto)
+        reference = find_baseline(baseline, results)
+        drivable = DrivableCase.of(case, results.scenarios)
+        figures = case_figures(drivable, results.designs, D_y)
+        missed = missed_requirements(requirements, figures)
+        order = np.lexsort((figures.S, np.array([bool(texts) for texts in missed]))).astype(np.int64)
+        ranked = sum(not texts for texts in missed)
+        taken = in_order(figures, order)
+        chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
+        inference = infer(
+            drivable.counted[order],
+            drivable.scenarios.side,
+            ranked=ranked,
+            baseline=None if reference is None else _position(order, reference),
+            **chance,
+        )
+        warnings = list(_warnings(drivable, results.designs))
+        warnings += _about_requirements(requirements, ranked, len(order))
+        if results.fresh is None or not results.fresh.designs:
+            fresh = no_fresh_scores(len(order), ranked)
+        else:
+            again, place = fresh_case(results.fresh, case.case), {results.designs[i].id: k for k, i in enumerate(order)}
+            positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
+            fresh = fresh_scores(again, positions, taken["S"], inference.set_of_best, ranked=ranked, **chance)
+            if requirements:
+                texts = missed_requirements(requirements, case_figures(again, results.fresh.designs, D_y))
+                of_winner = [texts[i] for i in np.flatnonzero(positions == fresh.winner).tolist()]
+                warnings += [f"The winner misses {', '.join(one)} on the fresh scenarios." for one in of_winner if one]
+        front = np.zeros(len(order), dtype=np.bool_)
+        if pareto_figures and ranked:
+            front[:ranked] = pareto_front(pareto_costs(pareto_figures, figures)[order[:ranked]])
+        S = taken["S"][:ranked]
+        rank = np.zeros(len(order), dtype=np.int64)
+        rank[:ranked] = np.searchsorted(S, S, side="left") + 1
         return cls(
+            **taken,
+            **_fields(inference),
+            **_fields(fresh),
             case=case.case,
             designs=tuple(results.designs[i] for i in order),
-            index=order.astype(np.int64),
-            rank=np.searchsorted(sorted_S, sorted_S, side="left").astype(np.int64) + 1,
-            S=sorted_S,
-            S_left=_mean(case.S, left)[order],
-            S_right=_mean(case.S, right)[order],
-            S_low=S_low,
-            S_high=S_high,
-            S_uncorrected=_mean(case.S_uncorrected, left | right)[order],
-            reduction=_reduction(case, left | right)[order],
-            reduction_left=_reduction(case, left)[order],
-            reduction_right=_reduction(case, right)[order],
-            difference=difference,
-            difference_low=difference_low,
-            difference_high=difference_high,
-            tied_with_best=(difference_low <= _SAME) & (difference_high >= -_SAME),
-            triggered=share(case.status != EventStatus.NEVER_TRIGGERED),
-            deeper=share(case.companions.deepest > D_y),
-            solver_failed=count(EventStatus.SOLVER_FAILED),
-            diverged=count(EventStatus.DIVERGED),
-            timed_out=count(EventStatus.TIMED_OUT),
-            invalid=count(EventStatus.INVALID),
-            failed_solves=case.failed_solves.sum(axis=1)[order].astype(np.int64),
-            release=ReleaseFigures.of(case, results.designs, scenarios.d_y, order=order.tolist(), D_y=D_y),
+            index=order,
+            rank=rank,
+            unmet=tuple(missed[i] for i in order),
+            require=tuple(one.text for one in requirements),
+            baseline=None if reference is None else _position(order, reference),
+            pareto=front,
+            pareto_figures=pareto_figures,
             D_y=D_y,
             bootstrap=bootstrap,
             confidence=confidence,
-            warnings=tuple(_warnings(case, results.designs, int((~drivable).sum()))),
+            warnings=tuple(warnings),
             failed=results.failed,
         )
 
@@ -235,36 +221,45 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
     tuple of Ranking
         In the order of the cases; the first is the primary one.
     """
+    settings = study.ranking
     return tuple(
         Ranking.of(
             results,
             case,
             seed=study.seed,
-            bootstrap=study.ranking.bootstrap,
-            confidence=study.ranking.confidence,
+            bootstrap=settings.bootstrap,
+            confidence=settings.confidence,
             D_y=study.report.D_y,
+            baseline=settings.baseline,
+            require=settings.require,
+            pareto=settings.pareto,
         )
         for case in results.cases
     )
 
 
-def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
-    if not rows.any():
-        return np.full(values.shape[0], np.nan)
-    # design by design: no copy of everything, and a sum that does not depend on how many designs stand beside it
-    return np.array([row[rows].mean() for row in values])
+def _fields(part: Inference | FreshScores) -> dict[str, Any]:
+    return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
 
 
-def _reduction(case: CaseResults, rows: BoolArray) -> FloatArray:
-    S, before = _mean(case.S, rows), _mean(case.S_uncorrected, rows)
-    out = np.where(np.isnan(before), np.nan, 0.0)  # nothing to reduce
-    return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)
+def _position(order: IntArray, index: int) -> int:
+    return int(np.flatnonzero(order == index)[0])
 
 
-def _warnings(case: CaseResults, designs: Sequence[Design], left_out: int) -> Iterator[str]:
-    if left_out:
+def _about_requirements(requirements: Sequence[Requirement], ranked: int, d: int) -> Iterator[str]:
+    if requirements and not ranked:
+        texts = " and ".join(one.text for one in requirements)
         yield (
-            f"{left_out} of {left_out + case.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
+            f"None of the {d} designs meets the requirements ({texts}): no design is ranked, and there is no winner. "
+            "They are listed by mean S."
+        )
+
+
+def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str]:
+    case = drivable.case
+    if drivable.left_out:
+        yield (
+            f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
             "or has the wrong sign, or the speed leaves 1 to 90 m/s); no figure of any design counts them."
         )
     if case.case.window == "control" and len({design.y_s for design in designs}) > 1:

@@ -1,6 +1,7 @@
 """``ranking.csv``: every design of every case, one row each, units in the names of the columns.
 
-A design whose law failed has a row without rank and figures; the column ``failure`` says why.
+A design that misses a requirement has no rank; the column ``unmet`` says which. A design whose law failed has a row
+without rank and figures; the column ``failure`` says why.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ldctoolkit import controller_class
 from studies.design import Design
@@ -64,6 +67,8 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
         "S_m_s": ranking.S,
         "S_low_m_s": ranking.S_low,
         "S_high_m_s": ranking.S_high,
+        "S_p95_m_s": ranking.S_p95,
+        "S_cvar95_m_s": ranking.S_cvar95,
         "S_left_m_s": ranking.S_left,
         "S_right_m_s": ranking.S_right,
         "S_uncorrected_m_s": ranking.S_uncorrected,
@@ -73,31 +78,43 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
         "difference_to_best_m_s": ranking.difference,
         "difference_low_m_s": ranking.difference_low,
         "difference_high_m_s": ranking.difference_high,
-        "tied_with_best": ranking.tied_with_best,
+        "baseline_difference_m_s": ranking.baseline_difference,
+        "baseline_difference_low_m_s": ranking.baseline_difference_low,
+        "baseline_difference_high_m_s": ranking.baseline_difference_high,
+        "set_of_best": ranking.set_of_best,
+        "best_frequency": ranking.best_frequency,
+        "pareto": ranking.pareto,
+        "fresh_S_m_s": ranking.fresh_S,
+        "fresh_low_m_s": ranking.fresh_low,
+        "fresh_high_m_s": ranking.fresh_high,
+        "optimism_m_s": ranking.optimism,
+        "winner": np.arange(len(ranking)) == ranking.winner,
         "triggered_share": ranking.triggered,
         "deeper_than_D_y_share": ranking.deeper,
         "solver_failed": ranking.solver_failed,
         "diverged": ranking.diverged,
         "timed_out": ranking.timed_out,
+        "crashed": ranking.crashed,
         "invalid": ranking.invalid,
         "failed_solves": ranking.failed_solves,
         **{column: getattr(ranking.release, name) for name, column in COLUMNS.items()},
     }
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
-        ranked = i < len(ranking)
+        here = i < len(ranking)
         values = dict.fromkeys(gains, "") | dict(
             zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
         )
         yield {
             "window": ranking.case.window,
             "convention": ranking.case.convention,
-            "rank": int(ranking.rank[i]) if ranked else "",
+            "rank": int(ranking.rank[i]) if here and ranking.rank[i] else "",
             "design": design.id,
             "law": design.law,
             "y_s_m": repr(design.y_s),
             **{f"gain_{name}": value for name, value in values.items()},
-            **{name: _field(column[i].item()) if ranked else "" for name, column in numbers.items()},
+            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "failure": reason,
         }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -11,9 +11,11 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, metrics
 from studies.design import Design
+from studies.masked import masked_max, masked_mean, masked_quantile
 from studies.results import CaseResults
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,9 +103,20 @@ class ReleaseFigures:
         D_y : float [m]
             Depth below which a departure needs no intervention.
         """
-        rows = [_row(case, i, designs[i], d_y, D_y) for i in order]
-        columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in COLUMNS}
+        acted = ~np.isin(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+        acted[[design.is_baseline for design in designs]] = False
+        size = max(1, _BLOCK_ENTRIES // max(1, d_y.size))
+        blocks = [
+            _figures(case, acted, np.asarray(order[first : first + size], dtype=np.int64), d_y, D_y)
+            for first in range(0, len(order), size)
+        ]
+        columns: dict[str, Any] = {name: np.concatenate([block[name] for block in blocks]) for name in COLUMNS}
         return cls(**columns)
+
+    def take(self, order: Sequence[int] | npt.NDArray[np.int64]) -> ReleaseFigures:
+        """The same for some of the designs, in the order given."""
+        changes: dict[str, Any] = {name: getattr(self, name)[order] for name in COLUMNS}
+        return dataclasses.replace(self, **changes)
 
 
 COLUMNS: Final = {
@@ -134,42 +147,44 @@ COLUMNS: Final = {
 """Figure -> its column in a table, with the unit or the word share at the end."""
 
 
-def _row(case: CaseResults, i: int, design: Design, d_y: FloatArray, D_y: float) -> dict[str, float]:
-    """All figures of one design by name."""
-    value: dict[str, FloatArray] = {
-        field.name: getattr(case.companions, field.name)[i].astype(np.float64)
-        for field in dataclasses.fields(metrics.Companions)
-    }
-    driven = ~np.isin(case.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-    acted = driven & (not design.is_baseline)
+_BLOCK_ENTRIES: Final = 500_000
+"""Runs whose companions are looked at at once (4 MB each); no figure depends on it."""
 
-    def over_interventions(figure: Callable[[FloatArray], Any], name: str) -> float:
-        return float(figure(value[name][acted])) if acted.any() else float("nan")
 
-    figures = {
-        "deepest_mean": np.mean(value["deepest"]),
-        "deepest_p95": _p95(value["deepest"]),
-        "dtle_mean": np.mean(value["dtle"]),
-        "dtle_p5": np.quantile(value["dtle"], 0.05),
-        "dtle_min": np.min(value["dtle"]),
-        "within_dtle": metrics.share_within_dtle(value["dtle"]),
+def _figures(
+    case: CaseResults, acted: BoolArray, rows: npt.NDArray[np.int64], d_y: FloatArray, D_y: float
+) -> dict[str, Any]:
+    """All figures of some designs by name; `acted` tells where each took over."""
+    acted = acted[rows]
+
+    def value(name: str) -> FloatArray:
+        result: FloatArray = getattr(case.companions, name)[rows].astype(np.float64)
+        return result
+
+    deepest, dtle, overshoot, t_back = (value(name) for name in ("deepest", "dtle", "overshoot", "t_back"))
+    a_y_peak, jerk_peak = value("a_y_peak"), value("jerk_peak")
+    return {
+        "deepest_mean": deepest.mean(axis=1),
+        "deepest_p95": np.quantile(deepest, 0.95, axis=1),
+        "dtle_mean": dtle.mean(axis=1),
+        "dtle_p5": np.quantile(dtle, 0.05, axis=1),
+        "dtle_min": dtle.min(axis=1),
+        "within_dtle": metrics.share_within_dtle(dtle),
         "needless": metrics.needless_share(acted, d_y, D_y),
-        "overshoot_share": metrics.overshoot_share(value["overshoot"], acted),
-        "overshoot_max": over_interventions(np.max, "overshoot"),
-        "back_inside": metrics.back_inside_share(value["t_back"], acted),
-        "t_back_median": over_interventions(np.median, "t_back"),
-        "comfortable": metrics.comfortable_share(value["a_y_peak"], value["jerk_peak"], acted),
-        "delta_peak_max": over_interventions(np.max, "delta_peak"),
-        "delta_rate_peak_max": over_interventions(np.max, "delta_rate_peak"),
-        "effort_mean": over_interventions(np.mean, "effort"),
-        "travel_mean": over_interventions(np.mean, "travel"),
-        "law_time": 1e6 * case.law_time[i],
+        "overshoot_share": metrics.overshoot_share(overshoot, acted),
+        "overshoot_max": masked_max(overshoot, acted),
+        "back_inside": metrics.back_inside_share(t_back, acted),
+        "t_back_median": masked_quantile(t_back, acted, 0.5),
+        "a_y_peak_mean": masked_mean(a_y_peak, acted),
+        "a_y_peak_p95": masked_quantile(a_y_peak, acted, 0.95),
+        "a_y_peak_max": masked_max(a_y_peak, acted),
+        "jerk_peak_mean": masked_mean(jerk_peak, acted),
+        "jerk_peak_p95": masked_quantile(jerk_peak, acted, 0.95),
+        "jerk_peak_max": masked_max(jerk_peak, acted),
+        "comfortable": metrics.comfortable_share(a_y_peak, jerk_peak, acted),
+        "delta_peak_max": masked_max(value("delta_peak"), acted),
+        "delta_rate_peak_max": masked_max(value("delta_rate_peak"), acted),
+        "effort_mean": masked_mean(value("effort"), acted),
+        "travel_mean": masked_mean(value("travel"), acted),
+        "law_time": 1e6 * case.law_time[rows],
     }
-    for name in ("a_y_peak", "jerk_peak"):
-        for word, figure in (("mean", np.mean), ("p95", _p95), ("max", np.max)):
-            figures[f"{name}_{word}"] = over_interventions(figure, name)
-    return {name: float(figure) for name, figure in figures.items()}
-
-
-def _p95(values: FloatArray) -> Any:
-    return np.quantile(values, 0.95)

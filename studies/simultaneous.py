@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from studies.bootstrap import bootstrap_deviations, check_confidence, row_means
-from studies.standard_error import degrees_of_freedom, error_parts, paired_errors, with_tails_of_t
+from studies.bootstrap import check_confidence
+from studies.resampled import Resampled, critical_value
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -22,9 +22,6 @@ _MOST_TERMS = 400_000_000
 
 _MOST_SCORES = 100_000_000
 """Paired scores that are looked at: references x designs x scenarios."""
-
-_BLOCK_ENTRIES = 32_000
-"""Resampled differences held at once; they stay in the cache."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,39 +113,61 @@ def separable(
     array([ True, False])
     """
     check_confidence(confidence)
-    mean, df = row_means(scores), degrees_of_freedom(side)
-    best = int(np.argmin(mean))
-    difference = row_means(scores - scores[best])
-    deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream)
-    parts, largest = error_parts(scores, side), float(np.abs(scores[best]).max())
-    error = paired_errors(parts, parts[best], largest)
-    may = _may_be_best(difference, error, df, confidence)
-    most = max(2, min(_MOST_TERMS // deviations.size, _MOST_SCORES // scores.size))
+    return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
+
+
+def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
+    """As `separable`, of scores that are resampled already.
+
+    Parameters
+    ----------
+    resampled : Resampled
+    confidence : float
+        Between 0 and 1.
+    contenders : int, optional
+        Only this many first designs can be the best; the others are compared with it all the same.
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    InputError
+        For a confidence outside (0, 1).
+    """
+    check_confidence(confidence)
+    k = resampled.mean.size if contenders is None else contenders
+    best = int(np.argmin(resampled.mean[:k]))
+    difference, error = resampled.differences(best), resampled.errors(best)
+    may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    most = max(2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // resampled.scores.size))
     if may.size > most:
         may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
 
-    critical, of_all = 0.0, np.zeros(samples)
-    errors = np.empty((may.size, mean.size))
-    for r, row in zip(may, errors, strict=True):
-        row[:] = paired_errors(parts, parts[r], largest)
-        above, below = _extremes(deviations, r, row)
-        critical = max(critical, float(np.quantile(above, confidence)))
-        np.maximum(of_all, np.maximum(above, below), out=of_all)
-    critical = with_tails_of_t(critical, df)
-    critical_of_all = with_tails_of_t(float(np.quantile(of_all, confidence)), df)
-    low = difference - critical * error
-    for r, row in zip(may, errors, strict=True):
-        np.maximum(low, mean - mean[r] - critical * row, out=low)
+    critical, either = 0.0, np.zeros(resampled.deviations.shape[0])
+    errors = np.empty((may.size, error.size))
+    for r, row in zip(may.tolist(), errors, strict=True):
+        row[:] = resampled.errors(r)
+        # for r to be the best it is held against the other contenders, for its intervals against all designs
+        least, largest = resampled.extremes(row, r, k)
+        critical = max(critical, critical_value(-least, confidence, resampled.df))
+        np.maximum(either, largest, out=either)
+    of_all = critical_value(either, confidence, resampled.df)
+    low = np.full(error.size, -np.inf)
+    for r, row in zip(may.tolist(), errors, strict=True):
+        np.maximum(low, resampled.mean - resampled.mean[r] - critical * row, out=low)
+    low = np.where(error == 0, difference, low)
     return Separation(
-        mean=mean,
+        mean=resampled.mean,
         best=best,
         difference=difference,
         error=error,
         low=low,
-        low_of_all=difference - critical_of_all * error,
-        high_of_all=difference + critical_of_all * error,
+        low_of_all=difference - of_all * error,
+        high_of_all=difference + of_all * error,
         critical=critical,
-        critical_of_all=critical_of_all,
+        critical_of_all=of_all,
     )
 
 
@@ -160,18 +179,3 @@ def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence:
     order = np.argsort(difference, kind="stable")
     result: IntArray = order[difference[order] <= bound * error[order] + SAME].astype(np.int64)
     return result
-
-
-def _extremes(deviations: FloatArray, r: int, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """By how many errors r is worse, and better, than the design it is worst, best against, in each resample, (B,)."""
-    scale = np.divide(1.0, error, out=np.zeros_like(error), where=error > 0)
-    samples, k = deviations.shape
-    above, below = np.empty(samples), np.empty(samples)
-    size = max(1, _BLOCK_ENTRIES // k)
-    for first in range(0, samples, size):
-        rows = slice(first, first + size)
-        t = deviations[rows] - deviations[rows, r : r + 1]
-        t *= scale
-        np.negative(t.min(axis=1), out=above[rows])
-        t.max(axis=1, out=below[rows])
-    return above, below

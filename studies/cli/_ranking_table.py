@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 
 def ranking_table(ranking: Ranking, top: int = 10) -> Table:
-    """The first `top` designs and the best of each law."""
+    """The first `top` designs, the best of each law, the winner and the baseline."""
     from rich.table import Table
     from rich.text import Text
 
-    shown = sorted({*range(min(top, len(ranking))), *ranking.best_of_each_law()})
+    named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
+    shown = sorted({*range(min(top, len(ranking))), *ranking.best_of_each_law(), *named})
     percent = f"{100 * ranking.confidence:g}%"
     # Text everywhere: units in brackets and the words of a law are no markup
     title = Text(f"{len(ranking)} designs by mean S, {ranking.case.label}", style="table.title")
@@ -27,31 +28,34 @@ def ranking_table(ranking: Ranking, top: int = 10) -> Table:
     for heading in ("#", "law", "y_s\n[m]", "gains that differ\nfrom defaults"):
         table.add_column(Text(heading), justify="right" if heading in ("#", "y_s\n[m]") else "left")
     headings = ("mean S\n[m s]", f"{percent}\ninterval", "to the best\n[m s]", "reduction", "left", "right")
-    for heading in (*headings, f"deeper\n{ranking.D_y:g} m", "failed"):
+    fresh = ("fresh S\n[m s]",) if ranking.fresh_scenarios else ()
+    for heading in (*headings, f"deeper\n{ranking.D_y:g} m", "failed", *fresh):
         table.add_column(Text(heading), justify="right")
     for previous, i in zip([-1, *shown], shown, strict=False):
         if i > previous + 1:
             table.add_section()
-        table.add_row(*map(Text, _cells(ranking, i)), style="bold" if i == 0 else None)
+        table.add_row(*map(Text, _cells(ranking, i)), style="bold" if i == ranking.winner else None)
     return table
 
 
 def _cells(ranking: Ranking, i: int) -> list[str]:
     design = ranking.designs[i]
     gains = ", ".join(f"{name}={_text(value)}" for name, value in design.changed)
-    tie = " =" if i and ranking.tied_with_best[i] else ""
-    failed = int(ranking.solver_failed[i] + ranking.diverged[i] + ranking.timed_out[i])
+    tie = " =" if i and ranking.set_of_best[i] else ""
+    failed = int(ranking.solver_failed[i] + ranking.diverged[i] + ranking.timed_out[i] + ranking.crashed[i])
+    fresh = "-" if np.isnan(ranking.fresh_S[i]) else f"{ranking.fresh_S[i]:.4f}"
     return [
-        str(ranking.rank[i]),
+        str(ranking.rank[i]) if ranking.rank[i] else "-",
         controller_class(design.law).title,
         f"{design.y_s:g}",
         gains,
         f"{ranking.S[i]:.4f}",
         f"{ranking.S_low[i]:.3f} .. {ranking.S_high[i]:.3f}",
-        f"+{ranking.difference[i]:.4f}{tie}",
+        f"{ranking.difference[i]:+.4f}{tie}",
         *(_percent(values[i]) for values in (ranking.reduction, ranking.reduction_left, ranking.reduction_right)),
         _percent(ranking.deeper[i]),
         str(failed) if failed else "-",
+        *([fresh] if ranking.fresh_scenarios else []),
     ]
 
 

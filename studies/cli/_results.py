@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ldctoolkit.errors import StoreError
 from studies.cli._console import console
+from studies.cli._ranking_notes import ranking_notes
 from studies.cli._ranking_table import ranking_table
 from studies.manifest import Manifest
 from studies.model_notes import WARNING
@@ -27,9 +28,8 @@ def print_rankings(rankings: Sequence[Ranking], top: int) -> None:
     out = console()
     for i, ranking in enumerate(rankings):
         out.print(ranking_table(ranking, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
-        ties = int(ranking.tied_with_best.sum()) - 1
-        if ties:
-            out.print(f"=: not told apart from the best on these scenarios ({ties} design{'s' if ties > 1 else ''})")
+        for note in ranking_notes(ranking):
+            out.print(note, markup=False, emoji=False, highlight=False)
         for warning in ranking.warnings:
             out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False)
         out.print()
