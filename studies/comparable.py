@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ldctoolkit.errors import StoreError
+from studies.design import Design
 from studies.manifest import Manifest
 from studies.results import StudyResults
 from studies.spec import Study
@@ -47,30 +48,42 @@ class FinishedStudy:
         return cls(str(folder), store.manifest, store.manifest.read_study(), store.results())
 
 
-def input_differences(old: Manifest, new: Manifest) -> tuple[str, ...]:
+def held_designs(results: StudyResults) -> dict[str, Design]:
+    """All designs that a study met, by identifier: with results, failed, or given up in a race."""
+    dropped = results.race.dropped if results.race is not None else ()
+    every = (*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped))
+    return {design.id: design for design in every}
+
+
+def input_differences(old: FinishedStudy, new: FinishedStudy) -> tuple[str, ...]:
     """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``.
 
     Parameters
     ----------
-    old, new : Manifest
+    old, new : FinishedStudy
 
     Returns
     -------
     tuple of str
-        The scenario model and the toolkit first, other packages last; empty if all inputs are the same.
+        The scenario model and the toolkit first, the designs and other packages last; empty if all inputs are the
+        same.
     """
     return tuple(_differences(old, new))
 
 
-def _differences(old: Manifest, new: Manifest) -> Iterator[str]:
-    if old.model_hash != new.model_hash:
-        was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (old, new))
-        yield f"scenarios.model: {was} -> {now}"
+def _differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
+    was, now = old.manifest, new.manifest
+    if was.model_hash != now.model_hash:
+        texts = [f"{m.model} (content {m.model_hash[:12]})" for m in (was, now)]
+        yield f"scenarios.model: {texts[0]} -> {texts[1]}"
     own = "ldctoolkit"
-    yield from _changes({own: old.versions.get(own)}, {own: new.versions.get(own)}, "")
-    yield from _changes(old.identity, new.identity, "")
-    others = [{key: value for key, value in m.versions.items() if key != own} for m in (old, new)]
-    yield from _changes({**others[0], "Python": old.python}, {**others[1], "Python": new.python}, "")
+    yield from _changes({own: was.versions.get(own)}, {own: now.versions.get(own)}, "")
+    yield from _changes(was.inputs, now.inputs, "")
+    before, after = (held_designs(side.results) for side in (old, new))
+    if before.keys() != after.keys():
+        yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"
+    packages = [{k: v for k, v in m.versions.items() if k != own} | {"Python": m.python} for m in (was, now)]
+    yield from _changes(packages[0], packages[1], "")
 
 
 def _changes(old: dict[str, Any], new: dict[str, Any], prefix: str) -> Iterator[str]:
@@ -80,9 +93,6 @@ def _changes(old: dict[str, Any], new: dict[str, Any], prefix: str) -> Iterator[
             continue
         if isinstance(was, dict) and isinstance(now, dict):
             yield from _changes(was, now, f"{prefix}{key}.")
-        elif prefix + key == "designs" and isinstance(was, list) and isinstance(now, list):
-            shared = len(set(was) & set(now))
-            yield f"designs: {len(was)} -> {len(now)}, {shared} of them in both"
         else:
             yield f"{prefix}{key}: {_text(was)} -> {_text(now)}"
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from studies.comparable import FinishedStudy, input_differences
+from studies.comparable import FinishedStudy, held_designs, input_differences
 from studies.comparison import CaseComparison, Comparison
 from studies.design import Design
 from studies.paired_verdicts import paired_differences
@@ -80,7 +80,7 @@ def compare(
     settings = after.study.ranking
     samples = settings.bootstrap if bootstrap is None else bootstrap
     level = settings.confidence if confidence is None else confidence
-    differences = input_differences(before.manifest, after.manifest)
+    differences = input_differences(before, after)
     pairs = _shared_cases(before, after)
     every = _shared_scenarios(before, after, differences)
     shared = _driven(every, before.results, after.results)
@@ -206,13 +206,13 @@ def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> Sh
 
 def _given_up(*both: StudyResults) -> tuple[Design, ...]:
     """Designs that both studies hold, and a race of one of them gave up."""
-    held = [_held(results) for results in both]
-    lost = [one.design for results in both if results.race is not None for one in results.race.dropped]
-    return tuple({design.id: design for design in lost if all(design.id in ids for ids in held)}.values())
+    shared = set.intersection(*(set(held_designs(results)) for results in both))
+    lost = {one.design.id: one.design for results in both if results.race is not None for one in results.race.dropped}
+    return tuple(design for id, design in lost.items() if id in shared)
 
 
 def _only(results: StudyResults, other: StudyResults) -> tuple[Design, ...]:
-    held = _held(other)
+    held = held_designs(other)
     return tuple(design for design in results.designs if design.id not in held)
 
 
@@ -220,20 +220,10 @@ def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
     """Designs that failed here and ran, or failed, there."""
-    where = _ids(one.design for one in failed.failed) if failed else set()
+    where = {one.design.id for one in failed.failed} if failed else set()
     if ran:
-        where = _held(ran) - _ids(one.design for one in ran.failed)
+        where = set(held_designs(ran)) - {one.design.id for one in ran.failed}
     return tuple(one for one in results.failed if one.design.id in where)
-
-
-def _held(results: StudyResults) -> set[str]:
-    """Identifiers of all designs that a study met: with results, failed, or given up."""
-    dropped = results.race.dropped if results.race is not None else ()
-    return _ids([*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped)])
-
-
-def _ids(designs: Iterable[Design]) -> set[str]:
-    return {design.id for design in designs}
 
 
 def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:

@@ -95,6 +95,9 @@ def compare_winners(
     one: those that score best, up to 30 of each.
     """
     results = (before.results, after.results)
+    # finalists are those of the primary case
+    if any(one.cases[0].case != case for one in results):
+        fresh = None
     if fresh is not None and before.results.fresh is not None and after.results.fresh is not None:
         results, shared = (before.results.fresh, after.results.fresh), fresh
     cases = [_find(one, case) for one in results]

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from ldctoolkit import LdcError, __version__
-from studies.cli import controllers, extract, fit, models, rank, report, review, run, sample, sensitivity
+from studies.cli import compare, controllers, extract, fit, models, rank, report, review, run, sample, sensitivity
 
-_COMMANDS = (extract, fit, sample, review, run, rank, report, sensitivity, controllers, models)
+_COMMANDS = (extract, fit, sample, review, run, rank, compare, report, sensitivity, controllers, models)
 
 
 class _Parser(argparse.ArgumentParser):
