@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import re
 import types
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
+from studies import Study, rank_study, run_study
 from studies.figures import (
     FIGURES,
     check_figure,
@@ -21,6 +25,7 @@ from studies.figures import (
     figure_values,
     parse_requirement,
 )
+from studies.ranking_csv import write_csv
 from studies.release import COLUMNS, ReleaseFigures
 
 
@@ -161,3 +166,24 @@ def test_the_text_reads_back_to_the_same(name: str, operator: str, limit: float)
 def test_any_text_is_read_or_refused_as_input(text: str) -> None:
     with contextlib.suppress(LdcError):
         assert parse_requirement(text).text
+
+
+def test_a_ranking_and_its_table_hold_every_figure(make_study: Callable[..., Study], tmp_path: Path) -> None:
+    study = make_study()
+    ranking = rank_study(run_study(study, directory=tmp_path / "out", workers=1, progress=False), study)[0]
+    write_csv([ranking], tmp_path / "ranking.csv")
+    header = (tmp_path / "ranking.csv").read_text().partition("\n")[0].split(",")
+    for name, one in FIGURES.items():
+        assert figure_values(name, ranking).shape == (len(ranking),)
+        assert one.column in header
+
+
+def test_the_page_lists_every_figure_with_unit_and_direction() -> None:
+    page = (Path(__file__).parents[2] / "docs/requirements.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
+    named = {name: row for row in rows for name in re.findall(r"`(\w+)`", row[0])}
+    assert set(named) == set(FIGURES)
+    units = str.maketrans({"²": "^2", "³": "^3", "µ": "u"})
+    for name, one in FIGURES.items():
+        assert one.unit in named[name][1].translate(units).split(", ")
+        assert one.better == named[name][2]
