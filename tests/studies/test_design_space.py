@@ -6,9 +6,12 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 import sys
+import tomllib
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -445,3 +448,11 @@ def test_entries_are_read_as_values_or_as_a_range() -> None:
     assert read_entry({"from": -3, "to": 1}, "log").scale == "linear"  # type: ignore[union-attr]
     with pytest.raises(EntryError, match="both ends of one sign"):
         read_entry({"from": 0, "to": 1, "scale": "log"})
+
+
+def test_the_pages_examples_are_read() -> None:
+    page = (Path(__file__).parents[2] / "docs/design-space.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    found = [Study.from_dict({"name": "a"} | tomllib.loads(example)) for example in examples]
+    assert [len(study.designs) for study in found if study.search is None] == [10 + 30, 4, 64]
+    assert [len(study.design) for study in found if study.search] == [2]
