@@ -237,7 +237,10 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         )
     if shared.n < _FEW:
         yield f"Only {shared.n} shared scenarios: the intervals are rough."
-    if any(case.case.window == "control" and case.winners.old.y_s != case.winners.new.y_s for case in comparison.cases):
+    if any(case.winners is None for case in comparison.cases):
+        yield "No design of one of the studies meets its requirements in some case: there is no winner to compare."
+    in_control = [case.winners for case in comparison.cases if case.winners and case.case.window == "control"]
+    if any(winners.old.y_s != winners.new.y_s for winners in in_control):
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Winners with different y_s are not comparable there."

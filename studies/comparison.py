@@ -32,8 +32,8 @@ class CaseComparison:
         Mean S in both studies, their difference with its interval, and the verdict.
     failed_old, failed_new : tuple of int
         Shared scenarios that failed (solver failed, diverged, timed out, crashed).
-    winners : Winners
-        The new study's winner against the old one's.
+    winners : Winners or None
+        The new study's winner against the old one's; None where no design meets the requirements of one of them.
     """
 
     case: Case
@@ -41,7 +41,7 @@ class CaseComparison:
     S: PairedDifferences
     failed_old: tuple[int, ...]
     failed_new: tuple[int, ...]
-    winners: Winners
+    winners: Winners | None
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -109,7 +109,8 @@ class Comparison:
     def any_worse(self) -> bool:
         """A design is worse in some case, fails now, or the new winner is worse than the old one."""
         return bool(self.new_failures) or any(
-            case.count(Verdict.WORSE) or case.winners.verdict is Verdict.WORSE for case in self.cases
+            case.count(Verdict.WORSE) or (case.winners is not None and case.winners.verdict is Verdict.WORSE)
+            for case in self.cases
         )
 
     @property
@@ -123,4 +124,5 @@ class Comparison:
         else:
             told = f"no design in both, {first.case.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
-        return f"{shared}; {told}{failed}; the new winner against the old one: {PHRASES[first.winners.verdict]}."
+        winners = "no winner" if first.winners is None else PHRASES[first.winners.verdict]
+        return f"{shared}; {told}{failed}; the new winner against the old one: {winners}."

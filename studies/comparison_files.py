@@ -39,7 +39,7 @@ COLUMNS = (
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """One row a case and design, one a case for its winners, and one for each design that failed.
+    """One row a case and design, one a case for its winners if it has some, and one for each design that failed.
 
     Parameters
     ----------
@@ -55,7 +55,8 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         where = {"window": str(case.case.window), "convention": str(case.case.convention)}
         for i in case.order:
             yield where | {"compared": "design"} | _design(comparison, case, i)
-        yield where | {"compared": "winners"} | _winners(case.winners)
+        if case.winners is not None:
+            yield where | {"compared": "winners"} | _winners(case.winners)
     failures = {
         "new failure": comparison.new_failures,
         "no longer fails": comparison.repaired,

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from studies.comparable import FinishedStudy
 from studies.design import Design
-from studies.paired_verdicts import PairedDifferences, Verdict, paired_differences
+from studies.paired_verdicts import Verdict, paired_differences
+from studies.ranking import Ranking
 from studies.results import Case, CaseResults, StudyResults
 from studies.shared_scenarios import SharedScenarios
-
-FloatArray = npt.NDArray[np.float64]
 
 _RIVALS: Final = 30
 """Designs of each study that could have won: all their pairs share the confidence."""
@@ -30,7 +29,7 @@ class Winners:
     Attributes
     ----------
     old, new : Design
-        The design with the smallest mean S over its own study's scenarios, on the fresh ones where the study has them.
+        What each study's own ranking calls its winner.
     S_old, S_new : float [m s]
         Mean over the shared scenarios.
     difference, low, high : float [m s]
@@ -69,7 +68,7 @@ def compare_winners(
     *,
     bootstrap: int,
     confidence: float,
-) -> Winners:
+) -> Winners | None:
     """Compare the winners of two studies in one case.
 
     Parameters
@@ -80,35 +79,44 @@ def compare_winners(
     shared : SharedScenarios
         Of the studies' own scenarios.
     fresh : SharedScenarios or None
-        Of their fresh scenarios, if both have some.
+        Of the fresh scenarios of their finalists, if both have some.
     bootstrap : int
     confidence : float
 
     Returns
     -------
-    Winners
+    Winners or None
+        None where one study has no winner, because no design meets its requirements.
 
     Notes
     -----
     Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow. The
     interval here holds for all pairs of a design that could have won the old study and one that could have won the new
-    one: those that score best, up to 30 of each.
+    one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
     """
+    rankings = (_ranking(before, case), _ranking(after, case))
+    if rankings[0].winner is None or rankings[1].winner is None:
+        return None
     results = (before.results, after.results)
-    # finalists are those of the primary case
-    if any(one.cases[0].case != case for one in results):
-        fresh = None
-    if fresh is not None and before.results.fresh is not None and after.results.fresh is not None:
-        results, shared = (before.results.fresh, after.results.fresh), fresh
-    cases = [_find(one, case) for one in results]
-    orders = [_best_first(one) for one in cases]
-    rivals = max(1, min(_RIVALS, int((_MOST_ENTRIES / shared.n) ** 0.5)))
+    again = (_with_winner(before, rankings[0]), _with_winner(after, rankings[1]))
+    on_fresh = False
+    if fresh is not None and again[0] is not None and again[1] is not None:
+        results, shared, on_fresh = (again[0], again[1]), fresh, True
+    most = max(1, min(_RIVALS, math.isqrt(_MOST_ENTRIES // shared.n)))
+    rivals = [_rivals(ranking, one, most) for ranking, one in zip(rankings, results, strict=True)]
     scores_old, scores_new = (
-        one.counted[order[:rivals]][:, rows]
-        for one, order, rows in zip(cases, orders, (shared.old, shared.new), strict=True)
+        _find(one, ranking.case).counted[chosen][:, rows]
+        for one, ranking, chosen, rows in zip(results, rankings, rivals, (shared.old, shared.new), strict=True)
     )
-    old, new = (one.designs[order[0]] for one, order in zip(results, orders, strict=True))
-    pairs = _pairs(scores_old, scores_new, shared, seed=after.study.seed, bootstrap=bootstrap, confidence=confidence)
+    pairs = paired_differences(
+        np.repeat(scores_old, len(scores_new), axis=0),
+        np.tile(scores_new, (len(scores_old), 1)),
+        shared.side,
+        seed=after.study.seed,
+        bootstrap=bootstrap,
+        confidence=confidence,
+    )
+    old, new = (one.designs[chosen[0]] for one, chosen in zip(results, rivals, strict=True))
     return Winners(
         old=old,
         new=new,
@@ -119,7 +127,7 @@ def compare_winners(
         high=float(pairs.high[0]),
         verdict=pairs.verdict[0],
         scenarios=shared.n,
-        fresh=fresh is not None,
+        fresh=on_fresh,
     )
 
 
@@ -127,22 +135,31 @@ def _find(results: StudyResults, case: Case) -> CaseResults:
     return next(one for one in results.cases if one.case == case)
 
 
-def _best_first(case: CaseResults) -> npt.NDArray[np.int64]:
-    """Designs by mean S over all scenarios that could be driven."""
-    counted, driven = case.counted, case.drivable
-    means = np.array([row[driven].mean() for row in counted])
-    return np.argsort(means, kind="stable").astype(np.int64)
-
-
-def _pairs(
-    old: FloatArray, new: FloatArray, shared: SharedScenarios, *, seed: int, bootstrap: int, confidence: float
-) -> PairedDifferences:
-    """All pairs, the one of the winners first."""
-    return paired_differences(
-        np.repeat(old, len(new), axis=0),
-        np.tile(new, (len(old), 1)),
-        shared.side,
-        seed=seed,
-        bootstrap=bootstrap,
-        confidence=confidence,
+def _ranking(side: FinishedStudy, case: Case) -> Ranking:
+    """The study's own ranking, as far as it decides who wins."""
+    study = side.study
+    return Ranking.of(
+        side.results,
+        _find(side.results, case),
+        seed=study.seed,
+        bootstrap=study.ranking.bootstrap,
+        confidence=study.ranking.confidence,
+        D_y=study.report.D_y,
+        require=study.ranking.require,
     )
+
+
+def _with_winner(side: FinishedStudy, ranking: Ranking) -> StudyResults | None:
+    """The finalists' fresh results; None without the winner: other cases may have one that is no finalist."""
+    fresh = side.results.fresh
+    if fresh is None or ranking.winner is None:
+        return None
+    return fresh if ranking.designs[ranking.winner] in fresh.designs else None
+
+
+def _rivals(ranking: Ranking, results: StudyResults, most: int) -> list[int]:
+    """Positions of ranked designs in the results, the winner first."""
+    place = {design.id: i for i, design in enumerate(results.designs)}
+    ranked = sorted(range(ranking.ranked), key=lambda i: i != ranking.winner)
+    at = [place[ranking.designs[i].id] for i in ranked if ranking.designs[i].id in place]
+    return at[:most]

@@ -109,7 +109,8 @@ def _told(case: CaseComparison) -> Iterator[str]:
     same = case.count(Verdict.SAME)
     if same:
         yield f"the same within 1e-6 m s: {same} of {len(case)} designs"
-    yield f"{case.case.label}: {_winners_sentence(case.winners)}"
+    if case.winners is not None:
+        yield f"{case.case.label}: {_winners_sentence(case.winners)}"
 
 
 def _winners_sentence(winners: Winners) -> str:

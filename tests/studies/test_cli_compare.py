@@ -10,12 +10,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from studies import Study, run_study
 
-STUDY = {
+STUDY: dict[str, Any] = {
     "name": "before",
     "seed": 2,
     "scenarios": {"left": 150, "right": 100},
@@ -39,13 +40,14 @@ def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """``old``; ``new`` on more scenarios with a slow actuator and one more design; ``seed`` with other scenarios."""
     root = tmp_path_factory.mktemp("compare")
-    slow = {
+    slow: dict[str, Any] = {
         "name": "after",
         "scenarios": {"left": 200, "right": 120},
         "plant": {"actuator": {"lag": 0.3}},
         "design": [*STUDY["design"], {"law": "preview_proportional"}],
     }
-    for folder, parts in {"old": {}, "new": slow, "seed": {"seed": 3}}.items():
+    studies: dict[str, dict[str, Any]] = {"old": {}, "new": slow, "seed": {"seed": 3}}
+    for folder, parts in studies.items():
         run_study(Study.from_dict(STUDY | parts), directory=root / folder, workers=1)
     return root
 

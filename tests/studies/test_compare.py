@@ -37,7 +37,7 @@ def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
 
 
 def case_of(S: np.ndarray, case: Case = DEPARTURE, status: np.ndarray | None = None) -> CaseResults:
-    nothing = np.zeros(S.shape, dtype=np.float32)
+    nothing: Any = np.zeros(S.shape, dtype=np.float32)
     return CaseResults(
         case=case,
         S=S,
@@ -176,7 +176,10 @@ def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     assert verdicts(comparison) == ["same"] * 4
     assert comparison.differences == ()
     assert not comparison.any_worse
-    assert comparison.cases[0].winners.verdict is Verdict.SAME
+    winners = comparison.cases[0].winners
+    assert winners is not None
+    assert winners.verdict is Verdict.SAME
+    assert winners.same_design
 
 
 def plain_half_width(change: np.ndarray, side: np.ndarray, samples: int, confidence: float) -> float:
@@ -335,7 +338,9 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
             finished(new, rows=range(20, 40), of=40, seed=0),
             bootstrap=300,
         )
-        alarms += comparison.cases[0].winners.verdict is not Verdict.UNTOLD
+        winners = comparison.cases[0].winners
+        assert winners is not None
+        alarms += winners.verdict is not Verdict.UNTOLD
     assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
 
 
@@ -349,6 +354,7 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     comparison = compare(old, finished(better, rows=[4, 5], of=6))
     assert len(comparison.cases[0]) == 0
     winners = comparison.cases[0].winners
+    assert winners is not None
     best_old, best_new = scores.mean(axis=1).argmin(), better.mean(axis=1).argmin()
     assert (winners.old, winners.new) == (old.results.designs[best_old], comparison.only_new[best_new])
     assert winners.difference == pytest.approx((better[best_new] - scores[best_old]).mean())
@@ -359,24 +365,52 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     assert compare(finished(better, rows=[4, 5], of=6), old).any_worse  # the other way round
 
 
-def test_winners_meet_on_fresh_scenarios_of_the_primary_case(scores: np.ndarray) -> None:
+def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
+    scores = scores + np.array([0.0, 0.0, -0.05, -0.05])[:, None]
     fresh_scenarios = scenarios_of(300, seed=8)
-    cases = [case_of(scores), case_of(scores, CONTROL)]
+    cases = [case_of(scores), case_of(scores[::-1], CONTROL)]
     old, new = (finished(scores, source=name, cases=cases) for name in ("old", "new"))
     fresh = np.random.default_rng(9).gamma(2.0, 1.0, (2, 300))
-    fresh[1] += 1.0
+    fresh[1] -= fresh[1].mean() - fresh[0].mean() - 1.0
 
     def with_fresh(side: FinishedStudy, S: np.ndarray) -> FinishedStudy:
-        chosen = side.results.designs[2:]
         parts = (case_of(S), case_of(S, CONTROL))
-        return changed(side, fresh=StudyResults(chosen, fresh_scenarios, parts))
+        return changed(side, fresh=StudyResults(side.results.designs[2:], fresh_scenarios, parts))
 
     comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
     first, second = (case.winners for case in comparison.cases)
+    assert first is not None
     assert (first.fresh, first.scenarios, first.old) == (True, 300, old.results.designs[2])
     assert first.difference == pytest.approx(-0.5)
-    assert (second.fresh, second.scenarios) == (False, 400)  # finalists are those of the primary case
-    assert not compare(with_fresh(old, fresh), new).cases[0].winners.fresh
+    assert first.verdict is Verdict.BETTER
+    # no finalist is among the best of the other case, whose winner met the study's own scenarios only
+    assert second is not None
+    assert (second.fresh, second.scenarios) == (False, 400)
+    assert second.old in old.results.designs[:2]
+    one_sided = compare(with_fresh(old, fresh), new).cases[0].winners
+    assert one_sided is not None
+    assert not one_sided.fresh
+
+
+def test_no_winner_where_no_design_meets_the_requirements(scores: np.ndarray) -> None:
+    old, new = finished(scores, source="old"), finished(scores, ranking={"require": ["S <= 0.001"]})
+    comparison = compare(old, new)
+    assert comparison.cases[0].winners is None
+    assert any("no winner to compare" in warning for warning in comparison.warnings)
+    assert "against the old one: no winner." in comparison.summary
+    assert [row["compared"] for row in comparison_content(comparison)["rows"]] == ["design"] * 4
+
+
+def test_the_winner_meets_the_requirements(scores: np.ndarray) -> None:
+    """The best mean S belongs to a design that a requirement rules out."""
+    old = finished(scores, source="old")
+    status = np.zeros(scores.shape, dtype=np.int8)
+    best, second = np.argsort(scores.mean(axis=1))[:2]
+    status[best, 0] = EventStatus.TIMED_OUT
+    new = finished(scores, status=status, ranking={"require": ["timed_out <= 0"]})
+    winners = compare(old, new).cases[0].winners
+    assert winners is not None
+    assert (winners.old, winners.new) == (old.results.designs[best], old.results.designs[second])
 
 
 def test_failed_designs(scores: np.ndarray) -> None:
