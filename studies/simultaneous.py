@@ -156,8 +156,9 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     of_all = critical_value(either, confidence, resampled.df)
     low = np.full(error.size, -np.inf)
     for r, row in zip(may.tolist(), errors, strict=True):
-        np.maximum(low, resampled.mean - resampled.mean[r] - critical * row, out=low)
-    low = np.where(error == 0, difference, low)
+        others = np.arange(error.size) != r
+        np.maximum(low, resampled.mean - resampled.mean[r] - critical * row, out=low, where=others)
+    low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
     return Separation(
         mean=resampled.mean,
         best=best,
