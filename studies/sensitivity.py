@@ -190,12 +190,11 @@ def _of_grid(scores: _Scores) -> Indices:
     levels = tuple(len(position) for position in positions)
     codes = [np.array([at[value] for value in column]) for at, column in zip(positions, columns, strict=True)]
     place = np.ravel_multi_index(tuple(codes), levels)
-    if np.unique(place).size != math.prod(levels):
+    if not np.array_equal(place, np.arange(math.prod(levels))):
         raise _NoIndices("conditions on gains leave some combinations out; it is no full grid")
-    order = np.argsort(place)
-    samples = max(100, min(scores.settings.bootstrap, _MOST_MEANS // len(order)))
-    means = bootstrap_means(scores.counted[order], scores.side, samples=samples, seed=scores.seed)
-    return factorial_indices(scores.S[order], means, levels, confidence=scores.settings.confidence)
+    samples = max(100, min(scores.settings.bootstrap, _MOST_MEANS // place.size))
+    means = bootstrap_means(scores.counted, scores.side, samples=samples, seed=scores.seed)
+    return factorial_indices(scores.S, means, levels, confidence=scores.settings.confidence)
 
 
 def _of_saltelli(scores: _Scores) -> Indices:

@@ -42,6 +42,19 @@ def test_larger_tables_with_and_without_ties(seed: int, k: int, values: int, d: 
     assert pareto_front(costs).tolist() == (~smaller.any(axis=0)).tolist()
 
 
+@pytest.mark.parametrize("k", [4, 5, 6])
+@pytest.mark.parametrize("seed", range(3))
+def test_large_fronts_with_a_column_of_few_values(k: int, seed: int) -> None:
+    """Points near a simplex, many of them dominated from afar, with two columns in which most numbers are the same."""
+    generator = np.random.default_rng(seed)
+    points = generator.dirichlet(np.ones(k), size=1500) * generator.choice([1.0, 1.1, 1.3], size=(1500, 1))
+    points[:, 1] = generator.random(1500) < 0.8
+    points[:, 2] = generator.choice([0.0, 0.5, 0.5, 0.5], size=1500)
+    points = generator.permutation(points, axis=1)
+    smaller = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] < points[None]).any(axis=2)
+    assert pareto_front(points).tolist() == (~smaller.any(axis=0)).tolist()
+
+
 @pytest.mark.parametrize("k", [3, 4, 5])
 def test_a_front_that_holds_everything(k: int) -> None:
     """Points of the simplex: none dominates another."""
