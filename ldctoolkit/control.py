@@ -14,6 +14,7 @@ import abc
 import dataclasses
 import enum
 import inspect
+import weakref
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -196,6 +197,10 @@ class RecordedPath:
 Law = LinearLaw | SteeringLaw | RecordedPath
 
 
+_checked: weakref.WeakSet[type] = weakref.WeakSet()
+"""Classes that are made as `Controller` asks for."""
+
+
 class Controller(abc.ABC):
     """A controller design: a frozen dataclass whose fields are made with `gain` and `option`.
 
@@ -220,7 +225,10 @@ class Controller(abc.ABC):
     """
 
     def __post_init__(self) -> None:
-        check_class(type(self))
+        # a class is looked at once: studies make thousands of designs of it
+        if type(self) not in _checked:
+            check_class(type(self))
+            _checked.add(type(self))
         for declared in self.gains():
             checked = declared.check(getattr(self, declared.name), self.name)
             object.__setattr__(self, declared.name, checked)

@@ -6,6 +6,7 @@ import functools
 import importlib.metadata
 import importlib.util
 import sys
+import weakref
 from pathlib import Path
 
 from ldctoolkit.control import Controller, check_class
@@ -15,6 +16,9 @@ from ldctoolkit.gains import undeclared_fields
 GROUP = "ldctoolkit.controllers"
 
 _registered: dict[str, type[Controller]] = {}
+
+_sound: weakref.WeakSet[type] = weakref.WeakSet()
+"""Classes that can be used by name."""
 
 
 def register(controller: type[Controller]) -> type[Controller]:
@@ -77,9 +81,12 @@ def forget(name: str) -> None:
 
 def _check(controller: type[Controller]) -> None:
     """Raise if a class cannot be used by name: studies see, write and compare its gains and nothing else."""
+    if controller in _sound:  # asked for every design that is made
+        return
     check_class(controller)
     for field in undeclared_fields(controller):
         raise InputError(f"{controller.__name__}.{field}: a plain field; allowed: fields made with gain() or option()")
+    _sound.add(controller)
 
 
 @functools.cache

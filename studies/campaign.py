@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from ldctoolkit import Scenarios, controller_class, registry
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import LdcError, StoreError
 from studies.design import Design
 from studies.dispatch import Dispatcher, Lane
 from studies.executors import Executor
@@ -92,9 +92,7 @@ class Campaign:
                 dispatcher.run(lanes)
             finally:
                 self._flush()
-                if self._writing is not None:
-                    self._writing.result()
-                    self._writing = None
+                self._written()
         self._forget_failures(designs)
 
     def _lanes(self, designs: Sequence[Design], size: int) -> list[Lane]:
@@ -131,15 +129,23 @@ class Campaign:
 
     def _flush(self) -> None:
         """Store what has come, while the next tasks run."""
-        if self._writing is not None:
-            self._writing.result()
-            self._writing = None
+        self._written()
         if self._waiting or self._failed:
             results, failed = self._waiting, self._failed
             self._waiting, self._failed = [], []
             if self._writer is not None:
                 self._writing = self._writer.submit(self.store.add, results, failed)
         self._stored = time.monotonic()
+
+    def _written(self) -> None:
+        """Wait for the part that is being written."""
+        writing, self._writing = self._writing, None
+        if writing is None:
+            return
+        try:
+            writing.result()
+        except StoreError as error:
+            raise StoreError(f"{error}; what was finished before is stored: run the study again to go on") from None
 
     def _forget_failures(self, designs: Sequence[Design]) -> None:
         """Failures of earlier runs that did not come again."""

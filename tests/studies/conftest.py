@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -96,3 +97,18 @@ def make_study() -> Callable[..., Study]:
         return Study.from_dict(content | parts)
 
     return make
+
+
+@pytest.fixture
+def stored_rows() -> Callable[..., Any]:
+    """All rows that a study's folder holds, in one order; none may be there twice."""
+
+    def rows(folder: Path, *parts: str) -> Any:
+        import polars as pl
+
+        table = pl.read_parquet(folder.joinpath(*parts) / "results" / "part-*.parquet")
+        key = ["design", "convention", "scenario"]
+        assert table.select(key).n_unique() == table.height, f"{folder}: rows are there twice"
+        return table.sort(key)
+
+    return rows

@@ -1,0 +1,89 @@
+"""A run that is killed at any moment: the next run into its folder ends with what an uninterrupted one would have."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
+
+KILLS = 20
+
+STUDY = """
+name = "killed"
+seed = 5
+[scenarios]
+left = 600
+right = 600
+[simulation]
+convention = ["consistent", "as_printed"]
+[ranking]
+bootstrap = 200
+finalists = 5
+[[design]]
+law = "preview_proportional"
+y_s = [0.05, 0.1, 0.2]
+[design.gains]
+K_y = { from = -0.04, to = -0.002, count = 40 }
+K_psi = [-0.3, -0.2]
+[[design]]
+law = "stanley"
+y_s = [0.05, 0.1, 0.2]
+[design.gains]
+k = { from = 0.5, to = 5.0, count = 8 }
+"""
+
+
+def start(folder: Path, name: str, *words: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "-o", name, "--quiet", *words],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """The run itself; its workers notice."""
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(60)
+
+
+@pytest.mark.slow
+def test_twenty_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
+    (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
+    started = time.monotonic()
+    whole = start(tmp_path, "whole", "--workers", "2")
+    assert whole.wait(300) == 0
+    took = time.monotonic() - started
+    chance = random.Random(7)
+    kept = []
+    for _ in range(KILLS):
+        process = start(tmp_path, "killed", "--workers", "2")
+        # anywhere in a run, from its first moments on; what the runs before stored makes later ones shorter
+        time.sleep(chance.uniform(0.2, 1.0) * took)
+        kill(process)
+        kept.append(len(list((tmp_path / "killed" / "results").glob("part-*"))))
+    last = start(tmp_path, "killed", "--workers", "2")
+    _, error = last.communicate(timeout=300)
+    assert last.returncode == 0, error
+    for parts in ((), ("finalists",)):
+        assert stored_rows(tmp_path / "killed", *parts).equals(stored_rows(tmp_path / "whole", *parts))
+    without_time = [
+        [line.rsplit(b",", 12)[0] for line in (tmp_path / name / "ranking.csv").read_bytes().splitlines()]
+        for name in ("killed", "whole")
+    ]
+    assert without_time[0] == without_time[1]
+    # they were killed at different stages, not all of them before or after the work
+    assert len(set(kept)) > 1
+    assert not list((tmp_path / "killed").rglob(".*.part"))
