@@ -99,7 +99,7 @@ def main() -> None:
     study = load_study("zoo-sweep")
     wanted = study.scenarios
     model = load_model(wanted.model)
-    print(f"{machine("numpy", "scipy")}\n\n{len(study.designs)} designs, {wanted.left} + {wanted.right} scenarios\n")
+    print(f"{machine('numpy', 'scipy')}\n\n{len(study.designs)} designs, {wanted.left} + {wanted.right} scenarios\n")
     print(
         "| seed | designs after each round | share of runs | share of time | winner kept |",
         "| --- | --- | --- | --- | --- |",
