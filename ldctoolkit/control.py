@@ -225,10 +225,7 @@ class Controller(abc.ABC):
     """
 
     def __post_init__(self) -> None:
-        # a class is looked at once: studies make thousands of designs of it
-        if type(self) not in _checked:
-            check_class(type(self))
-            _checked.add(type(self))
+        check_class(type(self))
         for declared in self.gains():
             checked = declared.check(getattr(self, declared.name), self.name)
             object.__setattr__(self, declared.name, checked)
@@ -266,6 +263,8 @@ def check_class(controller: type[Controller]) -> None:
     InputError
         Naming the class and what to write.
     """
+    if controller in _checked:  # a class is looked at once: studies make thousands of designs of it
+        return
     called = controller.__name__
     # a field that is still there as an attribute was never seen by @dataclass
     unseen = any(isinstance(value, dataclasses.Field) for base in controller.__mro__ for value in vars(base).values())
@@ -286,3 +285,4 @@ def check_class(controller: type[Controller]) -> None:
         abstract = ", ".join(sorted(controller.__abstractmethods__))
         raise InputError(f"{called}: no {abstract}; allowed: a class that defines it")
     check_declarations(controller)
+    _checked.add(controller)

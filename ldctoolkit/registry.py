@@ -17,6 +17,9 @@ GROUP = "ldctoolkit.controllers"
 
 _registered: dict[str, type[Controller]] = {}
 
+_loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}
+"""Installed classes that were asked for before."""
+
 _sound: weakref.WeakSet[type] = weakref.WeakSet()
 """Classes that can be used by name."""
 
@@ -126,6 +129,8 @@ def controller_class(name: str) -> type[Controller]:
     point = _installed().get(name)
     if point is None:
         raise UnknownNameError(f"law {name!r}: no such controller; {nearest(name, controller_names())}")
+    if point in _loaded:
+        return _loaded[point]
     check_not_shadowed(point.value.partition(":")[0].partition(".")[0])
     try:
         loaded = point.load()
@@ -137,6 +142,7 @@ def controller_class(name: str) -> type[Controller]:
     _check(loaded)
     if loaded.name != name:
         raise LdcError(f"controller {name!r} ({point.value}): its name is {loaded.name!r}; allowed: the same as here")
+    _loaded[point] = loaded
     return loaded
 
 

@@ -22,8 +22,9 @@ from studies.tasks import Done, FailedRun, Job, TaskResult
 _STORE_EVERY = 5.0
 """Seconds between parts: what a kill can cost at most."""
 
-_ROWS_A_PART = 1_000_000
-"""Rows after which a part is stored before its time: results that wait are in memory twice."""
+_ROWS_A_PART = 250_000
+"""Rows after which a part is stored before its time: results that wait are in memory twice, and the last part of a study
+is written while nothing else is left to do."""
 
 
 class Campaign:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from studies.baseline import find_baseline
 from studies.campaign import Campaign
 from studies.design import Design
 from studies.race import race_round
@@ -40,8 +41,10 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
             samples=study.ranking.bootstrap,
             started=len(study.designs),
         )
+        reference = find_baseline(study.ranking.baseline, results)
         for k, design in enumerate(results.designs):
-            if not decision.keep[k]:
+            # the baseline is in no race: all others are compared with it at the end
+            if not decision.keep[k] and k != reference:
                 figures = (float(values[k]) for values in (decision.mean, decision.difference, decision.low))
                 dropped.append(Dropped(design, i, size, *figures))
         gone = {one.design.id for one in dropped}

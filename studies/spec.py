@@ -166,9 +166,26 @@ class Study(Part):
         size = 0 if self.search else sum(block.size for block in self.design)
         if self.race and self.search is not None:
             raise fail("race", "true with [search]; allowed: one of the two")
+        if self.race and self.ranking.require:
+            # a race knows mean S alone: the best design that meets the requirements could be given up
+            raise fail("race", "true with ranking.require; allowed: one of the two")
         if size > MOST_DESIGNS:
             raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
         return self
+
+    @model_validator(mode="after")
+    def _known_baseline(self) -> Self:
+        # found out now, and not after a night's run
+        baseline, laws = self.ranking.baseline, sorted({law for block in self.design for law in block.laws})
+        if not baseline or baseline in laws:
+            return self
+        if re.fullmatch(r"[0-9a-f]{6,12}", baseline):
+            if self.search or any(design.id.startswith(baseline) for design in self.designs):
+                return self
+            raise fail("ranking.baseline", f"{baseline!r}; no design's identifier begins so; see ranking.csv for them")
+        raise fail(
+            "ranking.baseline", f"{baseline!r}; allowed: a law or the start of an identifier; {nearest(baseline, laws)}"
+        )
 
     @model_validator(mode="after")
     def _whole_samples(self) -> Self:

@@ -37,9 +37,9 @@ K_y = { from = -0.04, to = -0.002, count = 40 }
 K_psi = [-0.3, -0.2]
 [[design]]
 law = "stanley"
-y_s = [0.05, 0.1, 0.2]
+y_s = [0.05, 0.2]
 [design.gains]
-k = { from = 0.5, to = 5.0, count = 8 }
+k = [1.0, 2.0]
 """
 
 
@@ -62,10 +62,10 @@ def kill(process: subprocess.Popen[bytes]) -> None:
 @pytest.mark.slow
 def test_twenty_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
-    started = time.monotonic()
-    whole = start(tmp_path, "whole", "--workers", "2")
-    assert whole.wait(300) == 0
-    took = time.monotonic() - started
+    for name in ("first", "whole"):  # the first one may have to compile
+        started = time.monotonic()
+        assert start(tmp_path, name, "--workers", "2").wait(300) == 0
+        took = time.monotonic() - started
     chance = random.Random(7)
     kept = []
     for _ in range(KILLS):

@@ -430,3 +430,23 @@ def test_the_catalog_loads() -> None:
 def test_an_unknown_study_lists_the_catalog(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'paper'"):
         load_study("papr")
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"ranking": {"baseline": "lqx"}}, r"ranking\.baseline: 'lqx'; allowed: .*'lqr'"),
+        ({"ranking": {"baseline": "000000"}}, r"ranking\.baseline: '000000'; no design's identifier begins so"),
+        ({"race": True, "ranking": {"require": ["ay_p95 <= 3"]}}, r"race: true with ranking\.require; allowed: one"),
+        ({"race": True, "search": {}}, r"race: true with \[search\]; allowed: one"),
+        ({"ranking": {"require": "ay_p59 <= 3"}}, r"ranking\.require: .*'ay_p59'.*did you mean 'a_y_peak_p95'"),
+        ({"ranking": {"pareto": ["S", "cost"]}}, r"ranking\.pareto.*figure 'cost': no such figure"),
+        ({"search": {"objectives": []}}, r"search\.objectives"),
+    ],
+)
+def test_what_a_night_could_be_lost_on_is_refused_at_once(parts: dict[str, Any], message: str) -> None:
+    content = {"name": "s", "design": [{"law": "none"}, {"law": "lqr"}]}
+    with pytest.raises(StudyError, match=message):
+        Study.from_dict(content | parts)
+    good = content | {"ranking": {"baseline": Study.from_dict(content).designs[1].id[:7], "require": "ay_p95 <= 3"}}
+    assert Study.from_dict(good).ranking.require
