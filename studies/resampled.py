@@ -81,7 +81,7 @@ class Resampled:
         return paired_errors(self.parts, self.parts[reference], _largest(self.scores[reference]))
 
     def extremes(self, errors: FloatArray, reference: int | None = None, first: int | None = None) -> FloatArray:
-        """Least, and largest absolute, studentised deviation among the designs in each resample.
+        """Largest absolute studentised deviation in each resample: among the first designs, and among all.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Resampled:
         reference : int, optional
             Deviations of the difference to this design instead of the means.
         first : int, optional
-            The least one among this many first designs only.
+            How many the first ones are; all by default.
 
         Returns
         -------
@@ -98,19 +98,20 @@ class Resampled:
         """
         scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
         samples, d = self.deviations.shape
-        found = np.empty((2, samples))
+        parts = (slice(None, first), slice(first, None)) if first not in (None, d) else (slice(None),)
+        found = np.empty((len(parts), samples))
         size = max(1, _BLOCK_ENTRIES // d)
         for start in range(0, samples, size):
             rows = slice(start, start + size)
-            t = self.deviations[rows] * 1.0
-            if reference is not None:
-                t -= self.deviations[rows, reference : reference + 1]
-            t *= scale
-            t[:, :first].min(axis=1, out=found[0, rows])
-            # abs of the whole block costs more than a second look at what was left out
-            least = found[0, rows] if first in (None, d) else t.min(axis=1)
-            np.maximum(t.max(axis=1), -least, out=found[1, rows])
-        return found
+            if reference is None:
+                t = self.deviations[rows] * scale
+            else:
+                t = self.deviations[rows] - self.deviations[rows, reference : reference + 1]
+                t *= scale
+            for part, row in zip(parts, found, strict=True):
+                # faster than the largest of abs(t), which is one more array
+                np.maximum(t[:, part].max(axis=1), -t[:, part].min(axis=1), out=row[rows])
+        return np.stack([found[0], found.max(axis=0)])
 
 
 def _largest(scores: FloatArray) -> float:

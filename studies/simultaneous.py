@@ -17,7 +17,7 @@ BoolArray = npt.NDArray[np.bool_]
 SAME = 1e-6
 """Differences of mean S [m s] up to this are a solver's tolerance, not design."""
 
-_MOST_TERMS = 400_000_000
+_MOST_TERMS = 300_000_000
 """Resampled differences that are looked at: references x designs x resamples."""
 
 _MOST_SCORES = 100_000_000
@@ -99,7 +99,8 @@ def separable(
     c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference to r
     (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One critical
     value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is worked out
-    for some of them, evenly over the ranks.
+    for some of them, evenly over the ranks. Differences count in both directions, though only one is tested: scores
+    are skewed, and resampled means are skewed the other way than studentised ones.
 
     The interval of the difference to the design that came out best needs more: its critical value is the quantile of
     the largest difference over all these r at once.
@@ -145,15 +146,15 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     if may.size > most:
         may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
 
-    critical, either = 0.0, np.zeros(resampled.deviations.shape[0])
+    critical, of_every = 0.0, np.zeros(resampled.deviations.shape[0])
     errors = np.empty((may.size, error.size))
     for r, row in zip(may.tolist(), errors, strict=True):
         row[:] = resampled.errors(r)
         # for r to be the best it is held against the other contenders, for its intervals against all designs
-        least, largest = resampled.extremes(row, r, k)
-        critical = max(critical, critical_value(-least, confidence, resampled.df))
-        np.maximum(either, largest, out=either)
-    of_all = critical_value(either, confidence, resampled.df)
+        contending, largest = resampled.extremes(row, r, k)
+        critical = max(critical, critical_value(contending, confidence, resampled.df))
+        np.maximum(of_every, largest, out=of_every)
+    of_all = critical_value(of_every, confidence, resampled.df)
     low = np.full(error.size, -np.inf)
     for r, row in zip(may.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
