@@ -91,7 +91,7 @@ def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 def test_coverage_at_1000_scenarios() -> None:
     """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each.
 
-    3,000 repetitions give 0.947 (means), 0.948 (to the baseline), 0.985 (to the best), 0.977 (set): docs/ranking.md.
+    docs/ranking.md has the figures of some thousand repetitions.
     """
     found = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
     assert 0.93 <= found.S <= 0.97
@@ -245,14 +245,16 @@ def test_solver_tolerance_is_no_difference() -> None:
 def test_who_cannot_be_the_best_does_not_decide_who_is(scores: tuple[np.ndarray, np.ndarray]) -> None:
     """Designs behind the contenders: compared, but neither best nor a reason to leave the set."""
     values, side = scores
-    resampled = Resampled.of(np.concatenate([values, 0.5 * values[::-1, ::-1][:1] - 0.2]), side, seed=1, samples=200)
+    resampled = Resampled.of(np.concatenate([values, 0.5 * values[:, ::-1] - 0.2]), side, seed=1, samples=200)
     found = compare_with_best(resampled, 0.95, contenders=6)
     alone = compare_with_best(Resampled.of(values, side, seed=1, samples=200), 0.95)
     assert found.best == alone.best
     assert found.critical == alone.critical
+    assert found.critical_of_all > alone.critical_of_all  # one more interval that has to hold
     np.testing.assert_array_equal(found.low[:6], alone.low)
-    assert found.difference[6] < -0.1
-    assert found.low_of_all[6] < found.difference[6] < found.high_of_all[6] < 0
+    assert (found.difference[6:] < -0.1).all()
+    assert (found.low_of_all < found.difference)[6:].all()
+    assert (found.high_of_all[6:] < 0).all()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
