@@ -6,31 +6,31 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.compare_studies import compare
-    from studies.comparison import Comparison
+    from studies.comparison.compare_studies import compare
+    from studies.comparison.comparison import Comparison
     from studies.design import Design
-    from studies.manifest import Manifest, read_manifest
-    from studies.ranking import Ranking, rank_study
+    from studies.ranking.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
-    from studies.runner import run_study
-    from studies.spec import Study
-    from studies.store import read_results
+    from studies.running.runner import run_study
+    from studies.storage.manifest import Manifest, read_manifest
+    from studies.storage.store import read_results
+    from studies.study_file.spec import Study
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
     "Case": "results",
     "CaseResults": "results",
-    "Comparison": "comparison",
+    "Comparison": "comparison.comparison",
     "Design": "design",
-    "Manifest": "manifest",
-    "Ranking": "ranking",
-    "Study": "spec",
+    "Manifest": "storage.manifest",
+    "Ranking": "ranking.ranking",
+    "Study": "study_file.spec",
     "StudyResults": "results",
-    "compare": "compare_studies",
-    "rank_study": "ranking",
-    "read_manifest": "manifest",
-    "read_results": "store",
-    "run_study": "runner",
+    "compare": "comparison.compare_studies",
+    "rank_study": "ranking.ranking",
+    "read_manifest": "storage.manifest",
+    "read_results": "storage.store",
+    "run_study": "running.runner",
 }
 
 __all__ = [

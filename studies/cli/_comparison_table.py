@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from studies.comparison import CaseComparison, Comparison
-from studies.paired_verdicts import Verdict
-from studies.winners import Winners
+from studies.comparison.comparison import CaseComparison, Comparison
+from studies.comparison.paired_verdicts import Verdict
+from studies.comparison.winners import Winners
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -15,8 +15,8 @@ def print_race(race: Race) -> None:
         before = alive
     share = 100 * race.runs / race.full_runs
     out.print(
-        f"race: {race.runs:,} scenario runs, {share:.1f} % of the full study's; {len(race.dropped)} designs were separable "
-        "from the best and were given up, see race.json\n",
+        f"race: {race.runs:,} scenario runs, {share:.1f} % of the full study's; {len(race.dropped)} designs were "
+        "separable from the best and were given up, see race.json\n",
         highlight=False,
         soft_wrap=True,
     )

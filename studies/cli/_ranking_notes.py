@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from studies.ranking import Ranking
+from studies.ranking.ranking import Ranking
 
 
 def ranking_notes(ranking: Ranking) -> Iterator[str]:

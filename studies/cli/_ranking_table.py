@@ -8,7 +8,7 @@ import numpy as np
 
 from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
-from studies.ranking import Ranking
+from studies.ranking.ranking import Ranking
 
 if TYPE_CHECKING:
     from rich.table import Table

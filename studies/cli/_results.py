@@ -10,14 +10,14 @@ from ldctoolkit.errors import StoreError
 from studies.cli._console import console
 from studies.cli._ranking_notes import ranking_notes
 from studies.cli._ranking_table import ranking_table
-from studies.manifest import Manifest
-from studies.model_notes import WARNING
-from studies.plant_table import plant_settings
-from studies.ranking import Ranking
-from studies.ranking_csv import write_csv
+from studies.ranking.ranking import Ranking
+from studies.ranking.ranking_csv import write_csv
 from studies.report import ReportInput, write_report
 from studies.results import StudyResults
-from studies.spec import Study
+from studies.storage.manifest import Manifest
+from studies.storage.model_notes import WARNING
+from studies.study_file.plant_table import plant_settings
+from studies.study_file.spec import Study
 
 _TOP_OF_OTHER_CASES = 3
 _MOST_FAILED = 20

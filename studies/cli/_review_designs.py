@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
     from studies.design import Design
-    from studies.spec import Study
+    from studies.study_file.spec import Study
 
 _MOST_SCENARIOS = 1000
 """Departures to a side that are drawn to see at which speeds and steering angles a study triggers."""
@@ -54,7 +54,7 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
         For a name that is neither law nor study, or options that do not go together.
     """
     from ldctoolkit import controller_names
-    from studies.ready import catalog_names, load_study
+    from studies.study_file.ready import catalog_names, load_study
 
     if chosen.design in controller_names():
         if chosen.only:
@@ -149,7 +149,7 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
-    from studies.runner import study_model
+    from studies.running.runner import study_model
 
     designs = _chosen(study.designs, chosen.only)
     wanted, conventions = study.scenarios, study.simulation.convention

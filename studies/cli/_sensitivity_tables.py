@@ -11,8 +11,8 @@ from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
 from studies.cli._console import console
 from studies.design import Design
-from studies.sensitivity import BlockSensitivity
-from studies.winner_profile import Profile
+from studies.sensitivity.sensitivity import BlockSensitivity
+from studies.sensitivity.winner_profile import Profile
 
 if TYPE_CHECKING:
     from rich.table import Table

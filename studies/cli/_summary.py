@@ -7,9 +7,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from studies.manifest import Manifest
-from studies.ranking import Ranking
+from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
+from studies.storage.manifest import Manifest
 
 
 def json_summary(results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path, report: Path) -> str:
@@ -21,7 +21,7 @@ def json_summary(results: StudyResults, ranking: Ranking, manifest: Manifest, ra
         "designs": len(results.designs),
         "scenarios": len(results.scenarios),
         "failed_designs": len(results.failed),
-        "winner": _design(ranking, ranking.winner),
+        "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.set_of_best[i]],
         "race": None,
         "wall_time_s": round(manifest.wall_time_s, 3),

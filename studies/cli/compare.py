@@ -36,8 +36,8 @@ def run(chosen: argparse.Namespace) -> int:
     import json
 
     from studies.cli._comparison_table import print_comparison
-    from studies.compare_studies import compare
-    from studies.comparison_files import comparison_content, write_comparison
+    from studies.comparison.compare_studies import compare
+    from studies.comparison.comparison_files import comparison_content, write_comparison
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv")
     comparison = compare(chosen.old, chosen.new)

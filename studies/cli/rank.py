@@ -23,8 +23,8 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from studies.cli._results import print_rankings, write_ranking
-    from studies.ranking import rank_study
-    from studies.store import Store
+    from studies.ranking.ranking import rank_study
+    from studies.storage.store import Store
 
     store = Store.open(chosen.folder)
     rankings = rank_study(store.results(), store.manifest.read_study())

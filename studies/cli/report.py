@@ -22,8 +22,8 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from studies.cli._results import write_study_report
-    from studies.ranking import rank_study
-    from studies.store import Store
+    from studies.ranking.ranking import rank_study
+    from studies.storage.store import Store
 
     store = Store.open(chosen.folder)
     study, results = store.manifest.read_study(), store.results()

@@ -79,7 +79,7 @@ def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
     from studies.cli._review_designs import reviewed_design, subjects
     from studies.cli._review_files import to_csv, to_json
-    from studies.files import write_text
+    from studies.storage.files import write_text
 
     targets = [
         (output_file(path, suffix, option=f"-{suffix.replace('.', '-')}"), write)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from studies.cli._console import Subparsers, number, positive_number
 
 if TYPE_CHECKING:
-    from studies.progress import Progress
+    from studies.running.progress import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -58,10 +58,10 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.cli._race_table import print_race
     from studies.cli._results import print_rankings, write_ranking, write_study_report
     from studies.cli._summary import json_summary
-    from studies.manifest import read_manifest
-    from studies.ranking import rank_study
-    from studies.ready import load_study
-    from studies.runner import TIME_LIMIT, run_study
+    from studies.ranking.ranking import rank_study
+    from studies.running.runner import TIME_LIMIT, run_study
+    from studies.storage.manifest import read_manifest
+    from studies.study_file.ready import load_study
 
     study = load_study(chosen.study)
     folder = Path(chosen.output or Path("out") / study.name)
@@ -97,7 +97,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
-    from studies.progress import Lines
+    from studies.running.progress import Lines
 
     if chosen.json:
         return Lines(sys.stdout)

@@ -40,7 +40,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.scenario_model import load_model
-    from studies.files import scenario_table, stored_file, write_parquet
+    from studies.storage.files import scenario_table, stored_file, write_parquet
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)

@@ -42,11 +42,11 @@ def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.errors import InputError
     from studies.cli._sensitivity_tables import print_indices, print_profiles
-    from studies.ranking import rank_study
-    from studies.sensitivity import sensitivity
-    from studies.sensitivity_csv import write_sensitivity
-    from studies.store import Store
-    from studies.winner_profile import winner_profile
+    from studies.ranking.ranking import rank_study
+    from studies.sensitivity.sensitivity import sensitivity
+    from studies.sensitivity.sensitivity_csv import write_sensitivity
+    from studies.sensitivity.winner_profile import winner_profile
+    from studies.storage.store import Store
 
     store = Store.open(chosen.folder)
     study, results = store.manifest.read_study(), store.results()

@@ -17,13 +17,13 @@ from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.diagnostics.thresholds import strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.version import __version__
-from studies.files import stored_file, write_text
 from studies.fit_page import content, figures, figures_pairs
 from studies.fit_page.picture import picture
 from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS
-from studies.model_notes import WARNING, model_notes
 from studies.report import text
 from studies.report.svg import inline_svg, line_sample
+from studies.storage.files import stored_file, write_text
+from studies.storage.model_notes import WARNING, model_notes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from ldctoolkit.vehicle import VehicleParameters
 from studies.results import StudyResults
 
 if TYPE_CHECKING:
-    from studies.ranking import Ranking
+    from studies.ranking.ranking import Ranking
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
-from studies.ranking import Ranking
-from studies.release import ReleaseFigures
+from studies.ranking.ranking import Ranking
+from studies.ranking.release import ReleaseFigures
 from studies.report.inputs import ReportInput
 from studies.report.prose import design_text
 from studies.report.summary import CaseTable, Row, is_baseline

@@ -10,12 +10,12 @@ import jinja2
 from markupsafe import Markup
 
 from ldctoolkit.errors import InputError
-from studies.files import write_text
 from studies.report import prose, text
 from studies.report.inputs import ReportInput
 from studies.report.limits import against_limits, limits_table
 from studies.report.panels import Panels
 from studies.report.summary import CaseTable, Row, case_table, is_baseline
+from studies.storage.files import write_text
 
 SECTIONS = (
     ("answer", "Answer"),

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from markupsafe import Markup
 
 from ldctoolkit.departures import LEFT
-from studies.plant_table import differences
 from studies.report.inputs import ReportInput
 from studies.report.landscape import is_full_grid, on_the_edge
 from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline
 from studies.report.text import compact, number, percent, plural, symbols
+from studies.study_file.plant_table import differences
 
 _NB = "\u00a0"
 

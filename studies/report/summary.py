@@ -18,7 +18,7 @@ from studies.report.text import compact, unit_text
 from studies.results import Case, CaseResults, StudyResults
 
 if TYPE_CHECKING:
-    from studies.ranking import Ranking
+    from studies.ranking.ranking import Ranking
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -22,10 +22,10 @@ from ldctoolkit.simulation import Takeover, drive_many
 from ldctoolkit.vehicle import BicycleModel
 from studies import Study
 from studies.design import Design
-from studies.race import prefix_rows, race_round, schedule
-from studies.race_replay import replay
-from studies.ready import load_study
+from studies.racing.race import prefix_rows, race_round, schedule
+from studies.racing.race_replay import replay
 from studies.results import FAILED_STATUSES
+from studies.study_file.ready import load_study
 
 NEIGHBOURS, CONTESTED = 60, 20
 

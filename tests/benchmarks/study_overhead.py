@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from ldctoolkit.simulation.kernel import entry
 from studies import Study, run_study
-from studies.campaign import Campaign
+from studies.running.campaign import Campaign
 
 LINEAR = {
     "name": "linear",

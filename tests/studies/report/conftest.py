@@ -14,7 +14,7 @@ from controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit import BicycleModel, EventStatus, Scenarios, VehicleParameters, simulate
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies.design import Design
-from studies.ranking import Ranking
+from studies.ranking.ranking import Ranking
 from studies.report import ReportInput
 from studies.results import Case, CaseResults, StudyResults
 

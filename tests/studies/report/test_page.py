@@ -19,7 +19,7 @@ from ldctoolkit import Controller, RecordedPath, Scenarios, option, register
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from studies.design import Design
-from studies.ranking import Ranking
+from studies.ranking.ranking import Ranking
 from studies.report import ReportInput, write_report
 from studies.report.page import SECTIONS, render
 from studies.report.text import change, number, percent, signed

@@ -1,0 +1,1 @@
+"""The tables of designs: values, ranges, conditions, full grids and samples."""

@@ -1,0 +1,1 @@
+"""Designs that are given up before they have run on all scenarios."""

@@ -1,0 +1,192 @@
+"""Racing: which designs need no further scenarios, because the best of them is separable from those already."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import InputError
+from studies.racing.race_rounds import prefix_rows, schedule
+from studies.ranking.bootstrap import row_means
+from studies.ranking.simultaneous import SAME, separable
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+LEAST: Final = 50
+"""A round with fewer scenarios that could be driven gives up nothing."""
+
+LEAST_A_SIDE: Final = 10
+"""Nor does one with fewer than this of a side that it has scenarios of."""
+
+_LEADERS = 16
+"""Designs that each one is compared with: one much like it, but better, shows soonest that it is not the best."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Decision:
+    """What one round of a race decides about k designs.
+
+    Attributes
+    ----------
+    keep : (k,) bool
+        Designs that go on; the best always does.
+    best : int
+        The design with the smallest mean; the first of several.
+    mean : (k,) [m s]
+        Mean S on the scenarios of the round.
+    difference : (k,) [m s]
+        The same minus that of the best.
+    low : (k,) [m s]
+        Lower bound of how much worse the design is than the best one in truth, simultaneous over designs and rounds:
+        it is given up where that is above 1e-6 m s. Minus infinity where nothing can be said.
+    """
+
+    keep: BoolArray
+    best: int
+    mean: FloatArray
+    difference: FloatArray
+    low: FloatArray
+
+
+def race_round(
+    scores: FloatArray,
+    side: IntArray,
+    *,
+    round: int,
+    rounds: int,
+    seed: int,
+    confidence: float,
+    samples: int,
+    started: int | None = None,
+) -> Decision:
+    """Decide which designs go on after a round.
+
+    Parameters
+    ----------
+    scores : (k, m) [m s]
+        S as it counts of the designs still in the race, failures penalised, on all scenarios up to this round, in the
+        study's primary case. A scenario with NaN under some design is left out for all.
+    side : (m,) int
+        Of the scenarios.
+    round : int
+        From 1 on.
+    rounds : int
+        Of the whole race. The last one gives up nothing: there is nothing left to save, and the ranking says more.
+    seed : int
+        Of the bootstrap.
+    confidence : float
+        That the best design is given up in no round.
+    samples : int
+        Resamples of the bootstrap.
+    started : int, optional
+        Designs at the start of the race; k by default. Designs that were given up before still count in how certain
+        the others have to be.
+
+    Returns
+    -------
+    Decision
+
+    Raises
+    ------
+    InputError
+        For arrays that do not belong together, scores that are infinite, or settings outside what is allowed.
+
+    Notes
+    -----
+    The error 1 - confidence is shared out evenly over the rounds - 1 that decide. In each, a design is given up if two
+    lower bounds of how much worse it is than the best are both above 1e-6 m s. One is the max-t bootstrap bound of
+    `simultaneous.separable`. The other is made for few scenarios and tails far out: the largest of Student's t
+    bounds of the paired differences to each of the 16 leading designs, at the error's share of one pair of designs,
+    less what scenarios that were not met yet may do. For that: departures of a kind that m scenarios do not hold have,
+    with probability 1 - error, a share of at most log(1 / error) / m. Each is taken to speak for the design with L, the
+    largest difference that any design shows to the best one, so that a leader is not trusted for the luck of having
+    met none of the failures that others met.
+
+    Scores above the worst one of the design compared with are counted as that worst one, in favour of the designs that
+    have them: else a design which diverges now and then would be kept for the large spread that this makes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> common = np.random.default_rng(0).gamma(2.0, 1.0, 100)
+    >>> side = np.repeat([1, -1], 50)
+    >>> scores = np.stack([common, common, 1.5 * common + 0.5])
+    >>> race_round(scores, side, round=1, rounds=3, seed=0, confidence=0.95, samples=500).keep
+    array([ True,  True, False])
+    """
+    scores, side, decisions = _checked(scores, side, round, rounds, confidence)
+    if started is None:
+        started = len(scores)
+    elif isinstance(started, bool) or not isinstance(started, int | np.integer) or started < len(scores):
+        raise InputError(f"started: {started!r}; allowed: a whole number >= {len(scores)}, the designs left")
+    known = ~np.isnan(scores).any(axis=0)
+    if not known.all():
+        scores, side = scores[:, known], side[known]
+    k, m = scores.shape
+    mean = row_means(scores) if m else np.full(k, np.nan)
+    best = int(mean.argmin())
+    difference = row_means(scores - scores[best]) if m else mean
+    low = np.full(k, -np.inf)
+    few = m < LEAST or np.unique(side, return_counts=True)[1].min() < LEAST_A_SIDE
+    if not few and k > 1 and round < rounds:
+        error = (1.0 - confidence) / decisions
+        counted = _without_outliers(scores, best)
+        bound = separable(counted, side, seed=seed, confidence=1.0 - error, samples=samples, stream=round)
+        low = np.minimum(bound.low, _cautious_low(scores, mean, error=error, pairs=started - 1))
+        low[best] = -np.inf
+    return Decision(keep=~(low > SAME), best=best, mean=mean, difference=difference, low=low)
+
+
+def _checked(
+    scores: FloatArray, side: IntArray, round: int, rounds: int, confidence: float
+) -> tuple[FloatArray, IntArray, int]:
+    """Scores and sides as arrays, and the number of rounds that decide."""
+    scores, side = np.asarray(scores, dtype=np.float64), np.asarray(side)
+    if scores.ndim != 2 or not len(scores) or side.shape != scores.shape[1:]:
+        raise InputError(f"scores: shape {scores.shape} with sides {side.shape}; allowed: (k, m) with (m,), k >= 1")
+    if np.isinf(scores).any():
+        raise InputError("scores: infinite in some scenario; allowed: finite numbers, and NaN for one not driven")
+    if not 1 <= round <= rounds:
+        raise InputError(f"round: {round!r}; allowed: 1 to {rounds}, the number of rounds")
+    if not 0.0 < confidence < 1.0:
+        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+    return scores, side, max(1, rounds - 1)
+
+
+def _without_outliers(scores: FloatArray, best: int) -> FloatArray:
+    """Scores no larger than the best design's worst one, (k, m), unless another design is the best of these."""
+    counted = _capped(scores, best)
+    # one that owes its mean to a few bad scenarios only may be better but for them: then all counts as it is
+    return counted if int(row_means(counted).argmin()) == best else scores
+
+
+def _capped(scores: FloatArray, reference: int) -> FloatArray:
+    capped: FloatArray = np.minimum(scores, scores[reference].max())
+    return capped
+
+
+def _cautious_low(scores: FloatArray, mean: FloatArray, *, error: float, pairs: int) -> FloatArray:
+    """How much worse each design is than some other at least, (k,): Student's t, less what was not met yet."""
+    from scipy.special import stdtrit
+
+    k, m = scores.shape
+    # any choice of references is allowed, for all pairs share the error: those in front say most
+    leaders = np.argsort(mean, kind="stable")[:_LEADERS]
+    quantile = float(stdtrit(m - 1, error / pairs))
+    low: FloatArray = np.full(k, -np.inf)
+    for leader in leaders:
+        difference = np.ascontiguousarray(_capped(scores, leader) - scores[leader])
+        spread = difference.std(axis=1, ddof=1) / math.sqrt(m)
+        np.maximum(low, row_means(difference) + quantile * spread, out=low)
+    largest = float(np.abs(_capped(scores, leaders[0]) - scores[leaders[0]]).max())
+    low -= min(1.0, -math.log(error) / m) * largest
+    return low
+
+
+__all__ = ["LEAST", "LEAST_A_SIDE", "Decision", "prefix_rows", "race_round", "schedule"]

@@ -1,0 +1,1 @@
+"""Designs in order, and how much of that order is luck."""

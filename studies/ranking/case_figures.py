@@ -1,0 +1,184 @@
+"""What a ranking tells of each design by itself: means, tails, shares and counts over the scenarios of one case."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import InputError
+from studies.design import Design
+from studies.ranking.bootstrap import row_means
+from studies.ranking.release import ReleaseFigures
+from studies.ranking.tails import tail_figures
+from studies.results import CaseResults
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True)
+class CaseFigures:
+    """Figures of d designs, arrays of d.
+
+    S is S as it counts: a failed scenario (solver failed, diverged, timed out, crashed) at least as bad as without
+    control, and never left out. Scenarios that cannot be driven under some design have no S: they are left out for all
+    designs and counted in `invalid`.
+
+    Attributes
+    ----------
+    S, S_left, S_right : (d,) [m s]
+        Mean over all scenarios and over those of a side; NaN for a side without scenarios.
+    S_p95, S_cvar95 : (d,) [m s]
+        95 % quantile of S, and mean of the worst 5 %.
+    S_uncorrected : (d,) [m s]
+        Mean without control, over the same window.
+    reduction, reduction_left, reduction_right : (d,)
+        1 - mean S / mean S_uncorrected.
+    triggered : (d,)
+        Share of scenarios in which the design took over.
+    deeper : (d,)
+        Share of scenarios deeper than D_y.
+    solver_failed, diverged, timed_out, crashed, invalid : (d,) int
+        Scenarios with that status.
+    failed_solves : (d,) int
+        Commands that were not finite, or came from a fallback.
+    release : ReleaseFigures
+        What is reported beside S.
+    """
+
+    S: FloatArray
+    S_left: FloatArray
+    S_right: FloatArray
+    S_p95: FloatArray
+    S_cvar95: FloatArray
+    S_uncorrected: FloatArray
+    reduction: FloatArray
+    reduction_left: FloatArray
+    reduction_right: FloatArray
+    triggered: FloatArray
+    deeper: FloatArray
+    solver_failed: IntArray
+    diverged: IntArray
+    timed_out: IntArray
+    crashed: IntArray
+    invalid: IntArray
+    failed_solves: IntArray
+    release: ReleaseFigures
+
+
+@dataclasses.dataclass(frozen=True)
+class DrivableCase:
+    """A case on the scenarios that can be driven under every design.
+
+    Attributes
+    ----------
+    case : CaseResults
+    scenarios : Scenarios
+        The n of them.
+    counted : (d, n) [m s]
+        `CaseResults.counted`.
+    status : (d, m) int8
+        Of all scenarios, those that cannot be driven included.
+    """
+
+    case: CaseResults
+    scenarios: Scenarios
+    counted: FloatArray
+    status: npt.NDArray[np.int8]
+
+    @classmethod
+    def of(cls, case: CaseResults, scenarios: Scenarios) -> Self:
+        """Leave out what cannot be driven.
+
+        Parameters
+        ----------
+        case : CaseResults
+        scenarios : Scenarios
+
+        Raises
+        ------
+        InputError
+            If nothing is left, or a score is not finite.
+        """
+        status, rows = case.status, case.drivable
+        if not rows.any():
+            raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
+        if not rows.all():
+            case, scenarios = case.take(rows), scenarios.take(np.flatnonzero(rows))
+        counted = case.counted
+        if not np.isfinite(counted).all():
+            raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
+        return cls(case, scenarios, counted, status)
+
+    @property
+    def left_out(self) -> int:
+        """Number of scenarios that are left out."""
+        return int(self.status.shape[1]) - len(self.scenarios)
+
+
+def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) -> CaseFigures:
+    """Figures of the designs of a case, in its order.
+
+    Parameters
+    ----------
+    drivable : DrivableCase
+    designs : sequence of Design
+        In the order of the case.
+    D_y : float [m]
+        Depth that counts as deep.
+    """
+    case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
+    every = np.ones(len(scenarios), dtype=np.bool_)
+    rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
+    S, S_left, S_right = (_mean(counted, side) for side in rows)
+    before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
+    S_p95, S_cvar95 = tail_figures(counted)
+
+    def count(status: EventStatus) -> IntArray:
+        result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
+        return result
+
+    return CaseFigures(
+        S=S,
+        S_left=S_left,
+        S_right=S_right,
+        S_p95=S_p95,
+        S_cvar95=S_cvar95,
+        S_uncorrected=before,
+        reduction=_reduction(S, before),
+        reduction_left=_reduction(S_left, before_left),
+        reduction_right=_reduction(S_right, before_right),
+        triggered=(case.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
+        deeper=(case.companions.deepest > D_y).mean(axis=1),
+        solver_failed=count(EventStatus.SOLVER_FAILED),
+        diverged=count(EventStatus.DIVERGED),
+        timed_out=count(EventStatus.TIMED_OUT),
+        crashed=count(EventStatus.CRASHED),
+        invalid=count(EventStatus.INVALID),
+        failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
+        release=ReleaseFigures.of(case, designs, scenarios.d_y, order=range(len(designs)), D_y=D_y),
+    )
+
+
+def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
+    """Every figure by name, for some of the designs in the order given."""
+    values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseFigures)}
+    return {name: v.take(order) if isinstance(v, ReleaseFigures) else v[order] for name, v in values.items()}
+
+
+def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
+    if not rows.any():
+        return np.full(values.shape[0], np.nan)
+    return row_means(values if rows.all() else values[:, rows])
+
+
+def _reduction(S: FloatArray, before: FloatArray) -> FloatArray:
+    out = np.where(np.isnan(before), np.nan, 0.0)  # nothing to reduce
+    return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)

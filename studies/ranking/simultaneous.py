@@ -1,0 +1,183 @@
+"""Comparisons with the best design that are valid although the data choose which design that is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from studies.ranking.bootstrap import check_confidence
+from studies.ranking.resampled import Resampled, critical_value
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+SAME = 1e-6
+"""Differences of mean S [m s] up to this are a solver's tolerance, not design."""
+
+_MOST_TERMS = 300_000_000
+"""Resampled differences that are looked at: references x designs x resamples."""
+
+_MOST_SCORES = 100_000_000
+"""Paired scores that are looked at: references x designs x scenarios."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Separation:
+    """How far k designs are from the best of them.
+
+    Attributes
+    ----------
+    mean : (k,) [m s]
+        Mean score.
+    best : int
+        The design with the smallest one; the first of equal ones.
+    difference : (k,) [m s]
+        Mean minus that of `best`.
+    error : (k,) [m s]
+        Standard error of the difference.
+    low : (k,) [m s]
+        Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the best: the
+        truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs there
+        are.
+    low_of_all, high_of_all : (k,) [m s]
+        Interval of the difference to the design `best`; all k hold at once, whichever design came out best.
+    critical, critical_of_all : float
+        Standard errors behind `low`, and behind the interval.
+    """
+
+    mean: FloatArray
+    best: int
+    difference: FloatArray
+    error: FloatArray
+    low: FloatArray
+    low_of_all: FloatArray
+    high_of_all: FloatArray
+    critical: float
+    critical_of_all: float
+
+    @property
+    def clear(self) -> BoolArray:
+        """Designs that are worse than the best by more than a solver's tolerance, (k,): all but the set of best."""
+        result: BoolArray = self.low > SAME
+        return result
+
+
+def separable(
+    scores: FloatArray, side: IntArray, *, seed: int, confidence: float, samples: int, stream: int = 0
+) -> Separation:
+    """Compare k designs with the best of them on common scenarios.
+
+    Parameters
+    ----------
+    scores : (k, m) [m s]
+        Counted S, one row a design.
+    side : (m,) int
+        Stratum of each scenario.
+    seed : int
+    confidence : float
+        Between 0 and 1.
+    samples : int
+        Resamples of the scenarios.
+    stream : int
+        Another stream gives other resamples from the same seed.
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    InputError
+        For a confidence outside (0, 1), no samples, or no scenarios.
+
+    Notes
+    -----
+    Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more than
+    c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference to r
+    (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One critical
+    value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is worked out
+    for some of them, evenly over the ranks. Differences count in both directions, though only one is tested: scores
+    are skewed, and resampled means are skewed the other way than studentised ones.
+
+    The interval of the difference to the design that came out best needs more: its critical value is the quantile of
+    the largest difference over all these r at once.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
+    >>> side = np.repeat([1, -1], 50)
+    >>> separable(np.stack([S + 0.1, S]), side, seed=1, confidence=0.95, samples=200).clear
+    array([ True, False])
+    """
+    check_confidence(confidence)
+    return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
+
+
+def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
+    """As `separable`, of scores that are resampled already.
+
+    Parameters
+    ----------
+    resampled : Resampled
+    confidence : float
+        Between 0 and 1.
+    contenders : int, optional
+        Only this many first designs can be the best; the others are compared with it all the same.
+
+    Returns
+    -------
+    Separation
+
+    Raises
+    ------
+    InputError
+        For a confidence outside (0, 1).
+    """
+    check_confidence(confidence)
+    k = resampled.mean.size if contenders is None else contenders
+    best = int(np.argmin(resampled.mean[:k]))
+    difference, error = resampled.differences(best), resampled.errors(best)
+    may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    most = max(2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // resampled.scores.size))
+    if may.size > most:
+        may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
+
+    critical, of_every = 0.0, np.zeros(resampled.deviations.shape[0])
+    errors = np.empty((may.size, error.size))
+    for r, row in zip(may.tolist(), errors, strict=True):
+        row[:] = resampled.errors(r)
+        # for r to be the best it is held against the other contenders, for its intervals against all designs
+        contending, largest = resampled.extremes(row, r, k)
+        critical = max(critical, critical_value(contending, confidence, resampled.df))
+        np.maximum(of_every, largest, out=of_every)
+    of_all = critical_value(of_every, confidence, resampled.df)
+    low = np.full(error.size, -np.inf)
+    for r, row in zip(may.tolist(), errors, strict=True):
+        others = np.arange(error.size) != r
+        np.maximum(low, resampled.mean - resampled.mean[r] - critical * row, out=low, where=others)
+    low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
+    return Separation(
+        mean=resampled.mean,
+        best=best,
+        difference=difference,
+        error=error,
+        low=low,
+        low_of_all=difference - of_all * error,
+        high_of_all=difference + of_all * error,
+        critical=critical,
+        critical_of_all=of_all,
+    )
+
+
+def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
+    """Designs that even Bonferroni's bound does not part from the best, by rank; the best is the first."""
+    from scipy.special import stdtrit
+
+    bound = float(-stdtrit(df, (1.0 - confidence) / (2 * max(1, difference.size - 1))))
+    order = np.argsort(difference, kind="stable")
+    result: IntArray = order[difference[order] <= bound * error[order] + SAME].astype(np.int64)
+    return result

@@ -1,0 +1,109 @@
+"""Standard errors of means over scenarios that are drawn within each side."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from studies.ranking.bootstrap import row_means
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+_BLOCK_ENTRIES = 64_000
+"""Differences held at once; they stay in the cache."""
+
+_ROUNDING = 1e-12
+"""An error below this share of the scores is rounding."""
+
+
+def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
+    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean.
+
+    Parameters
+    ----------
+    values : (d, n)
+    side : (n,) int
+        Stratum of each scenario. One that is alone in its stratum adds nothing.
+
+    Returns
+    -------
+    (d, n)
+        Deviation from the stratum's mean, times sqrt(n_h / (n_h - 1)) / n. The parts of a difference are the
+        difference of the parts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> np.linalg.norm(error_parts(np.array([[1.0, 3.0, 5.0, 5.0]]), np.array([1, 1, -1, -1])), axis=1)
+    array([0.5])
+    """
+    parts = np.zeros(values.shape)
+    for which in np.unique(side):
+        rows = side == which
+        size = int(rows.sum())
+        if size > 1:
+            part = values[:, rows]
+            part = part - row_means(part)[:, None]
+            parts[:, rows] = part * (np.sqrt(size / (size - 1.0)) / side.size)
+    return parts
+
+
+def lengths(parts: FloatArray) -> FloatArray:
+    """Standard error of every row's mean, (d,), from its `error_parts`."""
+    return paired_errors(parts, np.zeros(parts.shape[1]), 0.0)
+
+
+def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> FloatArray:
+    """Standard error of the mean paired difference of every row to a reference; 0 where they move along.
+
+    Parameters
+    ----------
+    parts : (d, n)
+        `error_parts` of the designs.
+    reference : (n,)
+        Those of the reference.
+    largest : float
+        Size of the scores: what is left of it by rounding counts as 0.
+
+    Returns
+    -------
+    (d,)
+    """
+    d, n = parts.shape
+    errors = np.empty(d)
+    size = max(1, _BLOCK_ENTRIES // n)
+    for first in range(0, d, size):
+        block = parts[first : first + size] - reference
+        block *= block
+        errors[first : first + size] = np.sqrt(block.sum(axis=1))
+    errors[errors <= _ROUNDING * largest] = 0.0
+    return errors
+
+
+def degrees_of_freedom(side: IntArray) -> int:
+    """Scenarios minus the means that are estimated, one for each side; at least 1."""
+    return max(1, side.size - np.unique(side).size)
+
+
+def with_tails_of_t(critical: float, df: int) -> float:
+    """A critical value of standard normal quantities, made that of Student's t with the same tail.
+
+    Parameters
+    ----------
+    critical : float
+    df : int
+        Degrees of freedom of the standard errors.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> round(with_tails_of_t(1.959964, 10), 3)
+    2.228
+    """
+    from scipy.special import ndtr, stdtrit
+
+    return float(-stdtrit(df, ndtr(-critical)))

@@ -1,0 +1,196 @@
+"""Sends what is missing to an executor in tasks of half a second, and finds the scenario that kills its worker."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.vehicle import Convention
+from studies.design import Design
+from studies.running.executors.protocol import Ended, Executor, Fault
+from studies.running.faults import Faults
+from studies.running.merge import Merge
+from studies.running.pieces import Piece
+from studies.running.simulate_designs import Simulator
+from studies.running.tasks import Done, FailedRun, Job, RunKey, Task, TaskResult
+
+SECONDS_A_TASK: Final = 0.5
+"""Enough to hide the cost of sending a task, little enough to spread slow designs and to lose little with a worker."""
+
+_FIRST_RUNS: Final = 2000
+"""Scenario runs in the first task of a law, before its pace is known."""
+
+_MOST_RUNS: Final = 400_000
+"""Scenario runs in a task at most: results are in memory on both sides."""
+
+_AHEAD: Final = 2
+"""Tasks a worker that are under way or wait in the executor."""
+
+_STATUS: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
+
+
+class Lane:
+    """Designs of one law that still have to run on one piece of scenarios."""
+
+    def __init__(self, convention: Convention, piece: Piece, designs: Iterable[Design]) -> None:
+        self.convention = convention
+        self.piece = piece
+        # designs of one threshold share a takeover
+        self.designs = deque(sorted(designs, key=lambda design: design.y_s))
+
+    @property
+    def law(self) -> str:
+        """The law of all of them."""
+        return self.designs[0].law
+
+
+class Dispatcher:
+    """Runs lanes of designs through an executor.
+
+    Parameters
+    ----------
+    job : Job
+    scenarios : Scenarios
+        All of the study.
+    executor : Executor
+    collect : callable
+        Called with each `Done`, whose designs have whole pieces.
+    block_size : int, optional
+        Designs in a task; chosen from the law's pace by default. No number depends on it.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        scenarios: Scenarios,
+        executor: Executor,
+        collect: Callable[[Done], None],
+        block_size: int | None = None,
+    ) -> None:
+        self._job = job
+        self._scenarios = scenarios
+        self._executor = executor
+        self._collect = collect
+        self._block_size = block_size
+        self._seconds_a_run: dict[str, float] = {}
+        self._under_way = 0
+        self._again: deque[Task] = deque()
+        self._alone: deque[Task] = deque()
+        self._faults = Faults()
+        self._merge = Merge()
+        self._failed: dict[RunKey, int] = {}
+
+    def run(self, lanes: Sequence[Lane]) -> None:
+        """Run everything; returns when nothing is left."""
+        queue = self._tasks(deque(lanes))
+        following = next(queue, None)
+        while following or self._again or self._alone or self._under_way:
+            if self._alone:
+                # a task that may have killed its worker runs with no other beside it, so that there is no doubt
+                if not self._under_way:
+                    self._start(self._alone.popleft())
+            else:
+                most = 1 if self._executor.workers == 1 else _AHEAD * self._executor.workers
+                while self._under_way < most and (self._again or following):
+                    if self._again:
+                        self._start(self._again.popleft())
+                    elif following:
+                        self._start(following)
+                        following = next(queue, None)
+            for ended in self._executor.wait():
+                self._under_way -= 1
+                self._take(ended)
+
+    def _tasks(self, lanes: deque[Lane]) -> Iterator[Task]:
+        while lanes:
+            lane = lanes[0]
+            if not lane.designs:
+                lanes.popleft()
+                continue
+            count = self._block_size or self._fitting(lane)
+            designs: list[Design] = []
+            while lane.designs and len(designs) < count:
+                design = lane.designs.popleft()
+                # a design that has failed on an earlier piece is out
+                if self._failed.get((design.id, lane.convention), lane.piece.number) >= lane.piece.number:
+                    designs.append(design)
+            if designs:
+                rows = lane.piece.rows
+                scenarios = self._scenarios.take(rows)
+                yield Task(self._job, lane.convention, tuple(designs), rows, scenarios, lane.piece.number, rows.size)
+
+    def _fitting(self, lane: Lane) -> int:
+        """Designs that take about half a second."""
+        pace = self._seconds_a_run.get(lane.law)
+        runs = _FIRST_RUNS if pace is None else min(_MOST_RUNS, SECONDS_A_TASK / max(pace, 1e-9))
+        return max(1, int(runs / lane.piece.rows.size))
+
+    def _start(self, task: Task) -> None:
+        self._under_way += 1
+        self._executor.start(task)
+
+    def _take(self, ended: Ended) -> None:
+        task = ended.task
+        if ended.done is not None:
+            self._faults.ended_well()
+            # the last pace counts: the first task of a process also loads and compiles
+            self._seconds_a_run[task.designs[0].law] = ended.done.result.seconds / task.runs
+            self._give(task, ended.done)
+        elif ended.fault is None:
+            self._faults.lost()
+            self._again.append(task)
+        else:
+            self._blame(task, ended.fault, certain=ended.certain)
+
+    def _blame(self, task: Task, fault: Fault, *, certain: bool) -> None:
+        """Run a task once more alone; halve it when it has ended its worker again, or was over its time."""
+        if not self._faults.guilty(task, fault, certain=certain):
+            self._alone.append(task)
+            return
+        halves = task.halves()
+        if halves:
+            for half in halves:
+                self._faults.inherit(half)
+            # the halves go first: what is left of the study waits for no other death
+            self._alone.extendleft(reversed(halves))
+            return
+        design, key = task.designs[0], (task.designs[0].id, task.convention)
+        reason = self._faults.record(key, int(task.rows[0]), fault)
+        if reason:
+            self._fail(FailedRun(key, task.piece, reason))
+            self._alone = deque(one for one in self._alone if design.id not in {d.id for d in one.designs})
+        else:
+            self._give(task, Done(Simulator(self._job).uncontrolled(task, _STATUS[fault])))
+
+    def _give(self, task: Task, done: Done) -> None:
+        """Hand on whole pieces; parts of one wait for the rest."""
+        for run in done.failed:
+            self._fail(run)
+        if not done.result.keys:
+            return
+        result = done.result if task.whole else self._merge.add(task, done.result)
+        if result is not None:
+            self._collect(Done(result))
+
+    def _fail(self, run: FailedRun) -> None:
+        before = self._failed.get(run.key)
+        if before is None or run.piece < before:
+            self._failed[run.key] = run.piece
+            self._collect(Done(_nothing(self._job), (run,)))
+
+
+def _nothing(job: Job) -> TaskResult:
+    none = np.zeros(0, dtype=np.int64)
+    return TaskResult(
+        (),
+        none,
+        np.zeros((len(job.columns), 0, 0)),
+        np.zeros((0, 0), dtype=np.int8),
+        np.zeros((0, 0), dtype=np.int32),
+        np.zeros(0),
+        none,
+    )

@@ -1,0 +1,53 @@
+"""Where tasks run: in this process, in processes of this machine, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+
+from ldctoolkit.errors import InputError, nearest
+from studies.running.executors.protocol import Ended, Executor
+
+EXECUTORS = ("serial", "processes", "dask")
+
+__all__ = ["EXECUTORS", "Ended", "Executor", "make_executor"]
+
+
+def make_executor(name: str | None, workers: int | None, address: str | None = None) -> Executor:
+    """The executor of that name.
+
+    Parameters
+    ----------
+    name : {"serial", "processes", "dask"} or None
+        None for processes, or serial where one worker is asked for; dask where an address is given.
+    workers : int or None
+        None for one a core.
+    address : str, optional
+        Of a Dask scheduler, or ``"local"``.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or workers of a cluster that is not started here.
+    LdcError
+        If a cluster cannot be used.
+    """
+    if name is None:
+        name = "dask" if address else "serial" if workers == 1 else "processes"
+    if name not in EXECUTORS:
+        raise InputError(f"executor: {name!r}; {nearest(name, EXECUTORS)}")
+    if address and name != "dask":
+        raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
+    # each is loaded on first use: a study in this process needs neither loky nor Dask
+    if name == "serial":
+        from studies.running.executors.serial import SerialExecutor
+
+        return SerialExecutor()
+    if name == "dask":
+        from studies.running.executors.dask_cluster import LOCAL, DaskExecutor
+
+        if address and address != LOCAL and workers is not None:
+            raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")
+        return DaskExecutor(address or LOCAL, workers)
+    from studies.running.executors.processes import ProcessExecutor
+
+    return ProcessExecutor(workers or os.cpu_count() or 1)

@@ -1,0 +1,151 @@
+"""Tasks in processes of this machine, started afresh by loky, with a note of what each was doing when it died."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import tempfile
+from concurrent.futures import CancelledError, Future
+from pathlib import Path
+from typing import Any
+
+from loky import get_reusable_executor
+from loky.process_executor import BrokenProcessPool
+
+from studies.running.executors.protocol import Ended, Fault
+from studies.running.tasks import Done, Task
+from studies.running.worker import run_task, start_worker
+
+_LISTEN_EVERY = 0.2
+"""Seconds after which an interrupt is noticed at the latest."""
+
+_IDLE = 30.0
+"""Seconds after which workers without work end; until then the next study of this process finds them ready."""
+
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+"""The designs are what runs in parallel."""
+
+_folder: tempfile.TemporaryDirectory[str] | None = None
+
+
+class ProcessExecutor:
+    """Runs tasks in worker processes; when one dies the pool is made anew and says which tasks were under way.
+
+    Parameters
+    ----------
+    workers : int
+    """
+
+    name = "processes"
+    isolated = True
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool: Any = None
+        self._tasks: dict[Future[Done], Task] = {}
+        self._ended: queue.SimpleQueue[Future[Done]] = queue.SimpleQueue()
+
+    @property
+    def workers(self) -> int:
+        """Number of processes."""
+        return self._workers
+
+    def start(self, task: Task) -> None:
+        """Hand a task to the pool."""
+        try:
+            self._submit(task)
+        except BrokenProcessPool:
+            # a worker died while it had nothing to do
+            self._pool = None
+            self._submit(task)
+
+    def _submit(self, task: Task) -> None:
+        if self._pool is None:
+            self._pool = get_reusable_executor(
+                self._workers,
+                timeout=_IDLE,
+                initializer=start_worker,
+                initargs=(_notes(),),
+                env=_ONE_THREAD,
+                kill_workers=True,
+            )
+        future = self._pool.submit(run_task, task)
+        self._tasks[future] = task
+        future.add_done_callback(self._ended.put)
+
+    def wait(self) -> list[Ended]:
+        """Tasks that have ended by now; waits a moment for the first."""
+        try:
+            futures = [self._ended.get(timeout=_LISTEN_EVERY)]
+        except queue.Empty:
+            return []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                futures.append(self._ended.get_nowait())
+        ended: list[Ended] = []
+        for future in futures:
+            if future not in self._tasks:
+                continue  # told already, with all that a broken pool held
+            try:
+                done = future.result()
+            except (BrokenProcessPool, CancelledError):
+                return ended + self._broken()
+            ended.append(Ended(self._tasks.pop(future), done))
+        return ended
+
+    def _broken(self) -> list[Ended]:
+        """Everything that the pool held; tasks that a dead worker may have stumbled over are told as such."""
+        ended: list[Ended] = []
+        lost: list[Task] = []
+        for future, task in self._tasks.items():
+            # the pool gives up all tasks that it holds; those that ended before have their results
+            error = future.exception()
+            if error is None:
+                ended.append(Ended(task, future.result()))
+            elif isinstance(error, BrokenProcessPool | CancelledError):
+                lost.append(task)
+            else:
+                raise error
+        self._tasks.clear()
+        self._pool = None
+        under_way, late = _last_words(Path(_notes()))
+        suspects = [task for task in lost if task.number in under_way]
+        for task in lost:
+            fault: Fault | None = None
+            if task.number in late:
+                fault = "late"
+            elif task in suspects and not any(other.number in late for other in suspects):
+                fault = "died"  # where one was late the others were only in the same pool
+            ended.append(Ended(task, None, fault, fault == "late" or len(suspects) == 1))
+        return ended
+
+    def close(self, *, orderly: bool) -> None:
+        """Leave the workers to the next study of this process; if not `orderly`, end them now."""
+        if self._pool is not None and not orderly:
+            self._pool.shutdown(wait=True, kill_workers=True)
+            self._pool = None
+        self._tasks.clear()
+
+
+def _notes() -> str:
+    """Folder in which the workers of this process note what they do."""
+    global _folder
+    if _folder is None:
+        _folder = tempfile.TemporaryDirectory(prefix=f"ldc-{os.getpid()}-")
+    return _folder.name
+
+
+def _last_words(folder: Path) -> tuple[set[int], set[int]]:
+    """Numbers of the tasks that were under way in workers, and those of them that were over their time."""
+    under_way, late = set(), set()
+    for path in folder.iterdir():
+        text = path.read_text(encoding="utf-8", errors="replace")
+        path.unlink()
+        _, _, last = text.rpartition("task ")
+        number, _, after = last.partition("\n")
+        if number.isdigit() and not after.startswith("done"):
+            under_way.add(int(number))
+            if after.startswith("Timeout"):
+                late.add(int(number))
+    return under_way, late

@@ -1,0 +1,76 @@
+"""Which task is to blame for the end of a worker, and when a design has had enough of them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from ldctoolkit.errors import LdcError
+from studies.running.executors.protocol import Fault
+from studies.running.tasks import RunKey, Task
+
+_STRIKES: Final = 2
+"""A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""
+
+_MOST_SCENARIOS: Final = 3
+"""Scenarios of a design that may end or stop a worker; with one more the design has failed."""
+
+_MOST_LOST: Final = 25
+"""Tasks lost in a row, not to be blamed themselves, before it is plain that workers cannot live here."""
+
+_WORDS: Final[dict[Fault, str]] = {"died": "ends its worker process", "late": "takes longer than the time limit"}
+
+
+class Faults:
+    """What is known of tasks that ended their workers."""
+
+    def __init__(self) -> None:
+        self._strikes: dict[int, int] = {}
+        self._scenarios: dict[RunKey, dict[int, Fault]] = {}
+        self._lost = 0
+        self._innocent = False
+
+    def guilty(self, task: Task, fault: Fault, *, certain: bool) -> bool:
+        """Whether a task has to be cut, after one more end of its worker."""
+        strikes = self._strikes[task.number] = self._strikes.get(task.number, 0) + 1
+        return certain and (fault == "late" or strikes >= _STRIKES)
+
+    def inherit(self, half: Task) -> None:
+        """Half of a guilty task is under suspicion from the start."""
+        self._strikes[half.number] = _STRIKES - 1
+
+    def record(self, key: RunKey, row: int, fault: Fault) -> str:
+        """Note a scenario at fault; a sentence if the design has failed with that.
+
+        Raises
+        ------
+        LdcError
+            If no task has ever ended well: then it is not the design.
+        """
+        rows = self._scenarios.setdefault(key, {})
+        rows[row] = fault
+        if len(rows) <= _MOST_SCENARIOS:
+            return ""
+        if not self._innocent:
+            raise LdcError("worker processes end whatever they run; what was finished is stored")
+        named = ", ".join(f"{row} ({_WORDS[kind]})" for row, kind in sorted(rows.items()))
+        return f"ends or stops its worker process in scenarios {named}"
+
+    def lost(self) -> None:
+        """A task was lost that is not to blame.
+
+        Raises
+        ------
+        LdcError
+            After many of them in a row.
+        """
+        self._lost += 1
+        if self._lost >= _MOST_LOST:
+            raise LdcError(
+                "worker processes end before they have done anything (out of memory, or killed from outside); what was "
+                "finished is stored: run the study again to go on, with fewer workers if memory was short"
+            )
+
+    def ended_well(self) -> None:
+        """A task gave its result."""
+        self._lost = 0
+        self._innocent = True

@@ -1,0 +1,224 @@
+"""Runs a study: plans its designs, fills its store, scores the finalists again; resumes where a run was stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import logging
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.scenario_model import ScenarioModel, load_model
+from studies.design import Design
+from studies.results import Race, StudyResults
+from studies.running.campaign import Campaign
+from studies.running.executors import Executor, make_executor
+from studies.running.pieces import Prefixes
+from studies.running.progress import Progress, default_progress
+from studies.storage.folder_lock import locked, remove_leftovers
+from studies.storage.manifest import Manifest
+from studies.storage.model_notes import model_notes
+from studies.storage.store import FINALISTS, Store
+from studies.study_file.spec import Study
+
+_log = logging.getLogger("studies")
+
+TIME_LIMIT = 600.0
+"""Seconds that a task may take: a thousand times what it is made for."""
+
+
+def run_study(
+    study: Study,
+    *,
+    directory: str | Path,
+    model: str | Path | ScenarioModel | None = None,
+    workers: int | None = None,
+    executor: Literal["serial", "processes", "dask"] | None = None,
+    dask: str | None = None,
+    progress: bool | Progress | None = None,
+    block_size: int | None = None,
+    time_limit: float = TIME_LIMIT,
+) -> StudyResults:
+    """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
+
+    Parameters
+    ----------
+    study : Study
+        What to run.
+    directory : path
+        Folder of the results; made if need be.
+    model : path, str or ScenarioModel, optional
+        Use this scenario model instead of the study's.
+    workers : int, optional
+        Worker processes; all cores by default, 1 runs in this process.
+    executor : {"serial", "processes", "dask"}, optional
+        Where designs run: in this process, in processes of this machine (the default), or on a Dask cluster.
+    dask : str, optional
+        Address of a Dask scheduler, or ``"local"`` for a cluster on this machine.
+    progress : bool or Progress, optional
+        Show a progress bar on stderr; by default where that is a terminal.
+    block_size : int, optional
+        Designs in one task; chosen from the law's pace by default. No number depends on it.
+    time_limit : float [s]
+        A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
+        process, where nobody could go on.
+
+    Returns
+    -------
+    StudyResults
+        The same bits for any executor, number of workers and block size. Designs whose law raised, or gave what no
+        law may give, are in `StudyResults.failed` with the reason; the others are not touched by it.
+
+    Raises
+    ------
+    StoreError
+        If the folder holds another study's results, model or seed, is in use, or cannot be written.
+    ModelError, UnknownNameError
+        If the scenario model cannot be used.
+    InputError
+        For arguments outside what is allowed.
+    LdcError
+        If every design fails, the message names the first and what it raised; if workers or a cluster cannot be used.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from studies import Study, run_study
+    >>> study = Study.from_dict({"name": "small", "scenarios": {"left": 5, "right": 5}, "design": [{"law": "none"}]})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = run_study(study, directory=folder, workers=1)
+    >>> results.cases[0].S.shape
+    (1, 10)
+    """
+    _positive("workers", workers)
+    _positive("block_size", block_size)
+    if isinstance(time_limit, bool) or not (isinstance(time_limit, int | float) and 0 <= time_limit < math.inf):
+        raise InputError(f"time_limit: {time_limit!r}; allowed: a number >= 0 [s], 0 for none")
+    generator = study_model(study, model)
+    named = study.scenarios.model if model is None else "in memory" if generator is model else str(model)
+    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
+    with contextlib.ExitStack() as stack:
+        stack.callback(shown.close)
+        chosen = make_executor(executor, workers, dask)
+        run = _Run(generator, named, chosen, shown, time_limit, block_size)
+        try:
+            results = run.whole(study, Path(directory))
+        except BaseException:
+            chosen.close(orderly=False)
+            raise
+        chosen.close(orderly=True)
+    if results.failed:
+        share, first = f"{len(results.failed)} of {len(results.failed) + len(results.designs)}", results.failed[0]
+        _log.warning("failed and not ranked: %s designs; the first, %s", share, first.sentence)
+    return results
+
+
+def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -> ScenarioModel:
+    """The scenario model of a study: the one given, a bundled one, or a file beside the study file."""
+    if isinstance(model, ScenarioModel):
+        return model
+    if model is not None:
+        return load_model(model)
+    return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
+
+
+def _positive(name: str, value: int | None) -> None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+        raise InputError(f"{name}: {value!r}; allowed: a whole number >= 1")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """What the stages of one run share."""
+
+    generator: ScenarioModel
+    model: str
+    executor: Executor
+    progress: Progress
+    time_limit: float
+    block_size: int | None
+
+    def whole(self, study: Study, folder: Path) -> StudyResults:
+        """All stages: the study itself, and its finalists on fresh scenarios."""
+        results = self.study(study, folder)
+        if not study.ranking.finalists or len(results.designs) < 2:
+            return results
+        from studies.ranking.ranking import rank_study
+        from studies.running.finalists import finalists, fresh_study
+
+        best = finalists(rank_study(results, study)[0], study.ranking.finalists)
+        fresh = self.study(fresh_study(study, best), folder / FINALISTS, stage="finalists")
+        return dataclasses.replace(results, fresh=fresh)
+
+    def study(self, study: Study, folder: Path, stage: str = "designs") -> StudyResults:
+        """One study into one folder."""
+        started = time.monotonic()
+        wanted = study.scenarios
+        scenarios = self.generator.sample(wanted.left, wanted.right, seed=study.seed, given=wanted.given)
+        manifest = Manifest.of(
+            study,
+            model=self.model,
+            model_hash=self.generator.content_hash,
+            model_notes=model_notes(self.generator, study.vehicle, study.scenarios.given),
+            model_synthetic=self.generator.provenance.synthetic,
+        )
+        store = Store.create(folder, manifest, scenarios)
+        with locked(folder):
+            remove_leftovers(folder)
+            table = store.load(study.designs, repair=True)
+            for message in store.broken:
+                _log.warning(message)
+            campaign = Campaign(
+                study,
+                scenarios,
+                Prefixes(scenarios.side, _stops(study, len(scenarios))),
+                store,
+                table,
+                self.executor,
+                self.progress,
+                time_limit=self.time_limit,
+                block_size=self.block_size,
+            )
+            complete = False
+            try:
+                designs, race = self._designs(campaign, stage)
+                complete = True
+            finally:
+                ended = store.manifest.ended(
+                    seconds=time.monotonic() - started,
+                    executor=self.executor.name,
+                    workers=self.executor.workers,
+                    complete=complete,
+                )
+                # where the disk is full, why the run ended says more than that this cannot be written either
+                with contextlib.suppress(*(() if complete else (StoreError,))):
+                    store.write_manifest(ended)
+            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+            return dataclasses.replace(results, race=race)
+
+    def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:
+        """Run what the study asks for; the designs that went all the way, and how a race went."""
+        study = campaign.study
+        if study.search is not None:
+            from studies.search.search_run import run_search
+
+            return run_search(campaign), None
+        campaign.store.write_designs(study.designs)
+        if study.race:
+            from studies.racing.race_run import run_race
+
+            return run_race(campaign)
+        campaign.complete(study.designs, len(campaign.scenarios), stage)
+        return study.designs, None
+
+
+def _stops(study: Study, n: int) -> tuple[int, ...]:
+    if not study.race:
+        return (n,)
+    from studies.racing.race import schedule
+
+    return schedule(n)

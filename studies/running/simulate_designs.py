@@ -1,0 +1,207 @@
+"""The work of one worker: designs on some scenarios, from plain data."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import OrderedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import BicycleModel, EventStatus, LdcError, Scenarios
+from ldctoolkit.law_errors import raised
+from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.simulation import Outcome, Run, Takeover, drive, drive_many
+from ldctoolkit.simulation.runs import recorded_run
+from ldctoolkit.vehicle import Convention
+from studies.design import Design
+from studies.running.steadiness import first_departures, kept_state
+from studies.running.tasks import Done, FailedRun, Job, Task, TaskResult
+
+_TAKEOVERS_KEPT = 8
+
+_NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)
+"""What ends a study even where it comes out of a law."""
+
+Key = tuple[float, Convention, bytes]
+
+
+class Simulator:
+    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share.
+
+    Every design of a `SteeringLaw` drives a few departures of its first piece once more, and fails if they do not give
+    the numbers that are stored. So its fate does not depend on the order, the tasks or the workers, with one exception
+    that no check can rule out: a law with hidden state of the whole process, which settles before this design runs or
+    changes only after it, behaves here as what ran before in the same process made it.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
+        self._few: dict[Key, tuple[npt.NDArray[np.int64], Takeover]] = {}
+        self._kernel_seconds = 0.0
+
+    def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
+        """The scenarios at their triggers."""
+        key = _key(y_s, convention, scenarios)
+        if key not in self._takeovers:
+            while len(self._takeovers) >= _TAKEOVERS_KEPT:
+                oldest, _ = self._takeovers.popitem(last=False)
+                self._few.pop(oldest, None)
+            self._takeovers[key] = Takeover.build(
+                scenarios,
+                BicycleModel(self.job.vehicle, convention),
+                y_s=y_s,
+                dt=self.job.dt,
+                initial_yaw_rate=self.job.initial_yaw_rate,
+                options=self.job.options,
+                seed=self.job.seed,
+                settle=self.job.settle,
+            )
+        self._takeovers.move_to_end(key)
+        return self._takeovers[key]
+
+    def run(self, task: Task) -> Done:
+        """Every design of a task; one whose law raises, gives what no law may give, or keeps state, has failed."""
+        started = time.perf_counter()
+        self._kernel_seconds = 0.0
+        room = _Room(task)
+        reasons: dict[int, str] = {}
+        for first, last in _same_threshold(task.designs):
+            # what this raises is no fault of a law
+            takeover = self.takeover(task.designs[first].y_s, task.convention, task.scenarios)
+            try:
+                self._together(room, takeover, first, last)
+            except _NOT_OF_A_LAW:
+                raise
+            except BaseException:  # a controller may be anybody's code
+                # which design it was is not known: one after the other, the one that raises is named
+                for i in range(first, last):
+                    self._alone(room, takeover, i, reasons)
+            if task.piece == 0:
+                for i in range(first, last):
+                    if i not in reasons and room.law_seconds[i]:
+                        self._steady(room, takeover, i, reasons)
+        ran = [i for i in range(len(task.designs)) if i not in reasons]
+        result = room.result(self._kernel_seconds, time.perf_counter() - started)
+        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.piece, why) for i, why in reasons.items())
+        return Done(result if len(ran) == len(task.designs) else result.take(ran), failed)
+
+    def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
+        """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
+        room = _Room(task)
+        for i, design in enumerate(task.designs):
+            takeover = self.takeover(design.y_s, task.convention, task.scenarios)
+            room.put(i, recorded_run(takeover))
+            room.status[i, takeover.rows] = status
+        return room.result(0.0, 0.0)
+
+    def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
+        """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
+        convention = room.task.convention
+        controllers = [design.controller(convention) for design in room.task.designs[first:last]]
+        started = time.perf_counter()
+        runs = list(drive_many(controllers, takeover, threads=1))
+        self._kernel_seconds += time.perf_counter() - started
+        for i, run in zip(range(first, last), runs, strict=True):
+            room.put(i, run)
+
+    def _alone(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
+        try:
+            self._together(room, takeover, i, i + 1)
+        except _NOT_OF_A_LAW:
+            raise
+        except BaseException as error:
+            reasons[i] = raised(error)
+
+    def _steady(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
+        """Drive a few departures once more: they have to give the same numbers."""
+        task, design = room.task, room.task.designs[i]
+        key = _key(design.y_s, task.convention, task.scenarios)
+        if key not in self._few:
+            self._few[key] = first_departures(takeover, self.job.initial_yaw_rate, self.job.settle)
+        rows, few = self._few[key]
+        if not rows.size:
+            return
+        try:
+            again = drive(design.controller(task.convention), few, threads=1)
+            reason = kept_state(*room.some(i, rows), self._outcomes(again))
+            if reason:  # state, or a law that minds its neighbours? all of them once more tell
+                again = drive(design.controller(task.convention), takeover, threads=1)
+                reason = kept_state(*room.some(i, np.arange(room.rows)), self._outcomes(again))
+        except _NOT_OF_A_LAW:
+            raise
+        except BaseException as error:  # it did not raise the first time
+            reason = f"driven a second time: {raised(error)}"
+        if reason:
+            reasons[i] = reason
+
+    def _outcomes(self, run: Run) -> list[Outcome]:
+        return [run.outcome(window) for window in self.job.windows]
+
+
+class _Room:
+    """Room for the results of a task."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.rows = task.rows.size
+        self.columns = task.job.columns
+        k = len(task.designs)
+        self.values = np.empty((len(self.columns), k, self.rows))
+        self.status = np.empty((k, self.rows), dtype=np.int8)
+        self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
+        self.law_seconds = np.zeros(k)
+        self.commands = np.zeros(k, dtype=np.int64)
+
+    def put(self, i: int, run: Run) -> None:
+        """Results of one design; two windows are two ways to score the same run."""
+        outcomes = [run.outcome(window) for window in self.task.job.windows]
+        first = outcomes[0]
+        driven = first.status != EventStatus.INVALID
+        if not all(np.isfinite(outcome.S[driven]).all() for outcome in outcomes):
+            raise LdcError("S is not finite in some scenario")
+        scores = [values for outcome in outcomes for values in (outcome.S, outcome.S_uncorrected)]
+        for column, values in enumerate(scores):
+            self.values[column, i] = values
+        for column, name in enumerate(COMPANION_UNITS, start=len(scores)):
+            self.values[column, i] = getattr(first.companions, name)
+        self.status[i] = first.status
+        self.failed_solves[i] = first.failed_solves
+        self.law_seconds[i] = first.law_seconds
+        over = run.takeover
+        # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
+        self.commands[i] = int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
+
+    def some(
+        self, i: int, rows: npt.NDArray[np.int64]
+    ) -> tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.int8], npt.NDArray[np.int32]]:
+        """Columns, values, status and failed solves of one design in some scenarios."""
+        return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
+
+    def result(self, kernel_seconds: float, seconds: float) -> TaskResult:
+        """All of it."""
+        keys = tuple((design.id, self.task.convention) for design in self.task.designs)
+        return TaskResult(
+            keys,
+            self.task.rows,
+            self.values,
+            self.status,
+            self.failed_solves,
+            self.law_seconds,
+            self.commands,
+            kernel_seconds,
+            seconds,
+        )
+
+
+def _key(y_s: float, convention: Convention, scenarios: Scenarios) -> Key:
+    return y_s, convention, scenarios.index.tobytes()
+
+
+def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
+    """Stretches of designs with the same y_s."""
+    y_s = np.array([design.y_s for design in designs])
+    ends = [0, *(np.flatnonzero(np.diff(y_s)) + 1).tolist(), len(designs)]
+    return list(itertools.pairwise(ends))

@@ -1,0 +1,1 @@
+"""Designs that are asked for instead of written down."""

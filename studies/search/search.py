@@ -1,0 +1,165 @@
+"""Search for designs: batches are asked for, scored, and told; the same values lead to the same designs."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ldctoolkit.errors import InputError, nearest
+from studies.design import Design
+from studies.ranking.figures import figure
+from studies.ranking.pareto import pareto_front
+from studies.search.law_search import LawSearch
+from studies.study_file.ranking_settings import SearchSettings
+from studies.study_file.spec import Study
+
+Values = tuple[float, ...]
+
+
+class Search:
+    """The designs of a study with ``[search]``, one batch after the other.
+
+    Designs of tables without any choice, such as ``law = "none"``, come first. Then each law is searched for itself:
+    half of the proposals go to the laws in turn, the other half to the laws of the best designs so far. A design that
+    is proposed again is not asked for again: Optuna is told its value at once, and the proposal is no trial.
+
+    Parameters
+    ----------
+    study : Study
+        With ``[search]``; its seed and its tables decide what is asked, together with the values told.
+
+    Raises
+    ------
+    InputError
+        For a study without ``[search]``, and if Optuna is not installed.
+    UnknownNameError
+        For an objective that is no figure.
+
+    Examples
+    --------
+    >>> block = {"law": "lqr", "gains": {"r_delta": {"from": 50, "to": 5000, "count": 9}}}
+    >>> study = Study.from_dict({"name": "s", "search": {"trials": 3, "batch": 2}, "design": [block]})
+    >>> search = Search(study)
+    >>> while batch := search.ask():
+    ...     search.tell({design.id: (dict(design.gains)["r_delta"],) for design in batch})
+    >>> len(search.asked)
+    3
+    """
+
+    def __init__(self, study: Study) -> None:
+        if study.search is None:
+            raise InputError("search: the study has no [search] table")
+        self._settings: SearchSettings = study.search
+        self._signs = [1.0 if figure(name).better == "less" else -1.0 for name in self._settings.objectives]
+        spaces = [space for block in study.design for space in block.space()]
+        self._given = [space.design({}) for space in spaces if not space.varying]
+        varying = [space for space in spaces if space.varying]
+        each = math.ceil(self._settings.trials / max(len(varying), 1))
+        self._laws = [LawSearch(space, self._settings, (study.seed, i), each) for i, space in enumerate(varying)]
+        self._asked: dict[str, Design] = {}
+        self._law_of: dict[str, int] = {}
+        self._costs: dict[str, Values | None] = {}
+        self._open: list[tuple[int, Any, str]] = []
+        self._untold: dict[str, None] = {}
+        self._leading: list[int] = []
+        self._proposals = 0
+
+    @property
+    def asked(self) -> tuple[Design, ...]:
+        """All designs so far, in the order asked, each once."""
+        return tuple(self._asked.values())
+
+    def ask(self) -> tuple[Design, ...]:
+        """The next designs, none of them asked before; empty when there are no more.
+
+        Raises
+        ------
+        InputError
+            If values of the last batch are missing.
+        """
+        if self._untold:
+            raise InputError(f"ask: the last batch is not told yet: {', '.join(self._untold)}")
+        while len(self._untold) < self._settings.batch and len(self._asked) < self._settings.trials:
+            if self._given:
+                self._add(self._given.pop(0))
+            elif (law := self._next_law()) is not None:
+                self._propose(law)
+            else:
+                break
+        return tuple(self._asked[name] for name in self._untold)
+
+    def tell(self, values: Mapping[str, Values | None]) -> None:
+        """Say how good the designs of the last batch are.
+
+        Parameters
+        ----------
+        values : mapping
+            ``Design.id`` -> the objectives in the study's order; None for a design that failed. A design with an
+            objective that is not a number has failed too.
+
+        Raises
+        ------
+        InputError
+            If a design of the last batch is missing, another is told, or the number of objectives is wrong. Nothing
+            is told then.
+        """
+        for name in self._untold:
+            if name not in values:
+                raise InputError(f"tell: design {name} was asked and is missing")
+        for name, told in values.items():
+            if name not in self._untold:
+                raise InputError(f"tell: design {name!r} is not in the last batch; {nearest(name, self._untold)}")
+            if told is not None and len(told) != len(self._signs):
+                allowed = f"allowed: {len(self._signs)}, one for each objective"
+                raise InputError(f"tell: design {name}: {len(told)} values; {allowed}")
+        self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
+        for law, trial, name in self._open:  # in the order asked, whatever the order told
+            self._laws[law].tell(trial, self._costs[name])
+        self._open.clear()
+        self._untold.clear()
+        self._leading = self._best_laws()
+
+    def _as_costs(self, values: Values | None) -> Values | None:
+        if values is None or any(math.isnan(value) for value in values):
+            return None
+        return tuple(sign * float(value) for sign, value in zip(self._signs, values, strict=True))
+
+    def _best_laws(self) -> list[int]:
+        """The law of each design that no other dominates, in the order asked."""
+        found = [(law, costs) for name, law in self._law_of.items() if (costs := self._costs.get(name)) is not None]
+        if not found:
+            return []
+        front = pareto_front(np.array([costs for _, costs in found]))
+        return [law for (law, _), best in zip(found, front, strict=True) if best]
+
+    def _next_law(self) -> int | None:
+        """The law that proposes now; None when all are used up."""
+        if not self._laws:
+            return None
+        turn, by_rank = divmod(self._proposals, 2)
+        self._proposals += 1
+        order: Sequence[int] = self._leading if by_rank and self._leading else range(len(self._laws))
+        # the first from its place on that has something left
+        from_here = [order[(turn + i) % len(order)] for i in range(len(order))]
+        for law in itertools.chain(from_here, range(len(self._laws))):
+            if not self._laws[law].used_up:
+                return law
+        return None
+
+    def _propose(self, law: int) -> None:
+        trial, design = self._laws[law].propose()
+        if design.id in self._costs:
+            self._laws[law].tell(trial, self._costs[design.id])
+        else:
+            self._open.append((law, trial, design.id))
+            self._law_of.setdefault(design.id, law)
+            self._add(design)
+
+    def _add(self, design: Design) -> None:
+        if design.id not in self._asked:
+            self._asked[design.id] = design
+            self._untold[design.id] = None

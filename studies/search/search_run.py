@@ -1,0 +1,46 @@
+"""A search: batches of designs are asked for, run, and told how good they were, until all trials are used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from studies.design import Design
+from studies.ranking.figures import figure_values
+from studies.ranking.ranking import Ranking
+from studies.running.campaign import Campaign
+from studies.search.search import Search, Values
+
+
+def run_search(campaign: Campaign) -> Sequence[Design]:
+    """Run the search of a study; the designs that were tried.
+
+    What the store holds is not run again: the same study asks for the same designs.
+    """
+    study, store, n = campaign.study, campaign.store, len(campaign.scenarios)
+    search = Search(study)
+    while batch := search.ask():
+        campaign.table.add_designs(batch)
+        store.write_designs(search.asked)
+        campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
+        search.tell(_values(campaign, batch))
+    return search.asked
+
+
+_RESAMPLES = 100
+"""Of an interval that nobody reads: figures do not depend on it."""
+
+
+def _values(campaign: Campaign, batch: Sequence[Design]) -> dict[str, Values | None]:
+    """The objectives of each design by its identifier; None for one that failed."""
+    study, store = campaign.study, campaign.store
+    values: dict[str, Values | None] = {design.id: None for design in batch}
+    conventions = study.simulation.convention
+    ran = [design for design in batch if not any((design.id, c) in store.failures for c in conventions)]
+    if not ran:
+        return values
+    results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
+    ranking = Ranking.of(results, results.cases[0], seed=study.seed, bootstrap=_RESAMPLES, D_y=study.report.D_y)
+    columns = [figure_values(name, ranking) for name in study.search.objectives] if study.search else []
+    for i, design in enumerate(ranking.designs):
+        values[design.id] = tuple(float(column[i]) for column in columns)
+    return values

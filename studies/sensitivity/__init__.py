@@ -1,0 +1,1 @@
+"""Which gain matters."""

@@ -1,0 +1,236 @@
+"""What a study leaves in its folder.
+
+::
+
+    DIR/manifest.json            what was asked for, with which versions, on which machine
+    DIR/scenarios.parquet        the scenarios that every design was run on
+    DIR/designs.parquet          the designs: identifier, law, y_s, gains
+    DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
+    DIR/failures.json            designs whose law failed, and why; not there if none did
+    DIR/race.json                which designs a race gave up, and when; not there without one
+    DIR/timing.json              how long the laws took; the one file that a second run does not give again
+    DIR/finalists/               the best designs on fresh scenarios: a folder like this one
+
+Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name holds a checksum of its
+content, and writing the same runs again gives the same file. A run is a design under one convention, identified by the
+design's content. What a killed study had stored survives it, and the next run into the same folder computes only what
+is missing; a design that failed is missing, and so is tried again. A folder that holds another model, seed, vehicle,
+plant or toolkit version is refused; designs may be added and left out. Absolute paths, the host and the user are not
+recorded, unless a law's own error message names them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from ldctoolkit import Scenarios
+from ldctoolkit.errors import LdcError, StoreError
+from studies.design import Design
+from studies.racing.race_log import read_race
+from studies.results import StudyResults
+from studies.running.tasks import FailedRun, RunKey, TaskResult
+from studies.storage.design_table import DESIGNS, read_designs, write_designs
+from studies.storage.failures import FAILURES, read_failures, write_failures
+from studies.storage.files import read_scenarios, scenario_table, write_parquet
+from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
+from studies.storage.parts import PATTERN, read_part, write_part
+from studies.storage.run_table import RunTable
+from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times
+
+FINALISTS = "finalists"
+
+
+class Store:
+    """The folder of one study. Made with `create` or `open`.
+
+    Attributes
+    ----------
+    folder : Path
+    manifest : Manifest
+    broken : tuple of str
+        Messages about files that could not be read when the folder was opened for writing; they were removed.
+    times : dict of RunKey to LawTime
+        How long the laws of stored runs took, as far as it is known.
+    failures : dict of RunKey to str
+        Why runs failed.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self.broken: tuple[str, ...] = ()
+        self.times: dict[RunKey, LawTime] = {}
+        self.failures: dict[RunKey, str] = {}
+        self._study = manifest.read_study()
+
+    @classmethod
+    def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios) -> Store:
+        """Start a folder, or resume the same study in it.
+
+        Raises
+        ------
+        StoreError
+            If the folder holds something else; the message says what differs.
+        """
+        path = folder / "manifest.json"
+        if path.exists():
+            found = read_manifest(folder)
+            refuse_other(folder, found, manifest)
+            manifest = found.resumed(manifest)
+        elif folder.exists() and (not folder.is_dir() or (folder / "results").exists()):
+            raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
+        try:
+            (folder / "results").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        store = cls(folder, manifest)
+        # the scenarios follow from model and seed, which are the same: writing them again cannot change them
+        write_parquet(folder / "scenarios.parquet", scenario_table(scenarios))
+        store.write_manifest(manifest)
+        return store
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Store:
+        """Open the folder of a study that was run.
+
+        Raises
+        ------
+        StoreError
+            If there is none.
+        """
+        return cls(Path(folder), read_manifest(folder))
+
+    def write_manifest(self, manifest: Manifest) -> None:
+        """Replace the manifest."""
+        write_manifest(self.folder, manifest)
+        self.manifest = manifest
+
+    def write_designs(self, designs: Sequence[Design]) -> None:
+        """Replace the table of designs."""
+        write_designs(self.folder, designs)
+
+    def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
+        """Store finished runs as one part, the times of their laws, and why others failed."""
+        if results:
+            write_part(self.folder / "results", results, self._study.simulation.window)
+            for result in results:
+                for key, seconds, commands in zip(result.keys, result.law_seconds, result.commands, strict=True):
+                    self.times[key] = self.times.get(key, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
+            write_times(self.folder, self.times)
+        if failed:
+            self.write_failures(self.failures | {run.key: run.reason for run in failed})
+
+    def write_failures(self, failures: dict[RunKey, str]) -> None:
+        """Replace what is known of failed runs."""
+        if failures != self.failures:
+            write_failures(self.folder, failures)
+            self.failures = failures
+
+    def load(self, designs: Sequence[Design] | None = None, *, repair: bool = False) -> RunTable:
+        """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards.
+
+        Parameters
+        ----------
+        designs : sequence of Design, optional
+            Which to make room for; those of the folder by default.
+        repair : bool
+            Remove files that are broken and remember them in `broken`, instead of raising.
+
+        Raises
+        ------
+        StoreError
+            Naming the first file that is broken.
+        """
+        n = self._study.scenarios.left + self._study.scenarios.right
+        table = RunTable(self._study, n, self.designs() if designs is None else designs, keep=repair)
+        messages = []
+        for path in sorted((self.folder / "results").glob(PATTERN)):
+            try:
+                for result in list(read_part(path, self._study.simulation.window, n)):
+                    table.put(result)
+            except StoreError as error:
+                if not repair:
+                    raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
+                messages.append(f"{error}; its results are computed anew")
+                path.unlink()
+        for read, name in ((self._read_times, FILE_NAME), (self._read_failures, FAILURES)):
+            try:
+                read()
+            except StoreError as error:
+                if not repair:
+                    raise
+                messages.append(str(error))
+                (self.folder / name).unlink()
+        self.broken = tuple(messages)
+        return table
+
+    def _read_times(self) -> None:
+        self.times = read_times(self.folder)
+
+    def _read_failures(self) -> None:
+        self.failures = read_failures(self.folder)
+
+    def designs(self) -> tuple[Design, ...]:
+        """The designs of the study, or those that its search asked for.
+
+        Raises
+        ------
+        StoreError
+            If the folder's table of them is needed and is not there, or broken.
+        """
+        if self._study.search is None:
+            return self._study.designs
+        return read_designs(self.folder / DESIGNS)
+
+    def results(self) -> StudyResults:
+        """Everything in memory: all designs that were run to the end, with the finalists' fresh results.
+
+        Raises
+        ------
+        StoreError
+            If something is missing or broken.
+        """
+        scenarios = read_scenarios(self.folder / "scenarios.parquet")
+        designs = self.designs()
+        race = read_race(self.folder, designs) if self._study.race else None
+        if self._study.race and race is None:
+            raise StoreError(f"{self.folder}: its race is not over yet; run the study again")
+        if race is not None:
+            dropped = {one.design.id for one in race.dropped}
+            designs = tuple(design for design in designs if design.id not in dropped)
+        table = self.load(designs)
+        results = table.results(scenarios, self.times, self.failures, source=str(self.folder))
+        fresh = self.fresh_results() if self._study.ranking.finalists else None
+        return dataclasses.replace(results, race=race, fresh=fresh)
+
+    def fresh_results(self) -> StudyResults | None:
+        """The finalists on fresh scenarios; None where there are none, or not all yet."""
+        folder = self.folder / FINALISTS
+        if not (folder / "manifest.json").exists():
+            return None
+        try:
+            return Store.open(folder).results()
+        except LdcError:
+            return None  # a run that was stopped in its last stage; the search scenarios are all there
+
+
+def read_results(folder: str | Path) -> StudyResults:
+    """Read the results of a finished study.
+
+    Parameters
+    ----------
+    folder : path
+        What `run_study` wrote into.
+
+    Returns
+    -------
+    StudyResults
+
+    Raises
+    ------
+    StoreError
+        If the folder holds no study, or something in it is missing or broken.
+    """
+    return Store.open(folder).results()

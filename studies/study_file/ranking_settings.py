@@ -1,0 +1,91 @@
+"""The tables ``[ranking]`` and ``[search]`` of a study file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from ldctoolkit import LdcError
+from studies.ranking.figures import check_figure, check_requirement
+from studies.study_file._part import Part, fail
+
+
+def _names(entry: Any) -> Any:
+    values = (entry,) if isinstance(entry, str) else entry
+    if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
+        raise fail("", f"{entry!r}; allowed: each once")
+    return tuple(values) if isinstance(values, list | tuple) else entry
+
+
+def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_checked(check_requirement, text) for text in texts)
+
+
+def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_checked(check_figure, name) for name in names)
+
+
+def _checked(check: Callable[[str], str], text: str) -> str:
+    try:
+        return check(text)
+    except LdcError as error:
+        raise fail("", str(error)) from None
+
+
+class RankingSettings(Part):
+    """``[ranking]``.
+
+    Attributes
+    ----------
+    bootstrap : int
+        Resamples of the scenarios behind every interval.
+    confidence : float
+        Of the intervals, all designs together.
+    baseline : str
+        The design that all others are compared with beside the best: a law's name (its first design), or the start of
+        a design's identifier; empty for the design without control, if there is one.
+    require : tuple of str
+        What a design must meet to be ranked, as ``"a_y_peak_p95 <= 3.0"``.
+    pareto : tuple of str
+        Figures of the Pareto front.
+    finalists : int
+        At most so many of the best designs are scored again on fresh scenarios; 0 for none.
+    """
+
+    bootstrap: int = Field(default=2000, ge=100, le=1_000_000)
+    confidence: float = Field(default=0.95, gt=0, lt=1)
+    baseline: str = ""
+    require: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_requirements)] = ()
+    pareto: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures)] = (
+        "S",
+        "needless",
+        "a_y_peak_mean",
+        "effort_mean",
+    )
+    finalists: int = Field(default=10, ge=0, le=1000)
+
+
+class SearchSettings(Part):
+    """``[search]``: designs are not written down but asked for, one batch after the other.
+
+    Attributes
+    ----------
+    method : {"optuna"}
+    sampler : {"tpe", "random", "nsga2"}
+    trials : int
+        Designs to try in all.
+    batch : int
+        Designs asked for at once; they run in parallel.
+    objectives : tuple of str
+        Figures to make small (or large, where more is better): one, or several for a Pareto front.
+    """
+
+    method: Literal["optuna"] = "optuna"
+    sampler: Literal["tpe", "random", "nsga2"] = "tpe"
+    trials: int = Field(default=200, ge=1, le=100_000)
+    batch: int = Field(default=16, ge=1, le=10_000)
+    objectives: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures), Field(min_length=1)] = (
+        "S",
+    )

@@ -1,0 +1,331 @@
+"""The study file: scenarios, simulation, vehicle, designs, ranking; checked as a whole before anything runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
+
+from ldctoolkit import VehicleParameters
+from ldctoolkit.errors import InputError, StudyError, nearest
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.simulation import SETTLE, InitialYawRate, Window
+from ldctoolkit.simulation.takeover import LONGEST_SETTLE
+from ldctoolkit.vehicle import Convention
+from studies.design import CONVENTION_GAIN, Design
+from studies.design_space.design_block import DesignBlock, check_blocks
+from studies.results import Case
+from studies.study_file._messages import study_error
+from studies.study_file._part import Part, fail
+from studies.study_file.plant_table import read_plant
+from studies.study_file.ranking_settings import RankingSettings, SearchSettings
+from studies.study_file.scenario_settings import ScenarioSettings
+
+MOST_DESIGNS = 100_000
+"""Largest grid of one study; more is a slip of the pen."""
+
+
+def _one_or_many(entry: Any) -> Any:
+    values = (entry,) if isinstance(entry, str) else entry
+    if not isinstance(values, list | tuple):
+        return entry
+    if not values or len(set(map(str, values))) != len(values):
+        raise fail("", f"{entry!r}; allowed: a name, or a list of different names")
+    return tuple(values)
+
+
+def _file_name(name: str) -> str:
+    # it names a folder by default
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", name):
+        raise fail("", f"{name!r}; allowed: up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
+    return name
+
+
+class SimulationSettings(Part):
+    """``[simulation]``: how designs are driven and scored; the cases are windows x conventions.
+
+    Attributes
+    ----------
+    dt : float [s]
+        Sample time of the controller.
+    window : tuple of {"departure", "control"}
+        Windows of S; the first is the primary one.
+    convention : tuple of {"consistent", "as_printed"}
+        Readings of the paper; the first is the primary one.
+    initial_yaw_rate : {"path", "zero"}
+        de_psi/dt at the trigger.
+    settle : float [s]
+        How long the loop goes on after the departure's end; S does not count it, overshoot and comfort do.
+    """
+
+    dt: float = Field(default=0.05, ge=1e-3, le=1.0)
+    window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
+    convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
+    initial_yaw_rate: InitialYawRate = "path"
+    settle: float = Field(default=SETTLE, ge=0.0, le=LONGEST_SETTLE)
+
+
+class ReportSettings(Part):
+    """``[report]``.
+
+    Attributes
+    ----------
+    D_y : float [m]
+        The report counts departures deeper than this (paper, Table I).
+    """
+
+    D_y: float = Field(default=0.5, gt=0)
+
+
+def _vehicle(entry: Any) -> Any:
+    if not isinstance(entry, dict):
+        return entry
+    allowed = {field.name for field in dataclasses.fields(VehicleParameters)}
+    for key in entry:
+        if key not in allowed:
+            raise fail(key, f"no such key; {nearest(str(key), allowed)}")
+    try:
+        parameters = VehicleParameters(**entry)
+        return VehicleParameters(**{name: float(value) for name, value in dataclasses.asdict(parameters).items()})
+    except InputError as error:
+        path, _, message = str(error).removeprefix("vehicle.").partition(": ")
+        raise fail(path, message) from None
+
+
+class Study(Part):
+    """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
+
+    Attributes
+    ----------
+    name : str
+        Short name; letters, digits, ``-``, ``_`` and ``.``.
+    title : str
+        For people; the name by default.
+    seed : int
+        Of the scenarios and of the bootstrap.
+    scenarios : ScenarioSettings
+    simulation : SimulationSettings
+    vehicle : VehicleParameters
+    plant : PlantOptions
+        What differs from the ideal plant; nothing by default.
+    report : ReportSettings
+    ranking : RankingSettings
+    race : bool
+        Give up designs that are separable from the best before they have run on all scenarios.
+    search : SearchSettings or None
+        Ask for designs instead of running all that the tables stand for.
+    design : tuple of DesignBlock
+
+    Raises
+    ------
+    pydantic.ValidationError
+        From the constructor; `from_toml` and `from_dict` turn it into a `StudyError`.
+
+    Examples
+    --------
+    >>> from studies import Study
+    >>> study = Study.from_dict({"name": "small", "design": [{"law": "none", "y_s": [0.1, 0.2]}]})
+    >>> len(study.designs)
+    2
+    """
+
+    name: Annotated[str, AfterValidator(_file_name)]
+    title: str = ""
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    scenarios: ScenarioSettings = Field(default_factory=ScenarioSettings)
+    simulation: SimulationSettings = Field(default_factory=SimulationSettings)
+    vehicle: Annotated[VehicleParameters, BeforeValidator(_vehicle)] = Field(default_factory=VehicleParameters)
+    plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
+    report: ReportSettings = Field(default_factory=ReportSettings)
+    ranking: RankingSettings = Field(default_factory=RankingSettings)
+    race: bool = False
+    search: SearchSettings | None = None
+    design: tuple[DesignBlock, ...]
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+
+    @model_validator(mode="after")
+    def _grid_size(self) -> Self:
+        if not self.design:
+            raise fail("design", "no designs; allowed: one [[design]] table or more")
+        check_blocks(self.design, searched=self.search is not None)
+        size = 0 if self.search else sum(block.size for block in self.design)
+        if self.race and self.search is not None:
+            raise fail("race", "true with [search]; allowed: one of the two")
+        if self.race and self.ranking.require:
+            # a race knows mean S alone: the best design that meets the requirements could be given up
+            raise fail("race", "true with ranking.require; allowed: one of the two")
+        if size > MOST_DESIGNS:
+            raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
+        return self
+
+    @model_validator(mode="after")
+    def _known_baseline(self) -> Self:
+        # found out now, and not after a night's run
+        baseline, laws = self.ranking.baseline, sorted({law for block in self.design for law in block.laws})
+        if not baseline or baseline in laws:
+            return self
+        if re.fullmatch(r"[0-9a-f]{6,12}", baseline):
+            if self.search or any(design.id.startswith(baseline) for design in self.designs):
+                return self
+            raise fail("ranking.baseline", f"{baseline!r}; no design's identifier begins so; see ranking.csv for them")
+        raise fail(
+            "ranking.baseline", f"{baseline!r}; allowed: a law or the start of an identifier; {nearest(baseline, laws)}"
+        )
+
+    @model_validator(mode="after")
+    def _whole_samples(self) -> Self:
+        try:
+            self.plant.sensors.in_samples(self.simulation.dt)
+        except InputError as error:
+            path, _, message = str(error).partition(": ")
+            raise fail(f"plant.{path}", message.replace("the sample time dt", "simulation.dt")) from None
+        return self
+
+    @model_validator(mode="after")
+    def _printed_tyres(self) -> Self:
+        model = self.plant.tyres.model
+        if model != "linear" and "as_printed" in self.simulation.convention:
+            message = (
+                f"{model!r} with simulation.convention 'as_printed'; the printed matrix is linear; allowed: 'linear'"
+            )
+            raise fail("plant.tyres.model", message)
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Study:
+        """Read a study file.
+
+        Parameters
+        ----------
+        path : path
+            TOML file.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        StudyError
+            Naming the file, the key path, the value, what is allowed and the nearest valid name.
+        """
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_bytes().decode())
+        except OSError as error:
+            raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise StudyError(f"{path}: not a TOML file: {error}") from None
+        return cls.from_dict(content, source=str(path), folder=path.parent)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any], *, source: str = "study", folder: str | Path = ".") -> Study:
+        """Make a study from what a study file holds.
+
+        Parameters
+        ----------
+        content : dict
+            Keys as in the file.
+        source : str
+            What messages name first.
+        folder : path
+            Where a relative model path starts.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        StudyError
+            As in `from_toml`.
+        """
+        try:
+            study = cls.model_validate(_tuples(content))
+        except ValidationError as error:
+            raise study_error(error, content, source, cls) from None
+        study._folder = Path(folder)
+        return study
+
+    @functools.cached_property
+    def designs(self) -> tuple[Design, ...]:
+        """All designs in the order written, each once; none where a search asks for them."""
+        if self.search is not None:
+            return ()
+        every = (design for block in self.design for design in block.designs())
+        return tuple({design.id: design for design in every}.values())
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """Windows x conventions; the first is the primary case."""
+        return tuple(Case(w, c) for w in self.simulation.window for c in self.simulation.convention)
+
+    @property
+    def model_path(self) -> Path:
+        """Where the model lies if it is a file and not a bundled name."""
+        return self._folder / self.scenarios.model
+
+    def content(self) -> dict[str, Any]:
+        """Everything in plain JSON types; `from_dict` reads it back."""
+        return self.model_dump(mode="json")
+
+    def inputs(self) -> dict[str, Any]:
+        """What decides the numbers of any design: not which designs there are, the title, the report or the ranking."""
+        content = self.content()
+        same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
+        same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
+        if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
+            same["scenarios"]["given"] = content["scenarios"]["given"]
+        if self.race:
+            same["race"] = True
+        return same
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the stored numbers: `inputs`, and the designs."""
+        same = self.inputs()
+        if self.search is None:
+            same["designs"] = [design.id for design in self.designs]
+        else:
+            content = self.content()
+            same |= {key: content[key] for key in ("search", "design")}
+        return same
+
+    @property
+    def hash(self) -> str:
+        """Sixteen hexadecimal digits of `identity`."""
+        text = json.dumps(self.identity(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _tuples(value: Any) -> Any:
+    """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+__all__ = [
+    "CONVENTION_GAIN",
+    "DesignBlock",
+    "RankingSettings",
+    "ReportSettings",
+    "ScenarioSettings",
+    "SearchSettings",
+    "SimulationSettings",
+    "Study",
+]

@@ -1,0 +1,539 @@
+"""Two studies compared: shared scenarios, verdicts and their error rates, failures, refusals."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ldctoolkit import EventStatus, Scenarios, load_model
+from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.metrics import Companions
+from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
+from ldctoolkit.simulation.random_streams import RandomStream
+from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare, run_study
+from studies.comparison.comparable import FinishedStudy
+from studies.comparison.comparison_files import COLUMNS, comparison_content, write_comparison
+from studies.comparison.paired_verdicts import Verdict, paired_differences
+from studies.comparison.shared_scenarios import drawn_streams, share_scenarios
+from studies.results import Dropped, FailedDesign, Race
+
+DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
+
+
+def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
+    generator = np.random.default_rng(seed)
+    side = np.where(np.arange(n) < (n // 2 if left is None else left), 1, -1)
+    return Scenarios.from_arrays(T=generator.uniform(1, 5, n), d_y=0.3, v_mean=25.0, side=side)
+
+
+def case_of(S: np.ndarray, case: Case = DEPARTURE, status: np.ndarray | None = None) -> CaseResults:
+    nothing: Any = np.zeros(S.shape, dtype=np.float32)
+    return CaseResults(
+        case=case,
+        S=S,
+        S_uncorrected=np.full(S.shape, 9.0),
+        status=np.zeros(S.shape, dtype=np.int8) if status is None else status,
+        companions=Companions(**{field.name: nothing for field in dataclasses.fields(Companions)}),
+        failed_solves=np.zeros(S.shape, dtype=np.int32),
+        law_time=np.full(len(S), np.nan),
+    )
+
+
+def study_of(d: int, **parts: Any) -> Study:
+    designs = {"law": "none", "y_s": [round(0.001 * (i + 1), 6) for i in range(d)]}
+    return Study.from_dict({"name": "synthetic", "ranking": {"bootstrap": 400}, "design": [designs]} | parts)
+
+
+def finished(
+    S: np.ndarray,
+    *,
+    source: str = "here",
+    scenarios: Scenarios | None = None,
+    status: np.ndarray | None = None,
+    cases: Sequence[CaseResults] | None = None,
+    rows: Sequence[int] | None = None,
+    of: int | None = None,
+    **parts: Any,
+) -> FinishedStudy:
+    """A study whose scores are given; `rows` are the positions of its designs among `of` of them."""
+    study = study_of(len(S) if of is None else of, **parts)
+    designs = tuple(study.designs[i] for i in (range(len(S)) if rows is None else rows))
+    if rows is not None:
+        study = Study.from_dict(study.content() | {"design": [{"law": "none", "y_s": [d.y_s for d in designs]}]})
+    where = scenarios_of(S.shape[1]) if scenarios is None else scenarios
+    results = StudyResults(designs, where, tuple(cases) if cases else (case_of(S, status=status),))
+    manifest = Manifest.of(study, model="reference", model_hash="0" * 64, model_notes=(), model_synthetic=True)
+    return FinishedStudy(source, manifest, study, results)
+
+
+def changed(side: FinishedStudy, **parts: Any) -> FinishedStudy:
+    return dataclasses.replace(side, results=dataclasses.replace(side.results, **parts))
+
+
+def verdicts(comparison: Comparison) -> list[str]:
+    return [str(verdict) for verdict in comparison.cases[0].S.verdict]
+
+
+@pytest.fixture
+def scores() -> np.ndarray:
+    """Four designs on 400 scenarios, with much in common."""
+    generator = np.random.default_rng(5)
+    return generator.gamma(2.0, 1.0, 400) + 0.2 * generator.normal(size=(4, 400)) + 1.0
+
+
+# shared scenarios
+
+
+def rows_by_content(scenarios: Scenarios) -> dict[tuple[float, ...], int]:
+    table = np.column_stack([scenarios.side, scenarios.matrix()])
+    return {tuple(row): i for i, row in enumerate(table.tolist())}
+
+
+def test_a_larger_study_shares_the_scenarios_of_a_smaller_one() -> None:
+    model = load_model("reference")
+    small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
+    shared = share_scenarios(small, large)
+    there, here = rows_by_content(small), rows_by_content(large)
+    both = [key for key in here if key in there]  # another route: a dictionary of rows, in the order of the new ones
+    assert shared.old.tolist() == [there[key] for key in both]
+    assert shared.new.tolist() == [here[key] for key in both]
+    assert (shared.left, shared.right) == (30, 40)
+    assert share_scenarios(small, model.sample(70, 40, seed=5)).n == 0
+
+
+def test_draws_are_shared_with_seed_and_number_only() -> None:
+    model = load_model("reference")
+    small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
+    shared = share_scenarios(small, large, both_draw=True)
+    assert (shared.left, shared.right) == (30, 0)  # the right ones stand at other places
+    assert shared.other_draws == 40
+    assert (small.index[shared.old] == large.index[shared.new]).all()
+    other = share_scenarios(small, large, both_draw=True, same_seed=False)
+    assert (other.n, other.other_draws) == (0, 70)
+
+
+@given(st.lists(st.integers(0, 9), max_size=12), st.lists(st.integers(0, 9), max_size=12))
+def test_a_departure_is_shared_as_often_as_both_hold_it(old: list[int], new: list[int]) -> None:
+    every = scenarios_of(10, seed=1)
+    shared = share_scenarios(every.take(old), every.take(new))
+    assert shared.n == sum(min(old.count(i), new.count(i)) for i in range(10))
+    assert [old[i] for i in shared.old] == [new[i] for i in shared.new]
+    assert len(set(shared.old.tolist())) == len(set(shared.new.tolist())) == shared.n
+
+
+@pytest.mark.parametrize(
+    ("options", "streams"),
+    [
+        (PlantOptions(), set()),
+        (PlantOptions(mismatch=Mismatch(m=(1.2, 1.2)), sensors=Sensors(e_y_bias=0.1, delay=0.1)), set()),
+        (PlantOptions(mismatch=Mismatch(I_z=(1.0, 1.2))), {RandomStream.MISMATCH}),
+        (PlantOptions(residuals=Residuals(y=True)), {RandomStream.RESIDUAL_Y}),
+        (PlantOptions(residuals=Residuals(v=True)), {RandomStream.RESIDUAL_V}),
+        (PlantOptions(sensors=Sensors(e_psi_noise=0.1)), {RandomStream.CAMERA}),
+        (PlantOptions(sensors=Sensors(curvature_noise=0.1)), {RandomStream.CURVATURE}),
+    ],
+)
+def test_what_a_plant_draws(options: PlantOptions, streams: set[RandomStream]) -> None:
+    assert drawn_streams(options) == streams
+
+
+# verdicts
+
+
+def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
+    noise = 0.05 * np.random.default_rng(1).normal(size=scores.shape)
+    noise -= noise.mean(axis=1, keepdims=True)
+    new = scores + noise + np.array([0.05, -0.05, 0.0, 0.0])[:, None]
+    new[3] = scores[3] + 5e-7  # the tolerance of a solver
+    comparison = compare(finished(scores, source="old"), finished(new))
+    assert verdicts(comparison) == ["worse", "better", "cannot be told", "same"]
+    S = comparison.cases[0].S
+    np.testing.assert_allclose(S.difference[:3], [0.05, -0.05, 0.0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(S.S_new - S.S_old, S.difference, rtol=0, atol=1e-12)
+    assert (S.low[:3] < S.difference[:3]).all()
+    assert (S.difference[:3] < S.high[:3]).all()
+    assert S.changed.tolist() == [400, 400, 400, 0]
+    i = np.abs(new[0] - scores[0]).argmax()
+    assert (S.largest_at[0], S.largest[0]) == (i, (new - scores)[0, i])
+    assert comparison.any_worse
+    assert comparison.cases[0].order[0] == 0
+    assert comparison.cases[0].order[-1] == 3
+    assert "1 better, 1 worse, 1 cannot be told, 1 the same" in comparison.summary
+
+
+def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
+    comparison = compare(finished(scores, source="old"), finished(scores.copy()))
+    assert verdicts(comparison) == ["same"] * 4
+    assert comparison.differences == ()
+    assert not comparison.any_worse
+    winners = comparison.cases[0].winners
+    assert winners is not None
+    assert winners.verdict is Verdict.SAME
+    assert winners.same_design
+
+
+def plain_half_width(change: np.ndarray, side: np.ndarray, samples: int, confidence: float) -> float:
+    """The studentised bootstrap of one row, resample by resample, with random numbers of its own."""
+    generator = np.random.default_rng(99)
+    strata = [change[side == which] for which in (1, -1)]
+
+    def mean_and_error(parts: list[np.ndarray]) -> tuple[float, float]:
+        mean = sum(part.sum() for part in parts) / change.size
+        return mean, math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / change.size
+
+    mean, error = mean_and_error(strata)
+    t = []
+    for _ in range(samples):
+        again, spread = mean_and_error([generator.choice(part, part.size) for part in strata])
+        t.append(abs(again - mean) / spread)
+    return float(np.quantile(t, confidence)) * error
+
+
+def test_interval_against_a_plain_bootstrap() -> None:
+    generator = np.random.default_rng(2)
+    side = np.repeat([1, -1], [60, 40])
+    old = generator.gamma(2.0, 1.0, (1, 100))
+    new = old + np.where(side > 0, 0.3, -0.1) * generator.gamma(1.0, 1.0, 100)
+    found = paired_differences(old, new, side, seed=1, bootstrap=20_000)
+    half = plain_half_width((new - old)[0], side, 20_000, 0.95)
+    # both quantiles are known to about 1 %: 20,000 resamples each
+    assert found.high[0] - found.difference[0] == pytest.approx(half, rel=0.04)
+    assert found.difference[0] - found.low[0] == pytest.approx(half, rel=0.04)
+
+
+def test_no_number_depends_on_the_rows_beside_it_but_the_common_width(scores: np.ndarray) -> None:
+    new = scores + 0.1 * np.random.default_rng(3).normal(size=scores.shape)
+    side = np.repeat([1, -1], 200)
+    forward, backward = (
+        paired_differences(scores[::step], new[::step], side, seed=1, bootstrap=300) for step in (1, -1)
+    )
+    for name in ("difference", "low", "high", "S_old", "largest"):
+        np.testing.assert_array_equal(getattr(forward, name), getattr(backward, name)[::-1])
+    alone = paired_differences(scores[:1], new[:1], side, seed=1, bootstrap=300)
+    assert alone.difference[0] == forward.difference[0]
+    assert alone.high[0] < forward.high[0]  # one row alone needs less
+
+
+def test_rows_in_blocks_share_one_width(monkeypatch: pytest.MonkeyPatch, scores: np.ndarray) -> None:
+    new = scores + 0.1 * np.random.default_rng(3).normal(size=scores.shape)
+    side = np.repeat([1, -1], 200)
+    whole = paired_differences(scores, new, side, seed=1, bootstrap=300)
+    monkeypatch.setattr("studies.comparison.paired_verdicts._ROWS", 3)
+    np.testing.assert_array_equal(paired_differences(scores, new, side, seed=1, bootstrap=300).high, whole.high)
+
+
+def test_a_few_changed_scenarios_tell_nothing_of_the_mean(scores: np.ndarray) -> None:
+    new = scores.copy()
+    new[0, 17] += 3.0
+    new[1] += 0.1 * np.random.default_rng(3).normal(size=400)
+    comparison = compare(finished(scores, source="old"), finished(new))
+    S = comparison.cases[0].S
+    assert verdicts(comparison) == ["cannot be told", "cannot be told", "same", "same"]
+    assert np.isnan(S.low[0])
+    assert np.isnan(S.high[0])
+    assert np.isfinite(S.low[1])
+    assert (S.changed[0], S.largest_at[0]) == (1, 17)
+    assert S.largest[0] == pytest.approx(3.0)
+
+
+def test_a_constant_shift_needs_no_interval(scores: np.ndarray) -> None:
+    new = scores + np.array([0.1, 0.0, 0.0, 0.0])[:, None]
+    new[1] += 0.1 * np.random.default_rng(3).normal(size=400)
+    side = np.repeat([1, -1], 200)
+    found = paired_differences(scores, new, side, seed=1, bootstrap=300)
+    assert found.low[0] == found.high[0] == pytest.approx(0.1)
+    # its rounding has no share in the common width
+    rest = paired_differences(scores[1:], new[1:], side, seed=1, bootstrap=300)
+    assert found.high[1] == rest.high[0]
+
+
+def test_one_scenario_of_a_side_tells_nothing(scores: np.ndarray) -> None:
+    new = scores + 0.1 + 0.01 * np.random.default_rng(3).normal(size=scores.shape)
+    one_left = scenarios_of(400, left=1)
+    comparison = compare(finished(scores, scenarios=one_left), finished(new, scenarios=one_left))
+    assert verdicts(comparison) == ["cannot be told"] * 4
+    assert np.isinf(comparison.cases[0].S.high).all()
+    json.dumps(comparison_content(comparison), allow_nan=False)
+
+
+def test_cases_share_one_confidence(scores: np.ndarray) -> None:
+    generator = np.random.default_rng(4)
+    first, second = (scores + 0.1 * generator.normal(size=scores.shape) for _ in range(2))
+    old = finished(scores, cases=[case_of(scores), case_of(scores, CONTROL)])
+    both = compare(old, finished(first, cases=[case_of(second, CONTROL), case_of(first)]))
+    assert [case.case for case in both.cases] == [CONTROL, DEPARTURE]
+    one = compare(old, finished(first))
+    assert [case.case for case in one.cases] == [DEPARTURE]
+    np.testing.assert_array_equal(both.cases[1].S.difference, one.cases[0].S.difference)
+    assert (both.cases[1].S.high > one.cases[0].S.high).all()
+
+
+def test_failed_scenarios_count_at_least_as_without_control(scores: np.ndarray) -> None:
+    status = np.zeros(scores.shape, dtype=np.int8)
+    status[2, :50] = EventStatus.TIMED_OUT
+    comparison = compare(finished(scores, source="old"), finished(scores, status=status))
+    case = comparison.cases[0]
+    expected = np.concatenate([9.0 - scores[2, :50], np.zeros(350)]).mean()
+    assert case.S.difference[2] == pytest.approx(expected)
+    assert verdicts(comparison) == ["same", "same", "worse", "same"]
+    assert (case.failed_old, case.failed_new) == ((0, 0, 0, 0), (0, 0, 50, 0))
+
+
+def test_what_cannot_be_driven_counts_for_nobody(scores: np.ndarray) -> None:
+    status = np.zeros(scores.shape, dtype=np.int8)
+    status[1, 3] = EventStatus.INVALID
+    new = scores.copy()
+    new[1, 3] = np.nan
+    comparison = compare(finished(scores, source="old"), finished(new, status=status))
+    assert verdicts(comparison) == ["same"] * 4
+    assert comparison.shared.n == 399
+    assert comparison.cases[0].S.S_old[0] == pytest.approx(np.delete(scores[0], 3).mean())
+    assert any("1 shared scenarios cannot be driven" in warning for warning in comparison.warnings)
+
+
+def draw(repetition: int, *, k: int, n: int, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scores of two versions of k designs without any difference in truth; `share` of the scenarios change at all."""
+    generator = np.random.default_rng([repetition, n, k])
+    side = np.where(np.arange(n) < 0.4 * n, 1, -1)
+    common = generator.gamma(2.0, 1.0, n)
+    old = common + 0.2 * generator.normal(size=(k, n))
+    change = 0.05 * (generator.gamma(1.0, 1.0, (k, n)) - 1.0) + 0.05 * generator.standard_t(4, size=n)
+    return old, old + change * (generator.random(n) < share), side
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "share"), [(1000, 1.0), (200, 1.0), (1000, 0.05)])
+def test_false_alarms_are_as_rare_as_promised(n: int, share: float) -> None:
+    """40 designs, skewed and heavy-tailed changes with a common part: any design called better or worse is an error."""
+    repetitions = 300
+    alarms = 0
+    for repetition in range(repetitions):
+        old, new, side = draw(repetition, k=40, n=n, share=share)
+        found = paired_differences(old, new, side, seed=repetition, bootstrap=500)
+        alarms += Verdict.WORSE in found.verdict or Verdict.BETTER in found.verdict
+    # 5 %, and three standard errors of 300 repetitions
+    assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
+
+
+@pytest.mark.slow
+def test_the_winners_interval_minds_that_they_were_chosen() -> None:
+    """20 designs, all equal in truth, other ones in the new study: the best by chance must not look better."""
+    repetitions, alarms = 200, 0
+    for repetition in range(repetitions):
+        generator = np.random.default_rng(repetition)
+        common = generator.gamma(2.0, 1.0, 300)
+        old, new = common + 0.3 * generator.normal(size=(2, 20, 300))
+        comparison = compare(
+            finished(old[:1], source="old", rows=[0], of=40),
+            finished(new, rows=range(20, 40), of=40, seed=0),
+            bootstrap=300,
+        )
+        winners = comparison.cases[0].winners
+        assert winners is not None
+        alarms += winners.verdict is not Verdict.UNTOLD
+    assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
+
+
+# designs
+
+
+def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
+    generator = np.random.default_rng(6)
+    better = scores[:2] - 0.3 + 0.05 * generator.normal(size=(2, 400))
+    old = finished(scores, source="old", of=6, rows=range(4))
+    comparison = compare(old, finished(better, rows=[4, 5], of=6))
+    assert len(comparison.cases[0]) == 0
+    winners = comparison.cases[0].winners
+    assert winners is not None
+    best_old, best_new = scores.mean(axis=1).argmin(), better.mean(axis=1).argmin()
+    assert (winners.old, winners.new) == (old.results.designs[best_old], comparison.only_new[best_new])
+    assert winners.difference == pytest.approx((better[best_new] - scores[best_old]).mean())
+    assert winners.verdict is Verdict.BETTER
+    assert (winners.same_design, winners.fresh, winners.scenarios) == (False, False, 400)
+    assert len(comparison.only_old) == 4
+    assert not comparison.any_worse
+    assert compare(finished(better, rows=[4, 5], of=6), old).any_worse  # the other way round
+
+
+def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
+    scores = scores + np.array([0.0, 0.0, -0.05, -0.05])[:, None]
+    fresh_scenarios = scenarios_of(300, seed=8)
+    cases = [case_of(scores), case_of(scores[::-1], CONTROL)]
+    old, new = (finished(scores, source=name, cases=cases) for name in ("old", "new"))
+    fresh = np.random.default_rng(9).gamma(2.0, 1.0, (2, 300))
+    fresh[1] -= fresh[1].mean() - fresh[0].mean() - 1.0
+
+    def with_fresh(side: FinishedStudy, S: np.ndarray) -> FinishedStudy:
+        parts = (case_of(S), case_of(S, CONTROL))
+        return changed(side, fresh=StudyResults(side.results.designs[2:], fresh_scenarios, parts))
+
+    comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
+    first, second = (case.winners for case in comparison.cases)
+    assert first is not None
+    assert (first.fresh, first.scenarios, first.old) == (True, 300, old.results.designs[2])
+    assert first.difference == pytest.approx(-0.5)
+    assert first.verdict is Verdict.BETTER
+    # no finalist is among the best of the other case, whose winner met the study's own scenarios only
+    assert second is not None
+    assert (second.fresh, second.scenarios) == (False, 400)
+    assert second.old in old.results.designs[:2]
+    one_sided = compare(with_fresh(old, fresh), new).cases[0].winners
+    assert one_sided is not None
+    assert not one_sided.fresh
+
+
+def test_no_winner_where_no_design_meets_the_requirements(scores: np.ndarray) -> None:
+    old, new = finished(scores, source="old"), finished(scores, ranking={"require": ["S <= 0.001"]})
+    comparison = compare(old, new)
+    assert comparison.cases[0].winners is None
+    assert any("no winner to compare" in warning for warning in comparison.warnings)
+    assert "against the old one: no winner." in comparison.summary
+    assert [row["compared"] for row in comparison_content(comparison)["rows"]] == ["design"] * 4
+
+
+def test_the_winner_meets_the_requirements(scores: np.ndarray) -> None:
+    """The best mean S belongs to a design that a requirement rules out."""
+    old = finished(scores, source="old")
+    status = np.zeros(scores.shape, dtype=np.int8)
+    best, second = np.argsort(scores.mean(axis=1))[:2]
+    status[best, 0] = EventStatus.TIMED_OUT
+    new = finished(scores, status=status, ranking={"require": ["timed_out <= 0"]})
+    winners = compare(old, new).cases[0].winners
+    assert winners is not None
+    assert (winners.old, winners.new) == (old.results.designs[best], old.results.designs[second])
+
+
+def test_failed_designs(scores: np.ndarray) -> None:
+    every = study_of(4).designs
+    old = changed(finished(scores[:3], of=4, rows=[0, 1, 2]), failed=(FailedDesign(every[3], "it raised"),))
+    new = changed(
+        finished(scores[[1, 3]], of=4, rows=[1, 3]),
+        failed=(FailedDesign(every[0], "it raises now"),),
+    )
+    comparison = compare(old, new)
+    assert [one.reason for one in comparison.new_failures] == ["it raises now"]
+    assert [one.design for one in comparison.repaired] == [every[3]]
+    assert comparison.any_worse  # though design 1 is the same
+    assert verdicts(comparison) == ["same"]
+    assert "1 failed only in the new study" in comparison.summary
+    both = compare(old, changed(old, failed=old.results.failed))
+    assert [one.design for one in both.failed_in_both] == [every[3]]
+    assert not both.any_worse
+
+
+def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarray) -> None:
+    every = study_of(4).designs
+    dropped = Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1)
+    race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
+    raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
+    comparison = compare(finished(scores, source="old"), raced)
+    assert len(comparison.cases[0]) == 3
+    assert comparison.given_up == (every[3],)
+    assert comparison.only_old == ()
+    assert comparison.differences == ("race: not set -> True",)
+
+
+def test_inputs_that_differ_come_as_old_and_new(scores: np.ndarray) -> None:
+    comparison = compare(
+        finished(scores, source="old", plant={"sensors": {"kalman": {}}}),
+        finished(scores[:2], vehicle={"m": 1100.0}, of=4, rows=[0, 1]),
+    )
+    assert comparison.differences[0] == "vehicle.m: 1000.0 -> 1100.0"
+    assert comparison.differences[1].startswith("plant.sensors.kalman: {")
+    assert comparison.differences[1].endswith("-> not set")
+    assert comparison.differences[2:] == ("designs: 4 -> 2, 2 of them in both",)
+
+
+def test_both_plants_draw(scores: np.ndarray) -> None:
+    noise = {"sensors": {"e_y_noise": 0.01}}
+    n = scores.shape[1]
+    every = scenarios_of(n)
+    # the same departures in another order: other numbers
+    turned = Scenarios.from_arrays(side=every.side[::-1], T=every.T[::-1], d_y=0.3, v_mean=25.0)
+    old, ideal = finished(scores, plant=noise, scenarios=every), finished(scores[:, ::-1], scenarios=turned)
+    assert verdicts(compare(old, ideal)) == ["same"] * 4  # what one plant draws needs no partner
+    with pytest.raises(InputError, match="400 departures are the same, but both plants draw"):
+        compare(old, finished(scores[:, ::-1], plant=noise, scenarios=turned))
+    with pytest.raises(InputError, match="both plants draw"):
+        compare(old, finished(scores, plant=noise, scenarios=every, seed=1))
+    other = {"mismatch": {"m": [1.0, 1.2]}}
+    assert compare(old, finished(scores[:, ::-1], plant=other, scenarios=turned)).shared.n == n
+
+
+def test_few_shared_scenarios_are_told(scores: np.ndarray) -> None:
+    old = finished(scores[:, :50], source="old", scenarios=scenarios_of(400).take(range(175, 225)))
+    comparison = compare(old, finished(scores))
+    assert comparison.shared.n == 50
+    assert (comparison.shared.left, comparison.shared.right) == (25, 25)
+    assert any("Only 50 shared scenarios" in warning for warning in comparison.warnings)
+
+
+# refusals and files
+
+
+def test_refusals_of_results(scores: np.ndarray) -> None:
+    old = finished(scores, source="old")
+    with pytest.raises(InputError, match=r"no scenario in both \(seed: 0 -> 1\)"):
+        compare(old, finished(scores, scenarios=scenarios_of(400, seed=1), seed=1))
+    with pytest.raises(InputError, match="no case in both: the old study has departure window, consistent, the new"):
+        compare(old, finished(scores, cases=[case_of(scores, CONTROL)]))
+    with pytest.raises(InputError, match="no shared scenario could be driven"):
+        compare(old, finished(scores, status=np.full(scores.shape, EventStatus.INVALID, dtype=np.int8)))
+    with pytest.raises(InputError, match=r"confidence: 1\.5"):
+        compare(old, finished(scores + 1.0), confidence=1.5)
+    with pytest.raises(InputError, match="S is not finite"):
+        compare(old, finished(np.where(scores > 5, np.nan, scores)))
+
+
+def test_refusals_of_folders(tmp_path: Path, make_study: Callable[..., Study]) -> None:
+    folder = tmp_path / "one"
+    run_study(make_study(ranking={"finalists": 0}), directory=folder, workers=1)
+    (tmp_path / "link").symlink_to(folder)
+    for again in (folder, tmp_path / "link", str(folder) + "/"):
+        with pytest.raises(InputError, match="the same folder twice"):
+            compare(folder, again)
+    with pytest.raises(StoreError, match="holds no study"):
+        compare(folder, tmp_path)
+    (tmp_path / "two").mkdir()
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (tmp_path / "two" / "manifest.json").write_text(json.dumps(manifest | {"finished": ""}))
+    with pytest.raises(StoreError, match="two: the study is not finished"):
+        compare(folder, tmp_path / "two")
+
+
+def test_files_hold_every_row(tmp_path: Path, scores: np.ndarray) -> None:
+    every = study_of(5).designs
+    new = scores + 0.1 * np.random.default_rng(1).normal(size=scores.shape) + 0.1
+    new[3] = scores[3]
+    old = finished(scores, source="old", of=5, rows=range(4))
+    # the fifth one ran in neither
+    failed = (FailedDesign(every[4], 'a "reason", with a comma'),)
+    comparison = compare(changed(old, failed=failed), changed(finished(new, of=5, rows=range(4)), failed=failed))
+    write_comparison(comparison, tmp_path / "c.csv")
+    with (tmp_path / "c.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == list(COLUMNS)
+    assert [row["compared"] for row in rows] == ["design"] * 4 + ["winners", "failure"]
+    assert rows[-1]["reason"] == failed[0].reason
+    S = comparison.cases[0].S
+    for row, i in zip(rows, comparison.cases[0].order, strict=False):
+        assert row["design_new"] == comparison.cases[0].designs[i].id
+        assert float(row["difference_m_s"]) == S.difference[i]
+        assert float(row["difference_high_m_s"]) == S.high[i]
+        assert row["verdict"] == S.verdict[i]
+    assert rows[3]["largest_change_scenario"] == ""
+    assert int(rows[0]["largest_change_scenario"]) == np.abs(new - scores)[comparison.cases[0].order[0]].argmax()
+    content = json.loads(json.dumps(comparison_content(comparison), allow_nan=False))
+    assert content["worse"] is True
+    assert content["summary"] == comparison.summary
+    assert len(content["rows"]) == len(rows)

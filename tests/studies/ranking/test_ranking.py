@@ -1,0 +1,461 @@
+"""Ranking: means, paired differences, intervals against independent routes, ties, warnings, the CSV."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+import statistics
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.metrics import Companions
+from studies import Case, CaseResults, Design, Ranking, StudyResults
+from studies.ranking.bootstrap import bootstrap_means, percentile_interval
+from studies.ranking.ranking_csv import write_csv
+from studies.ranking.release import COLUMNS
+
+
+def companions_of(d: int, n: int, seed: int = 7) -> Companions:
+    """Positive numbers of a plausible size, single precision, each companion its own."""
+    generator = np.random.default_rng(seed)
+    values = {f.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32) for f in dataclasses.fields(Companions)}
+    values["deepest"] = np.tile(np.linspace(0.0, 1.0, n), (d, 1)).astype(np.float32)
+    values["dtle"] = 0.3 - values["dtle"]
+    values["overshoot"] = np.maximum(0.0, values["overshoot"] - 2.0)
+    return Companions(**values)
+
+
+def results_of(
+    S: np.ndarray, *, left: int, window: str = "departure", y_s: float | None = None, law: str = "none"
+) -> StudyResults:
+    d, n = S.shape
+    side = np.where(np.arange(n) < left, 1, -1)
+    case = CaseResults(
+        case=Case(window, "consistent"),  # type: ignore[arg-type]
+        S=S,
+        S_uncorrected=np.broadcast_to(S.max(axis=0) + 1.0, S.shape),
+        status=np.zeros((d, n), dtype=np.int8),
+        companions=companions_of(d, n),
+        failed_solves=np.zeros((d, n), dtype=np.int32),
+        law_time=np.full(d, np.nan),
+    )
+    designs = tuple(Design.from_gains(law, 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(d))
+    return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,))
+
+
+pytestmark = pytest.mark.usefixtures("laws")
+
+
+def rank(results: StudyResults, **settings: object) -> Ranking:
+    return Ranking.of(results, results.cases[0], **settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def scores() -> np.ndarray:
+    generator = np.random.default_rng(5)
+    common = generator.gamma(2.0, 1.0, 400)
+    return np.stack([common + shift + 0.1 * generator.normal(size=400) for shift in (0.5, 0.0, 0.004, 2.0)])
+
+
+def test_order_means_and_reductions(scores: np.ndarray) -> None:
+    ranking = rank(results_of(scores, left=150))
+    assert ranking.index.tolist() == np.argsort(scores.mean(axis=1)).tolist()
+    assert ranking.rank.tolist() == [1, 2, 3, 4]
+    sorted_scores = scores[ranking.index]
+    np.testing.assert_array_equal(ranking.S, sorted_scores.mean(axis=1))
+    np.testing.assert_array_equal(ranking.S_left, sorted_scores[:, :150].mean(axis=1))
+    np.testing.assert_array_equal(ranking.S_right, sorted_scores[:, 150:].mean(axis=1))
+    before = scores.max(axis=0) + 1.0
+    np.testing.assert_allclose(ranking.reduction, 1 - sorted_scores.sum(axis=1) / before.sum(), rtol=1e-12)
+    np.testing.assert_allclose(
+        ranking.reduction_right, 1 - sorted_scores[:, 150:].sum(axis=1) / before[150:].sum(), rtol=1e-12
+    )
+    np.testing.assert_allclose(ranking.difference, (sorted_scores - sorted_scores[0]).mean(axis=1), rtol=1e-12)
+    assert ranking.deeper.tolist() == [0.5] * 4
+
+
+def t_interval(values: np.ndarray, left: int) -> tuple[float, float]:
+    """Student's interval of a stratified mean, one design by itself."""
+    parts = [part for part in (values[:left], values[left:]) if part.size]
+    error = math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / values.size
+    return scipy.stats.t.interval(0.95, values.size - len(parts), values.mean(), error)
+
+
+@pytest.mark.parametrize("left", [400, 150])
+def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray, left: int) -> None:
+    """One mean, or one difference: nothing to correct for. 20,000 resamples know a 95 % quantile to about 1.5 %."""
+    one = rank(results_of(scores[:1], left=left), bootstrap=20_000)
+    low, high = t_interval(scores[0], left)
+    assert abs(one.S_low[0] - low) < 0.02 * (high - low)
+    assert abs(one.S_high[0] - high) < 0.02 * (high - low)
+    two = rank(results_of(scores[:2], left=left), bootstrap=20_000)
+    low, high = t_interval(scores[0] - scores[1], left)
+    assert abs(two.difference_low[1] - low) < 0.02 * (high - low)
+    assert abs(two.difference_high[1] - high) < 0.02 * (high - low)
+
+
+def test_intervals_are_wider_for_all_designs_at_once(scores: np.ndarray) -> None:
+    """By more than each alone, by less than Bonferroni; scipy's bootstrap of one mean is the one alone."""
+    ranking = rank(results_of(scores, left=400), bootstrap=5_000)
+    for i in range(4):
+        other = scipy.stats.bootstrap(
+            (scores[ranking.index[i]],), np.mean, n_resamples=5_000, method="percentile", rng=np.random.default_rng(1)
+        ).confidence_interval
+        half, alone = 0.5 * (ranking.S_high[i] - ranking.S_low[i]), 0.5 * (other.high - other.low)
+        # the four share nearly all of their noise: hardly wider than one
+        assert 0.97 * alone < half < 1.10 * alone
+        assert half < alone * scipy.stats.norm.isf(0.025 / 4) / scipy.stats.norm.isf(0.025)
+    widths = 0.5 * (ranking.difference_high - ranking.difference_low)[1:]
+    for width, i in zip(widths, ranking.index[1:], strict=True):
+        low, high = t_interval(scores[i] - scores[ranking.index[0]], 400)
+        assert 0.5 * (high - low) < width < 0.5 * (high - low) * scipy.stats.norm.isf(0.025 / 6) / 1.959
+
+
+def test_pairing_separates_designs_whose_own_intervals_overlap(scores: np.ndarray) -> None:
+    ranking = rank(results_of(scores, left=200))
+    # designs 1 and 2 differ by less than their noise; design 0 is worse by 0.5 in every scenario
+    assert ranking.set_of_best.tolist() == [True, True, False, False]
+    assert ranking.S_low[2] < ranking.S_high[0] + 0.5
+    assert ranking.difference_low[2] > 0.4
+
+
+def test_weights_are_stratified_and_the_same_for_every_design() -> None:
+    side = np.array([1, 1, 1, -1, -1])
+    indicator = np.stack([(side == 1).astype(float), np.arange(5.0), np.arange(5.0) + 3.0])
+    means = bootstrap_means(indicator, side, samples=500, seed=1)
+    np.testing.assert_allclose(means[:, 0], 3 / 5, rtol=1e-12)  # every resample has three left ones
+    np.testing.assert_allclose(means[:, 2] - means[:, 1], 3.0, rtol=1e-12)
+    assert means[:, 1].std() > 0
+
+
+def test_weights_depend_on_the_seed_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    values, side = np.random.default_rng(0).normal(size=(3, 50)), np.repeat([1, -1], 25)
+    one = bootstrap_means(values, side, samples=200, seed=1)
+    np.testing.assert_array_equal(one, bootstrap_means(values, side, samples=200, seed=1))
+    assert not np.array_equal(one, bootstrap_means(values, side, samples=200, seed=2))
+    # blocks change the order of random draws between strata, so the block is part of the definition; its memory is not
+    few = bootstrap_means(values[:1], side, samples=200, seed=1)
+    np.testing.assert_allclose(few[:, 0], one[:, 0], rtol=1e-12)
+
+
+def test_equal_scores_share_a_rank_and_keep_the_study_order() -> None:
+    S = np.random.default_rng(2).gamma(2.0, 1.0, 60)
+    ranking = rank(results_of(np.stack([S + 1.0, S, S, S]), left=30))
+    assert ranking.index.tolist() == [1, 2, 3, 0]
+    assert ranking.rank.tolist() == [1, 1, 1, 4]
+    assert ranking.set_of_best.tolist() == [True, True, True, False]
+    assert ranking.difference[:3].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_one_side_only_has_no_figure_for_the_other() -> None:
+    ranking = rank(results_of(np.ones((2, 10)), left=10))
+    assert np.isnan(ranking.S_right).all()
+    assert np.isnan(ranking.reduction_right).all()
+    assert (ranking.S_left == 1.0).all()
+
+
+def test_nothing_to_reduce_is_a_reduction_of_zero() -> None:
+    results = results_of(np.zeros((1, 4)), left=2)
+    case = results.cases[0]
+    still = dataclasses.replace(case, S_uncorrected=np.zeros((1, 4)))
+    assert Ranking.of(results, still).reduction.tolist() == [0.0]
+
+
+def test_failures_count_in_means_and_are_told() -> None:
+    results = results_of(np.array([[1.0, 40.0], [2.0, 2.0]]), left=1)
+    case = results.cases[0]
+    case.status[0, 1] = EventStatus.DIVERGED
+    case.status[1] = (EventStatus.SOLVER_FAILED, EventStatus.NEVER_TRIGGERED)
+    case.failed_solves[1, 0] = 7
+    ranking = rank(results)
+    # S without control is 3 and 41: what failed counts as that, the rest as it is
+    assert ranking.S.tolist() == [2.5, 21.0]
+    assert ranking.S_left.tolist() == [3.0, 1.0]
+    assert ranking.diverged.tolist() == [0, 1]
+    assert ranking.solver_failed.tolist() == [1, 0]
+    assert ranking.failed_solves.tolist() == [7, 0]
+    assert ranking.triggered.tolist() == [0.5, 1.0]
+
+
+def test_scores_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(InputError, match="not finite"):
+        rank(results_of(np.array([[1.0, np.nan]]), left=1))
+
+
+def quantile(values: list[float], share: float) -> float:
+    """The linear rule by hand: position share (n - 1) between the sorted values."""
+    ordered = sorted(values)
+    place = share * (len(ordered) - 1)
+    low = math.floor(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+
+
+def by_hand(results: StudyResults, i: int, D_y: float) -> dict[str, float]:
+    """The columns beside S of one design, one scenario after the other."""
+    case, d_y = results.cases[0], results.scenarios.d_y
+    values = {f.name: [float(x) for x in getattr(case.companions, f.name)[i]] for f in dataclasses.fields(Companions)}
+    n = len(d_y)
+    acted = [k for k in range(n) if case.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
+
+    def of(name: str) -> list[float]:
+        return [values[name][k] for k in acted]
+
+    wanted = {
+        "deepest_mean_m": sum(values["deepest"]) / n,
+        "deepest_p95_m": quantile(values["deepest"], 0.95),
+        "dtle_mean_m": sum(values["dtle"]) / n,
+        "dtle_p5_m": quantile(values["dtle"], 0.05),
+        "dtle_min_m": min(values["dtle"]),
+        "within_dtle_share": sum(x >= -0.3 for x in values["dtle"]) / n,
+        "needless_share": sum(d_y[k] < D_y for k in acted) / n,
+        "overshoot_share": sum(x > 0 for x in of("overshoot")) / len(acted),
+        "overshoot_max_m": max(of("overshoot")),
+        "back_inside_share": sum(x < math.inf for x in of("t_back")) / len(acted),
+        "t_back_median_s": statistics.median(of("t_back")),
+        "comfortable_share": sum(a <= 3 and j <= 5 for a, j in zip(of("a_y_peak"), of("jerk_peak"), strict=True))
+        / len(acted),
+        "delta_peak_max_rad": max(of("delta_peak")),
+        "delta_rate_peak_max_rad_s": max(of("delta_rate_peak")),
+        "effort_mean_rad2_s": sum(of("effort")) / len(acted),
+        "travel_mean_rad": sum(of("travel")) / len(acted),
+        "law_time_us": 1e6 * case.law_time[i],
+    }
+    for name, unit in (("a_y_peak", "m_s2"), ("jerk_peak", "m_s3")):
+        wanted[f"{name}_mean_{unit}"] = sum(of(name)) / len(acted)
+        wanted[f"{name}_p95_{unit}"] = quantile(of(name), 0.95)
+        wanted[f"{name}_max_{unit}"] = max(of(name))
+    return wanted
+
+
+def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_path: Path) -> None:
+    results = results_of(scores, left=150, law="toy")
+    case = results.cases[0]
+    generator = np.random.default_rng(11)
+    d_y = generator.gamma(2.0, 0.2, 400)
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=d_y, v_mean=20.0, side=results.scenarios.side)
+    case.status[:] = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=case.status.shape)
+    case.companions.t_back[generator.random(case.status.shape) < 0.2] = np.inf
+    case.companions.t_back[3] = np.inf  # not back after most: the median is infinite too
+    case.law_time[:] = [0.0, 1e-6, 2.5e-6, np.nan]
+    results = dataclasses.replace(results, scenarios=scenarios)
+    ranking = rank(results, D_y=0.4)
+    write_csv([ranking], tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, i in zip(rows, ranking.index, strict=True):
+        wanted = by_hand(results, int(i), 0.4)
+        assert set(wanted) == set(COLUMNS.values())
+        for name, value in wanted.items():
+            if math.isnan(value):
+                assert row[name] == "", name
+            else:
+                # sums in another order: a few roundings of 400 numbers
+                assert float(row[name]) == pytest.approx(value, rel=1e-12), name
+    assert rows[-1]["t_back_median_s"] == "inf"
+
+
+def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> None:
+    """The baseline, and a design that never took over: nothing, not zero, and not a mean over nobody."""
+    baseline = rank(results_of(scores[:1], left=150)).release
+    results = results_of(scores[:1], left=150, law="toy")
+    results.cases[0].status[:] = EventStatus.NEVER_TRIGGERED
+    for figures in (baseline, rank(results).release):
+        empty = {name for name in COLUMNS if np.isnan(getattr(figures, name)).all()}
+        assert empty == {
+            "overshoot_share", "overshoot_max", "back_inside", "t_back_median", "comfortable",
+            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "law_time",
+            *(f"{quantity}_{word}" for quantity in ("a_y_peak", "jerk_peak") for word in ("mean", "p95", "max")),
+        }  # fmt: skip
+
+
+def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: np.ndarray) -> None:
+    """As if they had not been drawn: every figure of every design, and the pairing, on those that remain."""
+    results = results_of(scores, left=150, law="toy")
+    case = results.cases[0]
+    case.status[1, [3, 200]] = EventStatus.INVALID
+    case.status[2, 399] = EventStatus.INVALID
+    for array in (case.S, *(getattr(case.companions, f.name) for f in dataclasses.fields(Companions))):
+        array[1, [3, 200]] = array[2, 399] = np.nan
+    ranking = rank(results)
+    kept = np.setdiff1d(np.arange(400), [3, 200, 399])
+    fewer = rank(
+        StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),))
+    )
+    assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
+    assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
+    assert not fewer.warnings
+    for field in dataclasses.fields(Ranking):
+        if field.name not in ("invalid", "warnings", "release"):
+            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
+        assert name == "law_time" or np.isfinite(getattr(ranking.release, name)).all()
+
+
+def test_nothing_that_can_be_driven_is_refused() -> None:
+    results = results_of(np.full((1, 3), np.nan), left=1)
+    results.cases[0].status[:] = EventStatus.INVALID
+    with pytest.raises(InputError, match="no scenario could be driven"):
+        rank(results)
+
+
+def test_the_control_window_warns_where_y_s_varies(scores: np.ndarray) -> None:
+    assert "not comparable" in rank(results_of(scores, left=9, window="control")).warnings[0]
+    assert not rank(results_of(scores, left=9, window="control", y_s=0.2)).warnings
+    assert not rank(results_of(scores, left=9)).warnings
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, -1.0, float("nan")])
+def test_a_confidence_outside_its_range_is_refused(confidence: float) -> None:
+    with pytest.raises(InputError, match="confidence"):
+        percentile_interval(np.zeros((3, 1)), confidence)
+
+
+def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.ndarray) -> None:
+    results = results_of(scores[:2], left=9)
+    lqr = Design.from_gains("lqr", 0.1, {"r_delta": 1 / 3})
+    results = StudyResults((results.designs[0], lqr), results.scenarios, results.cases)
+    ranking = rank(results)
+    write_csv([ranking, ranking], tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 4
+    assert [row["rank"] for row in rows] == ["1", "2", "1", "2"]
+    assert [float(row["S_m_s"]) for row in rows[:2]] == ranking.S.tolist()
+    by_law = {row["law"]: row for row in rows}
+    assert float(by_law["lqr"]["gain_r_delta_1_per_rad2"]) == 1 / 3
+    assert by_law["none"]["gain_r_delta_1_per_rad2"] == ""
+    assert {
+        "window",
+        "convention",
+        "y_s_m",
+        "S_left_m_s",
+        "set_of_best",
+        "best_frequency",
+        "S_cvar95_m_s",
+        "crashed",
+    } <= set(rows[0])
+    assert list(tmp_path.iterdir()) == [tmp_path / "r.csv"]
+
+
+def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path, scores: np.ndarray) -> None:
+    with pytest.raises(StoreError, match=r"nowhere/r\.csv: cannot be written"):
+        write_csv([rank(results_of(scores, left=9))], tmp_path / "nowhere" / "r.csv")
+
+
+def test_differences_below_a_solvers_tolerance_are_ties(scores: np.ndarray) -> None:
+    """5e-9 m s at every scenario is nobody's design; 5e-6 is."""
+    ranking = rank(results_of(np.stack([scores[0], scores[0] + 5e-9, scores[0] + 5e-6]), left=150))
+    assert ranking.set_of_best.tolist() == [True, True, False]
+
+
+def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
+    generator = np.random.default_rng(3)
+    S = generator.gamma(1.0, 1.0, 120) + 0.3 * generator.gamma(1.0, 1.0, (9, 120))
+    results = results_of(S, left=50, law="toy")
+    results = dataclasses.replace(results, designs=(Design.from_gains("none", 0.2, {}), *results.designs[1:]))
+    order = np.array([4, 8, 0, 2, 6, 1, 7, 3, 5])
+    case = results.cases[0]
+    arrays = {
+        name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
+    }
+    companions = Companions(**{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(Companions)})
+    turned = dataclasses.replace(case, **arrays, companions=companions)
+    other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
+    settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
+    one, two = (Ranking.of(r, r.cases[0], **settings) for r in (results, other))  # type: ignore[arg-type]
+    assert one.designs == two.designs
+    assert two.index.tolist() == [order.tolist().index(i) for i in one.index]
+    for field in dataclasses.fields(Ranking):
+        if field.name not in ("index", "release"):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(one.release, name), getattr(two.release, name), err_msg=name)
+
+
+def test_differences_to_a_named_baseline(scores: np.ndarray) -> None:
+    results = results_of(scores, left=150, law="toy")
+    none = Design.from_gains("none", 0.2, {})
+    results = dataclasses.replace(results, designs=(*results.designs[:3], none))
+    by_law = rank(results)
+    assert by_law.designs[by_law.baseline or 0].is_baseline
+    for ranking, index in ((by_law, 3), (rank(results, baseline="toy"), 0), (rank(results, baseline=none.id[:7]), 3)):  # type: ignore[arg-type]
+        assert ranking.index[ranking.baseline] == index
+        wanted = (scores - scores[index]).mean(axis=1)[ranking.index]
+        np.testing.assert_allclose(ranking.baseline_difference, wanted, rtol=1e-12, atol=1e-15)
+        others = ranking.index != index
+        assert (ranking.baseline_difference_low < ranking.baseline_difference)[others].all()
+        assert ranking.baseline_difference_low[~others] == ranking.baseline_difference_high[~others] == 0.0
+    assert np.isnan(rank(results_of(scores, left=150, law="toy")).baseline_difference).all()
+
+
+def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_path: Path) -> None:
+    """Design 1 is the best by S but misses; design 2 is then the best, and all comparisons are with it."""
+    results = results_of(scores, left=150, law="toy")
+    peaks = results.cases[0].companions.a_y_peak
+    peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
+    ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
+    assert ranking.index.tolist() == [2, 0, 3, 1]
+    assert ranking.rank.tolist() == [1, 2, 3, 0]
+    assert ranking.ranked == 3
+    assert ranking.unmet == ((), (), (), ("a_y_peak_p95 <= 3",))
+    assert ranking.difference[0] == 0.0
+    assert ranking.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
+    assert ranking.set_of_best.tolist() == [True, False, False, False]
+    assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
+    # 0 is worse by S, better by its peak; 3 is worse in both
+    assert ranking.pareto.tolist() == [True, True, False, False]
+    assert ranking.winner == 0
+    write_csv([ranking], tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as stream:
+        last = list(csv.DictReader(stream))[-1]
+    assert (last["rank"], last["unmet"]) == ("", "a_y_peak_p95 <= 3")
+    assert float(last["S_m_s"]) == scores[1].mean()
+
+
+def test_requirements_that_nobody_meets_rank_nobody_and_say_so(scores: np.ndarray) -> None:
+    ranking = rank(results_of(scores, left=150, law="toy"), require=("S <= 1e-3", "ay_max < 1e-3"))  # type: ignore[arg-type]
+    assert ranking.rank.tolist() == [0, 0, 0, 0]
+    assert ranking.S.tolist() == sorted(scores.mean(axis=1))
+    assert not ranking.set_of_best.any()
+    assert not ranking.best_frequency.any()
+    assert ranking.winner is None
+    assert "None of the 4 designs meets the requirements (S <= 0.001 and a_y_peak_max < 0.001)" in ranking.warnings[0]
+    assert "none is ranked" in repr(ranking)
+
+
+def test_the_winner_is_chosen_on_fresh_scenarios(scores: np.ndarray) -> None:
+    """Designs 1 and 2 cannot be told apart; on the fresh ones design 2 is better, and both are worse than they were."""
+    results = results_of(scores, left=150, law="toy")
+    again = results_of(scores[[1, 2]] + np.array([[0.30], [0.20]]), left=100, law="toy")
+    fresh = dataclasses.replace(again, designs=(results.designs[1], results.designs[2]))
+    ranking = rank(dataclasses.replace(results, fresh=fresh))
+    assert ranking.index.tolist() == [1, 2, 0, 3]
+    assert ranking.winner == ranking.fresh_best == 1
+    np.testing.assert_allclose(ranking.fresh_S[:2], scores[[1, 2]].mean(axis=1) + np.array([0.3, 0.2]), rtol=1e-12)
+    np.testing.assert_allclose(ranking.optimism[:2], [0.3, 0.2], rtol=1e-12)
+    assert np.isnan(ranking.fresh_S[2:]).all()
+    assert np.isnan(ranking.optimism[2:]).all()
+    assert (ranking.fresh_low[:2] < ranking.fresh_S[:2]).all()
+    assert ranking.fresh_scenarios == 400
+    # the search's own figures are as without them
+    alone = rank(results)
+    for name in ("S", "S_low", "difference_high", "set_of_best", "best_frequency"):
+        np.testing.assert_array_equal(getattr(ranking, name), getattr(alone, name))
+    assert (alone.winner, alone.fresh_best, alone.fresh_scenarios) == (0, None, 0)
+
+
+def test_a_winner_that_misses_a_requirement_on_fresh_scenarios_is_told(scores: np.ndarray) -> None:
+    results = results_of(scores, left=150, law="toy")
+    again = results_of(scores[[1, 2]] + 1.0, left=100, law="toy")
+    fresh = dataclasses.replace(again, designs=(results.designs[1], results.designs[2]))
+    limit = float(scores[1].mean()) + 0.2
+    ranking = rank(dataclasses.replace(results, fresh=fresh), require=(f"S <= {limit!r}",))  # type: ignore[arg-type]
+    assert ranking.warnings == (f"The winner misses S <= {limit!r} on the fresh scenarios.",)

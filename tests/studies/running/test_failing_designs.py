@@ -1,0 +1,436 @@
+"""A law that is broken does not stop a study: its designs are named with their fault, the others are as ever."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import dataclasses
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from ldctoolkit import Controller, EventStatus, LdcError, Plant, SteeringLaw, gain, register, registry
+from ldctoolkit.errors import StoreError
+from studies import Study, StudyResults, rank_study, read_results, run_study
+from studies.cli import main
+from studies.report import ReportInput, write_report
+
+MakeStudy = Callable[..., Study]
+pytestmark = pytest.mark.usefixtures("laws", "broken_laws")
+
+MEMORY: list[float] = []
+"""What a law must not have."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BrokenLaw(SteeringLaw):
+    how: str
+
+    @property
+    def preview_times(self) -> Any:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
+        n, good = t.size, np.zeros(t.size, dtype=np.int8)
+        match self.how:
+            case "step":
+                raise IndexError(f"no [row] {n}\nof many")
+            case "exit":
+                sys.exit("no licence")
+            case "shape":
+                return np.zeros((n, 1)), state, good
+            case "type":
+                return "straight on", state, good
+            case "nan":
+                return np.full(n, np.nan), state, good
+            case "state":
+                MEMORY.append(1.0)
+                return np.full(n, -1e-6 * len(MEMORY)), state, good
+        return np.zeros(n), state, good
+
+
+class Broken(Controller):
+    how: ClassVar[str]
+
+    def prepare(self, plant: Plant) -> BrokenLaw:
+        if self.how == "prepare":
+            raise ZeroDivisionError(f"K is {self.K}")  # type: ignore[attr-defined]
+        return BrokenLaw(self.how)
+
+
+def broken(how: str) -> type[Controller]:
+    K = gain(0.0, unit="1", lower=0.0, upper=9.0, description="a number")
+    spaces = {"name": f"broken_{how}", "title": f"Broken {how}", "how": how, "__module__": __name__}
+    return dataclasses.make_dataclass(
+        f"Broken_{how}", [("K", float, K)], bases=(Broken,), namespace=spaces, frozen=True
+    )
+
+
+FAULTS = {
+    "prepare": r"ZeroDivisionError: K is 0\.0 \(test_failing_designs\.py, line \d+\)",
+    "step": r"IndexError: no \[row\] \d+ of many \(test_failing_designs\.py, line \d+\)",
+    "exit": r"SystemExit: no licence \(test_failing_designs\.py, line \d+\)",
+    "shape": r"controller 'broken_shape': step returned shapes \(\d+, 1\), \(\d+,\); allowed: \(\d+,\)",
+    "type": r"controller 'broken_type': delta is 'straight on'; allowed: an array of real numbers",
+    "state": r"keeps state between runs: the same departure, driven twice, gave S = \S+ m s and then \S+ m.*",
+}
+LAWS = [broken(how) for how in (*FAULTS, "nan")]
+
+
+@pytest.fixture
+def broken_laws() -> Iterator[None]:
+    MEMORY.clear()
+    for law in LAWS:
+        register(law)
+    yield
+    for law in LAWS:
+        registry._registered.pop(law.name, None)
+
+
+GOOD = [{"law": "none"}, {"law": "toy", "gains": {"K": [-0.4, -0.2]}}]
+
+
+def study_with(make_study: MakeStudy, *how: str) -> Study:
+    return make_study(design=[GOOD[0], *({"law": f"broken_{name}", "y_s": 0.05} for name in how), GOOD[1]])
+
+
+def assert_same_bits(one: StudyResults, other: StudyResults) -> None:
+    assert one.designs == other.designs
+    for a, b in zip(one.cases, other.cases, strict=True):
+        for name in ("S", "S_uncorrected", "status", "failed_solves"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        np.testing.assert_array_equal(a.companions.travel, b.companions.travel)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_fault_is_named_and_the_others_run(make_study: MakeStudy, tmp_path: Path, workers: int) -> None:
+    study = study_with(make_study, *FAULTS)
+    results = run_study(study, directory=tmp_path / "all", workers=workers)
+    alone = run_study(make_study(design=GOOD), directory=tmp_path / "alone", workers=1)
+    assert_same_bits(results, alone)
+    assert [one.design.law for one in results.failed] == [f"broken_{how}" for how in FAULTS]
+    for one, pattern in zip(results.failed, FAULTS.values(), strict=True):
+        assert re.fullmatch(pattern, one.reason), one.reason
+        assert one.sentence.startswith(f"design {one.design.id} (Broken {one.design.law[7:]}, y_s=0.05 m): ")
+    again = read_results(tmp_path / "all")
+    assert again.failed == results.failed
+    assert_same_bits(again, results)
+
+
+def test_one_design_of_a_law_may_fail_alone(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(design=[{"law": "boom", "gains": {"K": [0.0, 5.0, 1.0]}}])
+    results = run_study(study, directory=tmp_path, workers=1)
+    assert [dict(design.gains)["K"] for design in results.designs] == [0.0, 1.0]
+    (failed,) = results.failed
+    assert failed.sentence.startswith(f"design {failed.design.id} (Boom, y_s=0.2 m, K=5): ZeroDivisionError: K is 5.0")
+
+
+def test_commands_that_are_no_numbers_are_failed_solves(make_study: MakeStudy, tmp_path: Path) -> None:
+    """Not a failed design: the command before goes on, and every one is counted under the design's name."""
+    results = run_study(study_with(make_study, "nan"), directory=tmp_path, workers=1)
+    assert not results.failed
+    ranking = rank_study(results, study_with(make_study, "nan"))[0]
+    place = [design.law for design in ranking.designs].index("broken_nan")
+    assert ranking.failed_solves[place] > 0
+    assert ranking.solver_failed[place] + ranking.diverged[place] == round(ranking.triggered[place] * 12)
+    (case, *_) = results.cases
+    steered = case.status[results.designs.index(ranking.designs[place])] != EventStatus.NEVER_TRIGGERED
+    assert steered.any()
+    n = int(steered.sum())
+    assert ranking.warnings == (
+        "Commands that were not finite, of laws that declare no solver to fall back from: "
+        f"Broken nan, y_s=0.05 m in {n} of {n} interventions.",
+    )
+
+
+def test_a_failed_design_is_tried_again(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    study = study_with(make_study, "prepare", "step")
+    run_study(study, directory=tmp_path, workers=1)
+    assert "failed and not ranked: 2 of 5 designs; the first, design" in caplog.text
+    parts = sorted((tmp_path / "results").iterdir())
+    stored = json.loads((tmp_path / "failures.json").read_text())["designs"]
+    assert {len(sentences) for sentences in stored.values()} == {2}  # conventions
+    before = (tmp_path / "failures.json").read_bytes()
+
+    assert len(run_study(study, directory=tmp_path, workers=1).failed) == 2
+    assert sorted((tmp_path / "results").iterdir()) == parts  # nothing new to store
+    assert (tmp_path / "failures.json").read_bytes() == before
+
+    # its author has mended it
+    monkeypatch.setattr(Broken, "prepare", lambda self, plant: BrokenLaw("no more"))
+    results = run_study(study, directory=tmp_path, workers=1)
+    assert not results.failed
+    assert len(results.designs) == 5
+    assert not (tmp_path / "failures.json").exists()
+    assert not read_results(tmp_path).failed
+
+
+def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies.running.simulate_designs import Simulator
+
+    study = make_study(design=[GOOD[0], {"law": "broken_step", "y_s": 0.3}, {"law": "toy", "y_s": 0.4}])
+    run = Simulator.run
+
+    def interrupted(self: Simulator, task: Any) -> Any:
+        if task.designs[0].law == "toy":
+            raise KeyboardInterrupt
+        return run(self, task)
+
+    monkeypatch.setattr(Simulator, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, directory=tmp_path, workers=1, block_size=1)
+    (failed,) = json.loads((tmp_path / "failures.json").read_text())["designs"].values()
+    assert failed["consistent"].startswith("IndexError: no [row]")
+    with pytest.raises(StoreError, match=r"4 of 6 runs are not there yet"):  # one is stored, one failed
+        read_results(tmp_path)
+    monkeypatch.setattr(Simulator, "run", run)
+    assert len(run_study(study, directory=tmp_path, workers=1).failed) == 1
+    assert len(read_results(tmp_path).designs) == 2
+
+
+def test_a_design_that_fails_in_one_convention_is_in_no_case(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def prepare(self: Controller, plant: Plant) -> BrokenLaw:
+        if plant.model.convention == "as_printed":
+            raise ValueError("a misprint")
+        return BrokenLaw("no more")
+
+    monkeypatch.setattr(Broken, "prepare", prepare)
+    results = run_study(study_with(make_study, "prepare"), directory=tmp_path, workers=1)
+    assert [case.S.shape[0] for case in results.cases] == [3] * 4
+    (failed,) = results.failed
+    assert failed.reason.startswith("in the convention as_printed: ValueError: a misprint (")
+
+
+def test_what_is_no_fault_of_a_law_ends_the_study(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from studies.running.simulate_designs import Simulator
+
+    def broken_takeover(*settings: Any) -> None:
+        raise LdcError("no such plant")
+
+    monkeypatch.setattr(Simulator, "takeover", broken_takeover)
+    with pytest.raises(LdcError, match="no such plant"):
+        run_study(make_study(), directory=tmp_path, workers=1)
+
+
+def test_a_study_of_failures_alone_ends_with_an_error(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(design=[{"law": "broken_step"}, {"law": "broken_shape"}])
+    message = (
+        r"every design failed; the first, design [0-9a-f]{12} \(Broken step, y_s=0\.2 m\): IndexError: no \[row\].*; "
+    )
+    message += r"all of them are in failures\.json"
+    with pytest.raises(LdcError, match=rf"small: {message}"):
+        run_study(study, directory=tmp_path, workers=1)
+    with pytest.raises(LdcError, match=message):
+        read_results(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"designs": {"a": 1}}', '{"designs": {"a": {"b": 1}}}'])
+def test_broken_failures_are_named_and_made_anew(content: str, make_study: MakeStudy, tmp_path: Path) -> None:
+    study = study_with(make_study, "step")
+    run_study(study, directory=tmp_path, workers=1)
+    (tmp_path / "failures.json").write_text(content)
+    with pytest.raises(StoreError, match=r"failures\.json: broken; it holds which designs failed"):
+        read_results(tmp_path)
+    assert len(run_study(study, directory=tmp_path, workers=1).failed) == 1
+    assert len(read_results(tmp_path).failed) == 1
+
+
+@pytest.fixture
+def study_file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'name = "mine"\n[scenarios]\nleft = 4\nright = 4\n[simulation]\nconvention = ["consistent", "as_printed"]\n'
+        '[ranking]\nbootstrap = 100\n[[design]]\nlaw = "none"\n[[design]]\nlaw = "toy"\n'
+        '[[design]]\nlaw = "broken_step"\ny_s = 0.05\n[design.gains]\nK = [1, 2]\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(study_file), "-o", str(out), "--workers", "1"]) == 3
+    said = capsys.readouterr()
+    assert "2 designs failed and are not ranked:" in said.out
+    assert "(Broken step, y_s=0.05 m, K=1): IndexError: no [row] " in said.out  # brackets are no markup
+    assert "ldc: warning: failed and not ranked: 2 of 4 designs; the first, design" in said.err
+
+    with (out / "ranking.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 4
+    for row in rows:
+        failed = row["law"] == "broken_step"
+        assert failed == row["failure"].startswith("IndexError: no [row] ")
+        assert failed == (row["rank"] == "") == (row["S_m_s"] == "") == (row["invalid"] == "")
+    assert [row["gain_K"] for row in rows if row["law"] == "broken_step"] == ["1.0", "2.0"] * 2
+
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "2 more designs failed and are not ranked" in page
+    assert page.count("IndexError: no [row] ") == 2
+    assert "Broken step, y<sub>s</sub>=0.05 m, K=2" in page
+    assert "All other designs ran as designed" in page
+
+    for command in ("rank", "report"):
+        assert main([command, str(out)]) == 0
+    assert "2 designs failed and are not ranked:" in capsys.readouterr().out
+    assert main(["run", str(study_file), "-o", str(out), "--workers", "1", "--quiet"]) == 3
+
+
+def test_exit_code_where_all_fail(study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = study_file.read_text(encoding="utf-8").replace('"none"', '"broken_exit"').replace('"toy"', '"broken_type"')
+    study_file.write_text(text, encoding="utf-8")
+    assert main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1"]) == 2
+    assert capsys.readouterr().err.startswith("ldc: error: mine: every design failed; the first, design ")
+    assert not (tmp_path / "out" / "ranking.csv").exists()
+
+
+def test_the_report_escapes_what_a_law_says(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(design=[GOOD[0], {"law": "broken_step"}])
+    results = run_study(study, directory=tmp_path, workers=1)
+    bad = dataclasses.replace(results.failed[0], reason="<script>alert(1)</script> \x00")
+    results = dataclasses.replace(results, failed=(bad,))
+    page = write_report(ReportInput("t", "t", results, rank_study(results, study)), tmp_path / "r.html")
+    text = page.read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; \ufffd" in text
+
+
+@dataclasses.dataclass(frozen=True)
+class MemoryLaw(BrokenLaw):
+    """Commands of a design's first run differ from those of all others."""
+
+    key: object
+
+    def init(self, n: int) -> int:
+        RUNS[self.key] = RUNS.get(self.key, 0) + 1
+        return RUNS[self.key]
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: int) -> Any:
+        return np.full(t.size, -1e-4 * (self.how == "settles" and state == 1)), state, np.zeros(t.size, dtype=np.int8)
+
+
+RUNS: dict[object, int] = {}
+
+
+def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
+    return MemoryLaw("settles" if self.K in (2.0, 3.0) else "no more", (self.K, plant.model.convention))
+
+
+@pytest.mark.parametrize(("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), (2, 1, [2, 3, 1])])
+def test_each_design_is_asked_whether_it_keeps_state(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
+) -> None:
+    """Also after its first run, and whatever stands before it; the design of the same law that does not, is ranked."""
+    RUNS.clear()
+    monkeypatch.setattr(Broken, "prepare", prepare_with_memory)
+    study = make_study(design=[{"law": "broken_state", "gains": {"K": K}}])
+    results = run_study(study, directory=tmp_path, workers=workers, block_size=block_size)
+    assert {dict(one.design.gains)["K"] for one in results.failed} == {2.0, 3.0}
+    assert [dict(design.gains)["K"] for design in results.designs] == [1.0]
+    for one in results.failed:
+        assert re.fullmatch(FAULTS["state"], one.reason)
+
+
+@pytest.mark.parametrize("plant", [{}, {"speed": "profile"}, {"residuals": {"bandwidth": 1.0}}])
+@pytest.mark.parametrize("yaw_rate", ["path", "zero"])
+def test_a_law_without_memory_passes_on_every_plant(
+    make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]
+) -> None:
+    simulation = {"initial_yaw_rate": yaw_rate, "settle": 1.0}
+    designs = [{"law": law, "y_s": 0.05} for law in ("stanley", "pid", "linear_mpc")]
+    study = make_study(design=designs, simulation=simulation, plant=plant)
+    assert not run_study(study, directory=tmp_path, workers=1).failed
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (asyncio.CancelledError("a \ud800\x1b[31m b"), r"CancelledError: a \\ud800\[31m b \(.*"),
+        (type("Mute", (Exception,), {"__str__": lambda self: 1 / 0})(), r"Mute: its message cannot be read, .*"),
+    ],
+)
+def test_strange_exceptions_are_named_too(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, said: str
+) -> None:
+    def prepare(self: Controller, plant: Plant) -> BrokenLaw:
+        raise error
+
+    monkeypatch.setattr(Broken, "prepare", prepare)
+    results = run_study(study_with(make_study, "step"), directory=tmp_path, workers=1)
+    assert re.fullmatch(said, results.failed[0].reason), results.failed[0].reason
+
+
+def test_an_interrupt_in_a_law_ends_the_study(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def prepare(self: Controller, plant: Plant) -> BrokenLaw:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Broken, "prepare", prepare)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study_with(make_study, "step"), directory=tmp_path, workers=1)
+
+
+def test_one_command_that_is_no_number_is_named_where_no_solver_is(make_study: MakeStudy, tmp_path: Path) -> None:
+    """A law with a solver is named from a tenth of its interventions on."""
+    names = ("toy", "linear_mpc", "broken_nan")
+    study = make_study(design=[{"law": law, "y_s": 0.0} for law in names])
+    results = run_study(study, directory=tmp_path, workers=1)
+    once = np.zeros_like(results.cases[0].failed_solves)
+    once[:, 0] = 1
+
+    def warnings(failed_solves: Any) -> tuple[str, ...]:
+        cases = tuple(dataclasses.replace(case, failed_solves=failed_solves) for case in results.cases)
+        return rank_study(dataclasses.replace(results, cases=cases), study)[0].warnings
+
+    start = "Commands that were not finite, of laws that declare no solver to fall back from: "
+    assert warnings(once) == (
+        f"{start}Toy, y_s=0 m in 1 of 12 interventions; Broken nan, y_s=0 m in 1 of 12 interventions.",
+    )
+    (_, often) = warnings(once + 1)
+    assert often.startswith(
+        "Commands that were not finite, or came from a law's fallback: Linear MPC, y_s=0 m in 12 of"
+    )
+    assert warnings(once * 0) == ()
+
+
+def test_words_of_a_law_are_no_markup(
+    study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ldctoolkit import controller_class
+
+    K = gain(0.0, unit="[rad]", lower=0.0, upper=9.0, description="ends [/m] and :car: [rad]")
+    space = {"title": "Odd [/b] [red]law", "name": "broken_step", "how": "nan", "__module__": __name__}
+    odd = dataclasses.make_dataclass("Odd", [("K", float, K)], bases=(Broken,), namespace=space, frozen=True)
+    bare = dataclasses.make_dataclass(
+        "Bare", [], bases=(Broken,), namespace=space | {"name": "broken_nan"}, frozen=True
+    )
+    for kind in (odd, bare):
+        monkeypatch.setitem(registry._registered, kind.name, kind)
+    assert controller_class("broken_step") is odd
+    assert main(["controllers", "broken_step", "broken_nan"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("Odd [/b] [red]law") == 2
+    assert " [rad] " in said
+    assert "ends [/m] and :car: [rad]" in said
+
+    assert main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "Odd [/b] [red]law, y_s=0.05 m, K=1 in" in said  # the warning
+    assert "[m s]" in said  # a heading
+    assert said.count("Odd [/b] [red]law") >= 3

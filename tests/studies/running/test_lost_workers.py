@@ -1,0 +1,151 @@
+"""A law that ends or stops its worker: the scenario at fault is found, and everything else is as without it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit import Controller, EventStatus, Plant, Scenarios, SteeringLaw, gain, option, register, registry
+from studies import Study, StudyResults, read_results, run_study
+from studies.running.runner import study_model
+
+MakeStudy = Callable[..., Study]
+
+FAULTY: list[float] = []
+"""Speeds of the scenarios at fault; sent to workers along with the class."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultLaw(SteeringLaw):
+    how: str
+    speeds: Any
+    marker: str
+
+    @property
+    def preview_times(self) -> Any:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None:
+        return None
+
+    def take(self, rows: Any, state: Any) -> Any:
+        return dataclasses.replace(self, speeds=self.speeds[rows]), state
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
+        if self.how == "once" and not Path(self.marker).exists():
+            Path(self.marker).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        if np.isin(self.speeds, FAULTY).any():
+            if self.how == "dies":
+                os.kill(os.getpid(), signal.SIGKILL)
+            while self.how == "hangs":
+                time.sleep(0.05)
+        return -0.02 * x[:, 0], state, np.full(t.size, EventStatus.OK, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault(Controller):
+    name = "fault"
+    title = "Fault"
+    batch = 8
+
+    how: str = option("none", choices=("none", "dies", "hangs", "once"), description="what it does")
+    marker: str = option("-", choices=None, description="a file")
+    K: float = gain(0.0, unit="1", lower=0.0, upper=9.0, description="tells designs apart")
+
+    def prepare(self, plant: Plant) -> FaultLaw:
+        return FaultLaw(self.how, np.array(plant.v), self.marker)
+
+
+@pytest.fixture(autouse=True)
+def fault() -> Iterator[None]:
+    FAULTY.clear()
+    register(Fault)
+    yield
+    registry.forget("fault")
+
+
+def scenarios(study: Study) -> Scenarios:
+    return study_model(study).sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
+
+
+def triggered(study: Study, y_s: float) -> tuple[Any, Any]:
+    """Rows that trigger, and the speeds that a law is prepared for."""
+    from ldctoolkit import BicycleModel
+    from ldctoolkit.simulation import Takeover
+
+    takeover = Takeover.build(scenarios(study), BicycleModel(study.vehicle), y_s=y_s, dt=study.simulation.dt)
+    return takeover.rows, takeover.plant.v
+
+
+def small(make_study: MakeStudy, how: str, marker: Path | str = "-", K: Any = 0.0) -> Study:
+    designs = [
+        {"law": "none"},
+        {"law": "fault", "y_s": 0.05, "gains": {"how": how, "K": K, "marker": str(marker)}},
+        {"law": "lqr", "y_s": 0.1},
+    ]
+    return make_study(design=designs, scenarios={"left": 12, "right": 12}, simulation={})
+
+
+def assert_same_but(one: StudyResults, other: StudyResults, design: int, rows: list[int]) -> None:
+    """The same numbers, one design's in some scenarios apart."""
+    keep = np.ones(one.cases[0].S.shape, dtype=bool)
+    keep[design, rows] = False
+    for a, b in zip(one.cases, other.cases, strict=True):
+        for name in ("S", "status", "failed_solves"):
+            np.testing.assert_array_equal(getattr(a, name)[keep], getattr(b, name)[keep])
+        np.testing.assert_array_equal(a.companions.travel[keep], b.companions.travel[keep])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "status"), [("dies", EventStatus.CRASHED), ("hangs", EventStatus.TIMED_OUT)])
+def test_the_scenario_at_fault_is_found(make_study: MakeStudy, tmp_path: Path, how: str, status: EventStatus) -> None:
+    study = small(make_study, how)
+    sound = run_study(small(make_study, "none"), directory=tmp_path / "sound", workers=1)
+    rows, speeds = triggered(study, 0.05)
+    at_fault = int(rows[2])
+    FAULTY.append(float(speeds[2]))
+    results = run_study(study, directory=tmp_path / "fault", workers=2, time_limit=4.0)
+    case = results.cases[0]
+    assert not results.failed
+    assert np.flatnonzero(case.status[1] == status).tolist() == [at_fault]
+    assert_same_but(results, sound, 1, [at_fault])
+    # what counts there is the path without control, told as a failure
+    assert case.S[1, at_fault] == case.S_uncorrected[1, at_fault] == case.S[0, at_fault]
+    assert case.companions.delta_peak[1, at_fault] == 0.0
+    assert case.failed[1, at_fault]
+    np.testing.assert_array_equal(read_results(tmp_path / "fault").cases[0].S, case.S)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_once_is_bad_luck(make_study: MakeStudy, tmp_path: Path) -> None:
+    sound = run_study(small(make_study, "none"), directory=tmp_path / "sound", workers=1)
+    study = small(make_study, "once", tmp_path / "marker")
+    results = run_study(study, directory=tmp_path / "once", workers=2)
+    assert (tmp_path / "marker").exists()
+    assert not results.failed
+    np.testing.assert_array_equal(results.cases[0].S, sound.cases[0].S)
+    assert not (results.cases[0].status == EventStatus.CRASHED).any()
+
+
+@pytest.mark.slow
+def test_a_design_with_many_faults_has_failed(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = small(make_study, "dies")
+    rows, speeds = triggered(study, 0.05)
+    FAULTY.extend(speeds[:6].tolist())
+    results = run_study(study, directory=tmp_path, workers=2)
+    (failed,) = results.failed
+    assert failed.design.law == "fault"
+    assert failed.reason.startswith("ends or stops its worker process in scenarios ")
+    assert failed.reason.count("(ends its worker process)") == 4
+    named = {int(word) for word in failed.reason.replace(",", " ").split() if word.isdigit()}
+    assert named <= set(rows[:6].tolist())
+    assert [design.law for design in results.designs] == ["none", "lqr"]

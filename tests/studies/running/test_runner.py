@@ -1,0 +1,465 @@
+"""Running and storing studies: the same bits however they are run, resumed, or read back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, Scenarios, simulate
+from ldctoolkit.errors import InputError, StoreError, UnknownNameError
+from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
+from ldctoolkit.simulation import Run, Takeover, closed_loop
+from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from studies.storage.store import Store
+
+pytestmark = pytest.mark.usefixtures("laws")
+
+MakeStudy = Callable[..., Study]
+FIELDS = ("S", "S_uncorrected", "status", "failed_solves")
+
+
+def assert_same_bits(a: StudyResults, b: StudyResults) -> None:
+    assert a.designs == b.designs
+    np.testing.assert_array_equal(a.scenarios.matrix(), b.scenarios.matrix())
+    for one, other in zip(a.cases, b.cases, strict=True):
+        assert one.case == other.case
+        for name in FIELDS:
+            left, right = getattr(one, name), getattr(other, name)
+            assert left.dtype == right.dtype
+            np.testing.assert_array_equal(left, right)
+        for name in COMPANION_UNITS:
+            left, right = getattr(one.companions, name), getattr(other.companions, name)
+            assert left.dtype == right.dtype == np.float64
+            np.testing.assert_array_equal(left, right)
+
+
+@pytest.fixture
+def reference(make_study: MakeStudy, tmp_path: Path) -> StudyResults:
+    return run_study(make_study(), directory=tmp_path / "reference", workers=1)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"workers": 1, "block_size": 1},
+        {"workers": 2, "block_size": 1},
+        {"workers": 2, "block_size": 3},
+        {"workers": 3, "block_size": 100},
+        {"executor": "serial", "block_size": 2},
+        {"executor": "processes", "workers": 1},
+    ],
+    ids=str,
+)
+def test_no_number_depends_on_how_the_work_is_split(
+    settings: dict[str, object], make_study: MakeStudy, reference: StudyResults, tmp_path: Path
+) -> None:
+    folder = tmp_path / "other"
+    assert_same_bits(run_study(make_study(), directory=folder, **settings), reference)  # type: ignore[arg-type]
+    assert_same_bits(read_results(folder), reference)
+
+
+def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyResults) -> None:
+    study = make_study()
+    for case in reference.cases:
+        for i, design in enumerate(study.designs):
+            outcome = simulate(
+                design.controller(case.case.convention),
+                reference.scenarios,
+                vehicle=BicycleModel(study.vehicle, case.case.convention),
+                y_s=design.y_s,
+                window=case.case.window,
+            )
+            np.testing.assert_array_equal(case.S[i], outcome.S)
+            np.testing.assert_array_equal(case.S_uncorrected[i], outcome.S_uncorrected)
+            np.testing.assert_array_equal(case.status[i], outcome.status)
+            for name in COMPANION_UNITS:
+                exact = getattr(outcome.companions, name)
+                np.testing.assert_array_equal(getattr(case.companions, name)[i], exact)
+
+
+def counting(drives: list[Controller]) -> Callable[..., Iterator[Run]]:
+    """What drives several designs, with a note of every design."""
+
+    def drive(controllers: list[Controller], takeover: Takeover, **settings: int) -> Iterator[Run]:
+        drives.extend(controllers)
+        return closed_loop.drive_many(controllers, takeover, **settings)
+
+    return drive
+
+
+EVERYTHING_DRAWN = {
+    "speed": "profile",
+    "actuator": {"rate_max": 0.5, "lag": 0.1, "delay": 0.03},
+    "mismatch": {"m": [1.0, 1.3], "C_af": [0.8, 1.2]},
+    "sensors": {"e_y_noise": 0.03, "e_psi_noise": 0.003, "delay": 0.1, "curvature_noise": 2e-4, "kalman": {}},
+    "residuals": {"y": True, "v": True},
+}
+
+
+def test_no_drawn_number_depends_on_how_the_work_is_split(make_study: MakeStudy, tmp_path: Path) -> None:
+    """Noise, mismatch and residuals belong to the scenario, whoever drives it; another seed draws others."""
+    study = make_study(plant=EVERYTHING_DRAWN)
+    one = run_study(study, directory=tmp_path / "a", workers=1, block_size=100)
+    assert_same_bits(run_study(study, directory=tmp_path / "b", workers=1, block_size=1), one)
+    assert_same_bits(run_study(study, directory=tmp_path / "c", workers=2, block_size=2), one)
+    assert_same_bits(read_results(tmp_path / "c"), one)
+    ideal = run_study(make_study(), directory=tmp_path / "d", workers=1)
+    assert not np.array_equal(ideal.cases[0].S[1], one.cases[0].S[1])
+    design = study.designs[1]
+    settings = {"vehicle": BicycleModel(study.vehicle), "y_s": design.y_s, "options": study.plant}
+    for seed, same in ((study.seed, True), (study.seed + 1, False)):
+        outcome = simulate(design.controller(), one.scenarios, seed=seed, **settings)  # type: ignore[arg-type]
+        assert np.array_equal(outcome.S, one.cases[0].S[1]) == same
+
+
+def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Path) -> None:
+    """S ends with the departure; overshoot and steering go on."""
+    longer = run_study(make_study(), directory=tmp_path / "a", workers=1).cases[0]
+    none = make_study(
+        simulation={"window": ["departure", "control"], "convention": ["consistent", "as_printed"], "settle": 0}
+    )
+    shorter = run_study(none, directory=tmp_path / "b", workers=1).cases[0]
+    np.testing.assert_array_equal(longer.S, shorter.S)
+    np.testing.assert_array_equal(longer.companions.deepest, shorter.companions.deepest)
+    assert (longer.companions.travel > shorter.companions.travel).any()
+
+
+def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_path: Path) -> None:
+    """The same runs give the same file, byte by byte; the times, which no second run gives again, stand apart."""
+    import polars as pl
+
+    study = make_study(design=[{"law": "linear_mpc", "y_s": 0.1}, {"law": "lqr", "y_s": 0.1}])
+    for folder in ("a", "b"):
+        run_study(study, directory=tmp_path / folder, workers=1)
+    (one,), (other,) = (list((tmp_path / folder / "results").iterdir()) for folder in ("a", "b"))
+    assert one.name == other.name
+    assert one.read_bytes() == other.read_bytes()
+    schema = pl.read_parquet_schema(one)
+    assert [schema[column] for column in COMPANION_COLUMNS.values()] == [pl.Float64()] * len(COMPANION_COLUMNS)
+    assert schema["S_departure_m_s"] == pl.Float64()
+    assert not [name for name in schema if "second" in name]
+
+    content = json.loads((tmp_path / "a" / "timing.json").read_text())["designs"]
+    mpc, lqr = (content[design.id]["consistent"] for design in study.designs)
+    assert mpc["law_seconds"] > 0
+    assert lqr["law_seconds"] == 0
+    case = read_results(tmp_path / "a").cases[0]
+    assert case.law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
+    # one command a sample: from each trigger to the end of the horizon, the last step may be shorter
+    takeover = Takeover.build(read_results(tmp_path / "a").scenarios, BicycleModel(study.vehicle), y_s=0.1, dt=0.05)
+    driven = takeover.triggered.T - takeover.start
+    assert mpc["commands"] == sum(int(np.ceil(round(float(t) / 0.05, 6))) + 60 for t in driven)
+
+
+def test_times_are_kept_when_a_study_resumes(
+    make_study: MakeStudy, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    study = make_study(design=[{"law": "failing", "y_s": [0.0, 0.1]}])
+    run_study(study, directory=tmp_path, workers=1)
+    path = tmp_path / "timing.json"
+    before = path.read_text()
+    run_study(study, directory=tmp_path, workers=1)
+    assert path.read_text() == before
+    # what is computed anew gets a new time, the rest keeps its own
+    for part in (tmp_path / "results").iterdir():
+        part.unlink()
+    run_study(study, directory=tmp_path, workers=1)
+    assert path.read_text() != before
+
+    for broken in ("{", "[]", '{"designs": {"a": {"b": {"law_seconds": -1, "commands": 3}}}}', '{"designs": 3}'):
+        path.write_text(broken)
+        with pytest.raises(StoreError, match=r"timing\.json: broken; .*remove it to go on without") as caught:
+            read_results(tmp_path)
+        assert "\n" not in str(caught.value)
+        caplog.clear()
+        results = run_study(study, directory=tmp_path, workers=1)
+        assert "timing.json: broken" in caplog.text
+        assert np.isnan(results.cases[0].law_time).all()
+        assert not path.exists()
+        assert np.isnan(read_results(tmp_path).cases[0].law_time).all()
+
+
+def test_scenarios_that_cannot_be_driven_are_stored_as_such(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Regenerated speed that falls below the floor: NaN and a status, and the ranking tells."""
+    from ldctoolkit.scenario_model import ScenarioModel
+
+    sample = ScenarioModel.sample
+
+    def wild(*a: object, **k: object) -> object:
+        scenarios = sample(*a, **k)  # type: ignore[arg-type]
+        return dataclasses.replace(scenarios, sigma_v=np.where(np.arange(12) % 4 == 1, 30.0, 0.0))
+
+    monkeypatch.setattr(ScenarioModel, "sample", wild)
+    study = make_study(plant={"speed": "profile", "residuals": {"v": True}})
+    results = run_study(study, directory=tmp_path, workers=1)
+    assert_same_bits(read_results(tmp_path), results)
+    for case in results.cases:
+        invalid = case.status == EventStatus.INVALID
+        assert invalid.tolist() == [[i % 4 == 1 for i in range(12)]] * len(study.designs)
+        np.testing.assert_array_equal(np.isnan(case.S), invalid)
+        np.testing.assert_array_equal(np.isnan(case.companions.a_y_peak), invalid)
+    ranking = rank_study(results, study)[0]
+    assert np.isfinite(ranking.S).all()
+    assert ranking.invalid.tolist() == [3] * len(study.designs)
+    assert "3 of 12 scenarios cannot be driven" in ranking.warnings[0]
+
+
+def test_two_windows_come_from_one_simulation(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from studies.running import simulate_designs
+
+    drives: list[Controller] = []
+    builds: list[float] = []
+    monkeypatch.setattr(simulate_designs, "drive_many", counting(drives))
+    build = Takeover.build
+
+    def counted(scenarios: Scenarios, *rest: Any, **named: Any) -> Takeover:
+        if len(scenarios) == 12:  # a law is asked for state that it keeps on some of them
+            builds.append(named["y_s"])
+        return build(scenarios, *rest, **named)
+
+    monkeypatch.setattr(Takeover, "build", counted)
+    study = make_study()
+    run_study(study, directory=tmp_path, workers=1)
+    assert len(drives) == 2 * len(study.designs)  # two conventions
+    assert sorted(builds) == sorted([0.05, 0.1, 0.2] * 2)
+
+
+def test_a_study_resumes_where_it_was_stopped(
+    make_study: MakeStudy, reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An interrupt after a few designs; then only the rest is computed, with the same bits."""
+    from studies.running import simulate_designs
+
+    drives: list[Controller] = []
+
+    def interrupted(controllers: list[Controller], takeover: Takeover, **settings: int) -> Iterator[Run]:
+        if len(drives) == 4:
+            raise KeyboardInterrupt
+        return counting(drives)(controllers, takeover, **settings)
+
+    monkeypatch.setattr(simulate_designs, "drive_many", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(make_study(), directory=tmp_path / "s", workers=1, block_size=1)
+    assert read_manifest(tmp_path / "s").finished == ""
+    with pytest.raises(StoreError, match=r"10 of 14 runs are not there yet"):
+        read_results(tmp_path / "s")
+
+    monkeypatch.setattr(simulate_designs, "drive_many", counting(drives))
+    again = run_study(make_study(), directory=tmp_path / "s", workers=1)
+    assert len(drives) == 14
+    assert_same_bits(again, reference)
+    assert_same_bits(read_results(tmp_path / "s"), reference)
+    assert read_manifest(tmp_path / "s").finished
+
+    run_study(make_study(title="new words"), directory=tmp_path / "s", workers=1)
+    assert len(drives) == 14
+    assert read_manifest(tmp_path / "s").study["title"] == "new words"
+
+
+def test_a_law_that_only_this_process_knows_reaches_the_workers(make_study: MakeStudy, tmp_path: Path) -> None:
+    """A class inside a function: no other process could import it."""
+    from ldctoolkit import registry
+
+    class Local(registry._registered["toy"]):  # type: ignore[name-defined,misc]
+        name = "local"
+
+    registry.register(Local)
+    try:
+        study = make_study(design=[{"law": "local", "gains": {"N": [1, 2, 3]}}])
+        one = run_study(study, directory=tmp_path / "a", workers=1)
+        assert_same_bits(run_study(study, directory=tmp_path / "b", workers=2, block_size=1), one)
+    finally:
+        registry.forget("local")
+
+
+def test_a_law_that_cannot_be_sent_is_named(make_study: MakeStudy, tmp_path: Path) -> None:
+    import threading
+
+    from ldctoolkit import registry
+
+    class Held(registry._registered["toy"]):  # type: ignore[name-defined,misc]
+        name = "held"
+        lock = threading.Lock()
+
+    registry.register(Held)
+    try:
+        with pytest.raises(LdcError, match=r"registered controllers \(.*Held.*\) cannot be sent to worker processes"):
+            run_study(make_study(design=[{"law": "held"}]), directory=tmp_path, workers=2)
+    finally:
+        registry.forget("held")
+
+
+def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
+    """A folder belongs to its scenarios and plant; what it holds of a design is used again."""
+    folder = tmp_path / "reference"
+    before = {path.name for path in (folder / "results").iterdir()}
+    fewer = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [50, 500]}}])
+    results = run_study(fewer, directory=folder, workers=1)
+    assert {path.name for path in (folder / "results").iterdir()} == before
+    assert [d.id for d in results.designs] == [d.id for d in fewer.designs]
+    np.testing.assert_array_equal(results.cases[0].S, reference.cases[0].S[[0, 5, 6]])
+    assert_same_bits(read_results(folder), results)
+    more = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": [0.1, 0.3], "gains": {"r_delta": [50, 500]}}])
+    run_study(more, directory=folder, workers=1)
+    added = {path.name for path in (folder / "results").iterdir()} - before
+    assert len(added) == 1
+    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
+
+
+def test_failed_solves_are_kept(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(design=[{"law": "failing", "y_s": 0.0}])
+    run_study(study, directory=tmp_path, workers=1)
+    case = read_results(tmp_path).cases[0]
+    failed = case.failed_solves > 0
+    assert failed.sum() == 6
+    # a wheel held straight for seconds may leave the road; that is what counts then
+    assert set(case.status[failed]) <= {EventStatus.SOLVER_FAILED, EventStatus.DIVERGED}
+    assert (case.status[failed] == EventStatus.SOLVER_FAILED).any()
+    assert case.failed_solves.sum() > 6
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"seed": 4}, r"holds another study \(small\): seed: 3 there, 4 now; choose another folder"),
+        ({"vehicle": {"m": 900.0}}, r"vehicle\.m: 1000\.0 there, 900\.0 now"),
+        ({"scenarios": {"left": 7, "right": 6}}, r"scenarios\.right: 5 there, 6 now"),
+        (
+            {
+                "simulation": {
+                    "window": ["departure", "control"],
+                    "convention": ["consistent", "as_printed"],
+                    "settle": 1,
+                }
+            },
+            r"simulation\.settle: 3\.0 there, 1\.0 now; choose",
+        ),
+        ({"plant": {"speed": "profile"}}, r"plant\.speed: 'frozen' there, 'profile' now; choose"),
+        ({"plant": {"actuator": {"rate_max": 0.5}}}, r"plant\.actuator\.rate_max: not set there, 0\.5 now; choose"),
+        ({"plant": {"sensors": {"kalman": {}}}}, r"plant\.sensors\.kalman: not set there, \{'q_y': 0\.5"),
+        ({"simulation": {"window": "departure"}}, r"simulation\.window: \['departure', 'control'\] there"),
+    ],
+)
+def test_a_folder_of_another_study_is_refused(
+    other: dict[str, object], message: str, make_study: MakeStudy, reference: StudyResults, tmp_path: Path
+) -> None:
+    before = sorted((p, p.stat().st_mtime_ns) for p in (tmp_path / "reference").rglob("*"))
+    with pytest.raises(StoreError, match=message):
+        run_study(make_study(**other), directory=tmp_path / "reference")
+    assert sorted((p, p.stat().st_mtime_ns) for p in (tmp_path / "reference").rglob("*")) == before
+
+
+def test_another_model_or_version_is_refused(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
+    path = tmp_path / "reference" / "manifest.json"
+    content = json.loads(path.read_text())
+    for change, message in (
+        ({"model_hash": "0" * 64}, r"model: reference \(content 000000000000\) there, reference \(content"),
+        ({"versions": content["versions"] | {"ldctoolkit": "0.0.1"}}, r"ldctoolkit: 0\.0\.1 there, "),
+    ):
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(StoreError, match=message):
+            run_study(make_study(), directory=tmp_path / "reference")
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "flipped", "foreign", "nan", "nan companion", "endless"])
+def test_a_broken_part_is_named_and_computed_anew(
+    damage: str, make_study: MakeStudy, reference: StudyResults, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    import polars as pl
+
+    folder = tmp_path / "reference"
+    (part,) = (folder / "results").glob("*.parquet")
+    content = part.read_bytes()
+    if damage in ("nan", "nan companion", "endless"):
+        column = {"nan": "S_control_m_s", "nan companion": "t_back_s", "endless": "a_y_peak_m_s2"}[damage]
+        table = pl.read_parquet(part)
+        wrong = pl.lit(float("inf" if damage == "endless" else "nan"), dtype=table.schema[column]).alias(column)
+        table.with_columns(wrong).write_parquet(part)
+    elif damage == "foreign":
+        pl.DataFrame({"a": [1]}).write_parquet(part)
+    else:
+        middle = len(content) // 2
+        flipped = content[:middle] + bytes(b ^ 0xFF for b in content[middle:])
+        part.write_bytes({"truncated": content[:-20], "empty": b"", "flipped": flipped}[damage])
+    with pytest.raises(StoreError, match=rf"{part.name}: broken: .*run the study into this folder again"):
+        read_results(folder)
+    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
+    assert f"{part.name}: broken" in caplog.text
+    assert_same_bits(read_results(folder), reference)
+
+
+@pytest.mark.parametrize("where", [10, 60, 200])
+def test_a_truncated_part_is_always_noticed(where: int, reference: StudyResults, tmp_path: Path) -> None:
+    (part,) = (tmp_path / "reference" / "results").glob("*.parquet")
+    part.write_bytes(part.read_bytes()[:-where])
+    with pytest.raises(StoreError, match="broken"):
+        read_results(tmp_path / "reference")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "broken"),
+        ("[]", "broken"),
+        ("{}", "broken"),
+        ('{"format_version": 99}', "format 99; this version reads 3"),
+        ('{"format_version": 3}', "broken"),
+    ],
+)
+def test_a_broken_manifest_is_named(content: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(StoreError, match=rf"manifest\.json: {message}") as caught:
+        Store.open(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy) -> None:
+    with pytest.raises(StoreError, match="holds no study"):
+        read_results(tmp_path)
+    (tmp_path / "results").mkdir()
+    with pytest.raises(StoreError, match="is not the folder of a study"):
+        run_study(make_study(), directory=tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="is not the folder of a study"):
+        run_study(make_study(), directory=tmp_path / "file")
+
+
+def test_the_manifest_says_what_ran_and_nothing_about_who(
+    reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from studies.storage.manifest import _command
+
+    text = (tmp_path / "reference" / "manifest.json").read_text()
+    manifest = read_manifest(tmp_path / "reference")
+    assert {"ldctoolkit", "numpy", "osqp"} <= set(manifest.versions)
+    assert manifest.wall_time_s > 0
+    assert manifest.seed == 3
+    assert str(Path.home()) not in text
+    assert str(tmp_path) not in text
+    assert _command(["/usr/bin/ldc", "run", "/home/me/s.toml", "--model=/home/me/m.json", "-o", "out/x"]) == (
+        "ldc run s.toml --model=m.json -o out/x"
+    )
+
+
+def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="workers: 0; allowed"):
+        run_study(make_study(), directory=tmp_path, workers=0)
+    with pytest.raises(InputError, match="time_limit: -1; allowed"):
+        run_study(make_study(), directory=tmp_path, time_limit=-1)
+    with pytest.raises(InputError, match="executor: 'process'; .*processes"):
+        run_study(make_study(), directory=tmp_path, executor="process")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="block_size: 'a'; allowed"):
+        run_study(make_study(), directory=tmp_path, block_size="a")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="referenc"):
+        run_study(make_study(scenarios={"model": "referenc"}), directory=tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,297 @@
+"""Search with Optuna: finds what is there to find, asks the same again when told the same, runs nothing twice."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import InputError, StudyError
+from studies import Design, Study
+from studies.ranking.pareto import pareto_front
+from studies.search.search import Search
+
+pytestmark = pytest.mark.usefixtures("laws")
+
+Objective = Callable[[Design], tuple[float, ...] | None]
+
+TWO_LAWS = [
+    {"law": "none"},
+    {
+        "law": ["lqr", "linear_mpc"],
+        "y_s": {"from": 0.05, "to": 0.3},
+        "gains": {"r_delta": {"from": 50, "to": 5000}, "horizon": {"from": 5, "to": 60}, "blocks": [0, 3, 5]},
+    },
+]
+ONE_LAW = [
+    {
+        "law": "linear_mpc",
+        "y_s": {"from": 0.05, "to": 0.3},
+        "gains": {"r_delta": {"from": 50, "to": 5000}, "horizon": {"from": 5, "to": 60}, "q_psi": {"from": 0, "to": 4}},
+    }
+]
+
+
+def make(design: Any, seed: int = 0, **search: Any) -> Study:
+    return Study.from_dict({"name": "s", "seed": seed, "search": search, "design": design})
+
+
+def drive(search: Search, objective: Objective) -> list[tuple[Design, ...]]:
+    """Batches until there are no more."""
+    batches = []
+    while batch := search.ask():
+        batches.append(batch)
+        search.tell({design.id: objective(design) for design in batch})
+    return batches
+
+
+def bowl(design: Design) -> tuple[float, ...]:
+    """Zero at y_s = 0.12, r_delta = 300, horizon = 33, q_psi = 1.5."""
+    gains = dict(design.gains)
+    value = 100 * (design.y_s - 0.12) ** 2 + math.log(float(gains["r_delta"]) / 300) ** 2
+    return (value + abs(float(gains["horizon"]) - 33) / 30 + abs(float(gains["q_psi"]) - 1.5) / 4,)
+
+
+def two_bowls(design: Design) -> tuple[float, ...]:
+    """Both laws at their best at y_s = 0.12, r_delta = 300: there an LQR costs 0.2, an MPC 0 if its horizon is 33."""
+    gains = dict(design.gains)
+    if design.law == "none":
+        return (9.0,)
+    value = 100 * (design.y_s - 0.12) ** 2 + math.log(float(gains["r_delta"]) / 300) ** 2
+    return (value + (0.2 if design.law == "lqr" else abs(float(gains["horizon"]) - 33) / 30),)
+
+
+def test_a_search_is_clearly_better_than_chance() -> None:
+    """The best of 100 designs in five dimensions of freedom, the median of five seeds: a third of chance's or less."""
+    best: dict[str, list[float]] = {}
+    for sampler in ("tpe", "random"):
+        for seed in range(5):
+            search = Search(make(ONE_LAW, seed, trials=100, batch=4, sampler=sampler))
+            drive(search, bowl)
+            assert len(search.asked) == 100
+            best.setdefault(sampler, []).append(min(bowl(design)[0] for design in search.asked))
+    assert np.median(best["tpe"]) < np.median(best["random"]) / 3
+
+
+def test_the_better_law_is_found_although_it_is_harder_to_tune() -> None:
+    """Few MPCs of the first batches are better than an LQR, for want of the right horizon."""
+    for seed in range(4):
+        search = Search(make(TWO_LAWS, seed, trials=160, batch=8))
+        drive(search, two_bowls)
+        assert min(search.asked, key=two_bowls).law == "linear_mpc"
+        laws = [design.law for design in search.asked]
+        assert min(laws.count("lqr"), laws.count("linear_mpc")) >= 40  # half of the proposals go in turn
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2", "random"])
+@pytest.mark.parametrize("objectives", [["S"], ["S", "a_y_peak_mean"]])
+def test_the_same_values_lead_to_the_same_designs(sampler: str, objectives: list[str]) -> None:
+    """A search that is started anew and told the same asks the same; the order within a batch does not matter."""
+
+    def objective(design: Design) -> tuple[float, ...] | None:
+        if int(design.id, 16) % 7 == 0:
+            return None
+        return (two_bowls(design)[0], 1 / design.y_s)[: len(objectives)]
+
+    study = make(TWO_LAWS, 3, trials=60, batch=7, sampler=sampler, objectives=objectives)
+    first = Search(study)
+    batches = drive(first, objective)
+    again = Search(Study.from_dict(json.loads(json.dumps(study.content()))))
+    for wanted in batches:
+        assert again.ask() == wanted
+        again.tell({design.id: objective(design) for design in reversed(wanted)})
+    assert again.ask() == ()
+    assert again.asked == first.asked == tuple(design for batch in batches for design in batch)
+    assert len({design.id for design in first.asked}) == 60
+    other = Search(make(TWO_LAWS, 4, trials=60, batch=7, sampler=sampler, objectives=objectives))
+    assert other.ask()[1:] != batches[0][1:]
+
+
+HASHED = """
+from studies import Study
+from studies.search.search import Search
+block = {"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"horizon": {"from": 5, "to": 60},
+         "q_psi": {"from": 0, "to": 4}, "blocks": [0, 3, 5], "solver": ["osqp", "daqp"]},
+         "when": {"blocks": {"solver": "osqp"}}}
+search = Search(Study.from_dict({"name": "s", "search": {"trials": 40, "batch": 6}, "design": [block]}))
+while batch := search.ask():
+    search.tell({d.id: (d.y_s + dict(d.gains)["q_psi"],) for d in batch})
+print(*(d.id for d in search.asked))
+"""
+
+
+def test_the_designs_do_not_depend_on_the_process() -> None:
+    """Python orders sets of words anew in every process."""
+    told = set()
+    for hash_seed in ("1", "2"):
+        environment = os.environ | {"PYTHONHASHSEED": hash_seed}
+        done = subprocess.run(
+            [sys.executable, "-W", "default", "-c", HASHED], capture_output=True, text=True, check=True, env=environment
+        )
+        assert done.stderr == ""  # nor a log line, nor a warning
+        told.add(done.stdout)
+    assert len(told) == 1
+
+
+def test_objectives_of_which_more_is_better_are_made_large() -> None:
+    def objective(design: Design) -> tuple[float, ...]:
+        return (design.y_s,)
+
+    block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}]
+    less = Search(make(block, trials=60, batch=3, objectives=["S"]))
+    more = Search(make(block, trials=60, batch=3, objectives=["reduction"]))
+    drive(less, objective)
+    drive(more, objective)
+    assert np.mean([d.y_s for d in less.asked[30:]]) < 0.2
+    assert np.mean([d.y_s for d in more.asked[30:]]) > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
+def test_two_objectives_fill_a_front(sampler: str) -> None:
+    """Zitzler's ZDT1 in three variables: on the front K = -1 and N = 1; hypervolume below (1.1, 1.1)."""
+
+    def zdt1(design: Design) -> tuple[float, float]:
+        gains = dict(design.gains)
+        g = 1 + 4.5 * ((float(gains["K"]) + 1) + (int(gains["N"]) - 1) / 49)
+        return design.y_s, g * (1 - math.sqrt(design.y_s / g))
+
+    def volume(sampler: str, seed: int) -> float:
+        gains = {"K": {"from": -1, "to": 0}, "N": {"from": 1, "to": 50, "scale": "linear"}}
+        block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}, "gains": gains}]
+        search = Search(make(block, seed, trials=150, batch=10, sampler=sampler, objectives=["S", "a_y_peak_mean"]))
+        drive(search, zdt1)
+        points = np.array([zdt1(design) for design in search.asked])
+        front = points[pareto_front(points) & (points < 1.1).all(axis=1)]
+        front = front[np.argsort(front[:, 0])]
+        widths = np.diff(np.append(front[:, 0], 1.1))
+        return float(widths @ (1.1 - front[:, 1]))
+
+    found = np.median([volume(sampler, seed) for seed in range(3)])
+    chance = np.median([volume("random", seed) for seed in range(3)])
+    # the whole front has 1.21 - 1/3 = 0.877
+    assert found > chance + 0.1
+    assert found < 0.877
+
+
+def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
+    """Six designs and no more, however many trials there are; those without a choice first."""
+    block = [{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}]
+    for sampler in ("tpe", "nsga2", "random"):
+        search = Search(make(block, trials=500, batch=4, sampler=sampler))
+        batches = drive(search, lambda design: (design.y_s,))
+        assert batches[0][0].law == "none"
+        assert len(search.asked) == len({d.id for d in search.asked}) == 7
+        assert [len(batch) for batch in batches] == [4, 3]
+
+
+def test_tables_that_share_designs_run_them_once() -> None:
+    block = {"law": "toy", "y_s": [0.1, 0.2, 0.3]}
+    search = Search(make([block, block | {"y_s": [0.2, 0.3, 0.4]}], trials=50, batch=2))
+    drive(search, lambda design: (design.y_s,))
+    assert sorted(design.y_s for design in search.asked) == [0.1, 0.2, 0.3, 0.4]
+
+
+def test_tables_without_a_choice_run_once_too() -> None:
+    search = Search(make([{"law": "none"}, {"law": "none"}, {"law": "toy"}], trials=50, batch=1))
+    batches = drive(search, lambda design: (design.y_s,))
+    assert [[design.law for design in batch] for batch in batches] == [["none"], ["toy"]]
+
+
+def test_a_space_whose_conditions_merge_designs_comes_to_its_end() -> None:
+    block = [{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}]
+    search = Search(make(block, trials=50, batch=2))
+    drive(search, lambda design: (1.0,))
+    assert len(search.asked) == 4  # N = 3, 4, 6 with it, the default without
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
+def test_conditions_decide_what_varies(sampler: str) -> None:
+    gains = {"N": {"from": 20, "to": 50}, "on": [True, False], "K": {"from": -1, "to": 0}}
+    search = Search(make([{"law": "toy", "gains": gains, "when": {"N": {"on": True}}}], trials=80, sampler=sampler))
+    drive(search, lambda design: (float(dict(design.gains)["K"]),))
+    off = [dict(d.gains) for d in search.asked if not dict(d.gains)["on"]]
+    assert off
+    assert {gains["N"] for gains in off} == {5}
+    assert all(int(dict(d.gains)["N"]) >= 20 for d in search.asked if dict(d.gains)["on"])
+
+
+def test_ranges_are_kept_and_logs_may_be_negative() -> None:
+    gains = {"K": {"from": -0.01, "to": -1.0, "scale": "log"}, "N": {"from": 2, "to": 40}}
+    search = Search(make([{"law": "toy", "gains": gains}], trials=200, batch=50, sampler="random"))
+    drive(search, lambda design: (0.0,))
+    K = np.array([float(dict(d.gains)["K"]) for d in search.asked])
+    N = [dict(d.gains)["N"] for d in search.asked]
+    assert ((K >= -1) & (K <= -0.01)).all()
+    assert np.median(np.log10(-K)) == pytest.approx(-1, abs=0.2)  # standard error 0.07
+    assert {type(n) for n in N} == {int}
+    assert set(N) <= set(range(2, 41))
+    assert all(float(f"{k:.12g}") == k for k in K)
+
+
+def test_failed_designs_are_never_asked_again_and_do_not_stop_the_search() -> None:
+    """All trials fail above y_s = 0.5, by None or by a value that is not a number; the best are found below."""
+
+    def objective(design: Design) -> tuple[float, ...] | None:
+        if design.y_s > 0.75:
+            return None
+        return (math.nan,) if design.y_s > 0.5 else (1 - design.y_s,)
+
+    search = Search(make([{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}], trials=80, batch=8))
+    drive(search, objective)
+    assert len(search.asked) == 80
+    assert max(d.y_s for d in search.asked if d.y_s <= 0.5) > 0.49
+    nothing = Search(make(TWO_LAWS, trials=30, batch=8))
+    drive(nothing, lambda design: None)
+    assert len(nothing.asked) == 30
+
+
+def test_what_is_told_wrongly_is_refused_and_changes_nothing() -> None:
+    search = Search(make(ONE_LAW, trials=8, batch=2))
+    first, second = search.ask()
+    with pytest.raises(InputError, match=f"the last batch is not told yet: {first.id}, {second.id}"):
+        search.ask()
+    with pytest.raises(InputError, match=f"design {second.id} was asked and is missing"):
+        search.tell({first.id: (1.0,)})
+    with pytest.raises(InputError, match=r"design 'x' is not in the last batch; allowed: "):
+        search.tell({first.id: (1.0,), second.id: (1.0,), "x": (1.0,)})
+    with pytest.raises(InputError, match=r"2 values; allowed: 1, one for each objective"):
+        search.tell({first.id: (1.0,), second.id: (1.0, 2.0)})
+    search.tell({first.id: (1.0,), second.id: None})
+    assert len(search.ask()) == 2
+
+
+def test_a_study_without_search_or_with_an_unknown_objective_is_refused() -> None:
+    with pytest.raises(InputError, match=r"no \[search\] table"):
+        Search(Study.from_dict({"name": "s", "design": [{"law": "none"}]}))
+    with pytest.raises(StudyError, match="'T': no such figure"):
+        Search(make(ONE_LAW, objectives=["T"]))
+
+
+def test_without_optuna_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(InputError, match=r"'optuna' needs Optuna.*pip install \"ldctoolkit\[search\]\""):
+        Search(make(ONE_LAW))
+
+
+def test_optunas_own_settings_are_left_as_they_were() -> None:
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.DEBUG)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            drive(Search(make(TWO_LAWS, trials=30, batch=5)), two_bowls)
+        assert optuna.logging.get_verbosity() == optuna.logging.DEBUG
+    finally:
+        optuna.logging.set_verbosity(optuna.logging.INFO)

@@ -1,0 +1,547 @@
+"""Sobol indices against functions whose indices are known, and profiles against direct simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    Scenarios,
+    SteeringLaw,
+    gain,
+    register,
+    registry,
+    simulate,
+)
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.metrics import Companions
+from ldctoolkit.scenario_model import load_model
+from studies import Case, CaseResults, Design, Study, StudyResults
+from studies.results import Dropped, FailedDesign, Race
+from studies.sensitivity.sensitivity import BlockSensitivity, gain_value, sensitivity
+from studies.sensitivity.sensitivity_csv import COLUMNS, write_sensitivity
+from studies.sensitivity.sobol_indices import factorial_shares, rbd_fast_indices, saltelli_indices
+from studies.sensitivity.winner_profile import Profile, winner_profile
+
+ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)
+ISHIGAMI_TOTAL = (0.5576, 0.4424, 0.2437)
+"""Of sin a + 7 sin^2 b + 0.1 c^4 sin a over [-pi, pi]^3: Ishigami and Homma (1990), Saltelli et al. (2000)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Waves(Controller):
+    name = "waves"
+    title = "Waves"
+
+    a: float = gain(0.0, unit="1", lower=-4.0, upper=4.0, description="a number")
+    b: float = gain(0.0, unit="1", lower=-4.0, upper=4.0, description="a number")
+    c: float = gain(0.0, unit="rad/m", lower=-4.0, upper=4.0, description="a number")
+    N: int = gain(5, unit="samples", lower=1, upper=50, scale="log", description="a whole number")
+    on: bool = gain(True, unit="1", description="a switch")
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        if self.c > 3.0:
+            raise ZeroDivisionError("c is too large")
+        n = plant.n
+        F = np.tile([-0.01 * self.a, 0.0, -0.2 - 0.001 * self.N - 0.1 * self.on, 0.0], (n, 1))
+        return LinearLaw(F, np.zeros(0), np.zeros((n, 0)), np.zeros((n, 0)), np.zeros(n))
+
+
+@dataclasses.dataclass(frozen=True)
+class Feedback(SteeringLaw):
+    fails: bool
+
+    @property
+    def preview_times(self) -> Any:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
+        status = EventStatus.SOLVER_FAILED if self.fails else EventStatus.OK
+        return -0.02 * x[:, 0] - 0.3 * x[:, 2], state, np.full(t.size, status, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class GivingUp(Controller):
+    name = "giving_up"
+    title = "Giving up"
+
+    K: float = gain(0.0, unit="1", lower=0.0, upper=9.0, description="says that it failed above 1")
+
+    def prepare(self, plant: Plant) -> Feedback:
+        return Feedback(self.K > 1.0)
+
+
+@pytest.fixture(autouse=True)
+def _laws() -> Iterator[None]:
+    for law in (Waves, GivingUp):
+        register(law)
+    yield
+    for law in (Waves, GivingUp):
+        registry._registered.pop(law.name, None)
+
+
+def study_of(*blocks: dict[str, Any], **parts: Any) -> Study:
+    content = {"name": "s", "seed": 5, "ranking": {"bootstrap": 200}, "design": list(blocks)}
+    return Study.from_dict(content | parts)
+
+
+def results_of(
+    study: Study, S: Callable[[Design], Any], n: int = 6, designs: tuple[Design, ...] | None = None, **parts: Any
+) -> StudyResults:
+    """Scores from a formula, which may give a number or one number a scenario; 100 is added to each."""
+    designs = study.designs if designs is None else designs
+    values = np.stack([np.broadcast_to(np.asarray(S(design), dtype=np.float64) + 100.0, n) for design in designs])
+    shape = values.shape
+    empty = Companions(**{f.name: np.zeros(shape, np.float32) for f in dataclasses.fields(Companions)})
+    case = CaseResults(
+        Case("departure", "consistent"),
+        values,
+        np.full(shape, 90.0),
+        np.zeros(shape, np.int8),
+        empty,
+        np.zeros(shape, np.int32),
+        np.zeros(shape[0]),
+    )
+    side = np.where(np.arange(n) < n // 2, 1, -1)
+    return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,), **parts)
+
+
+def ishigami(design: Design) -> float:
+    a, b, c = (float(gain_value(design, name)) for name in "abc")
+    return math.sin(a) + 7.0 * math.sin(b) ** 2 + 0.1 * c**4 * math.sin(a)
+
+
+CUBE = {name: {"from": -math.pi, "to": math.pi} for name in "abc"}
+
+
+# --- the formulas -----------------------------------------------------------------------------------------------------
+
+
+def test_the_shares_of_a_fine_grid_are_the_known_indices() -> None:
+    """Midpoints: the sines are exact, the mean of c^4 and c^8 is off by 1e-4 of itself at 200 points."""
+    x = (np.arange(200) + 0.5) / 200 * 2 * np.pi - np.pi
+    a, b, c = x[::5, None, None], x[None, ::5, None], x[None, None, :]
+    first, total = factorial_shares((np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a))[None])
+    np.testing.assert_allclose(first[0], ISHIGAMI_FIRST, atol=3e-4)
+    np.testing.assert_allclose(total[0], ISHIGAMI_TOTAL, atol=3e-4)
+
+
+@given(st.integers(0, 2**32), st.lists(st.integers(1, 4), min_size=1, max_size=4))
+def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: list[int]) -> None:
+    """Every effect by inclusion and exclusion of conditional means; its sum of squares goes to all that are part."""
+    y = np.random.default_rng(seed).normal(size=levels)
+    k, V = len(levels), float(y.var())
+    first, total = factorial_shares(y[None])
+    if y.size < 2:
+        assert np.isnan(first).all()
+        assert np.isnan(total).all()
+        return
+    axes = range(k)
+    variance: dict[tuple[int, ...], float] = {}
+    for size in axes:
+        for part in itertools.combinations(axes, size + 1):
+            effect = sum(
+                (-1) ** (len(part) - len(kept)) * y.mean(axis=tuple(i for i in axes if i not in kept), keepdims=True)
+                for count in range(len(part) + 1)
+                for kept in itertools.combinations(part, count)
+            )
+            variance[part] = float(np.mean(np.square(effect)))
+    assert sum(variance.values()) == pytest.approx(V)
+    for i in axes:
+        assert first[0, i] == pytest.approx(variance[(i,)] / V, abs=1e-9)
+        assert total[0, i] == pytest.approx(sum(v for part, v in variance.items() if i in part) / V, abs=1e-9)
+
+
+def test_samples_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match=r"k \+ 2 = 5 rows"):
+        saltelli_indices(np.zeros(12), 3, confidence=0.95, samples=50, seed=0)
+    with pytest.raises(InputError, match="63 designs; allowed: at least 64"):
+        rbd_fast_indices(np.zeros((63, 1)), np.zeros(63), confidence=0.95, samples=50, seed=0)
+
+
+# --- blocks of a study ------------------------------------------------------------------------------------------------
+
+
+def only(found: tuple[BlockSensitivity, ...]) -> BlockSensitivity:
+    assert len(found) == 1
+    return found[0]
+
+
+def test_a_full_grid_gives_the_indices_of_a_linear_function() -> None:
+    """S = 3 a + 2 b + y_s: no interactions; the shares go with the squared slopes times the variances."""
+    a, b, y_s = [-1.0, 0.0, 0.5, 2.0], [0.0, 3.0], [0.1, 0.2, 0.5]
+    study = study_of({"law": "waves", "y_s": y_s, "gains": {"b": b, "a": a, "c": 1.0}})
+    found = only(
+        sensitivity(results_of(study, lambda d: 3 * gain_value(d, "a") + 2 * gain_value(d, "b") + d.y_s), study)
+    )
+    parts = np.array([np.var(y_s), 4 * np.var(b), 9 * np.var(a)])
+    assert (found.names, found.method, found.designs) == (("y_s", "b", "a"), "factorial", 24)
+    assert found.indices is not None
+    for index in ("first", "first_low", "first_high", "total", "total_low", "total_high"):
+        # scores do not depend on the scenario: nor do the indices, whatever is drawn. 100 m s are added to all:
+        # 14 of 16 digits are left, and the resampled means keep about twelve
+        np.testing.assert_allclose(getattr(found.indices, index), parts / parts.sum(), rtol=1e-8)
+    assert "exact for the grid" in found.note
+    assert found.interval_over == "scenarios"
+
+
+def test_a_grid_in_which_only_the_product_counts_is_all_interaction() -> None:
+    study = study_of({"law": "waves", "gains": {"a": [-1.0, 1.0], "b": [-2.0, 2.0], "on": [True, False]}})
+    found = only(sensitivity(results_of(study, lambda d: gain_value(d, "a") * gain_value(d, "b")), study))
+    assert found.indices is not None
+    np.testing.assert_allclose(found.indices.first, [0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found.indices.total, [1, 1, 0], atol=1e-12)
+
+
+def test_intervals_of_a_grid_cover_the_truth() -> None:
+    """Slopes that differ from scenario to scenario: the index of the mean slopes is covered in 95 % of studies.
+
+    100 studies: less than 88 of them has probability 1e-3 at a coverage of 0.95 (binomial).
+    """
+    study = study_of({"law": "waves", "gains": {"a": [-1.0, 0.0, 1.0], "b": [-1.0, 0.0, 1.0]}})
+    generator, covered = np.random.default_rng(1), 0
+    for _ in range(100):
+        slopes = generator.normal([[2.0], [1.0]], 1.0, (2, 200))
+        scores = results_of(study, lambda d, s=slopes: gain_value(d, "a") * s[0] + gain_value(d, "b") * s[1], n=200)
+        found = only(sensitivity(scores, study)).indices
+        assert found is not None
+        covered += bool(found.first_low[0] <= 0.8 <= found.first_high[0])
+    assert covered >= 88
+
+
+def test_scores_count_as_in_the_ranking() -> None:
+    """A failed scenario counts at least as without control, and one that some design cannot drive for none."""
+    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0], "b": [0.0, 1.0]}})
+    plain = results_of(study, lambda d: gain_value(d, "a"), n=4)
+    case = plain.cases[0]
+    S, status, before = case.S.copy(), case.status.copy(), case.S_uncorrected.copy()
+    S[:, 3], status[0, 3] = np.nan, EventStatus.INVALID
+    S[1, 0], before[1, 0], status[1, 0] = 0.0, 112.0, EventStatus.SOLVER_FAILED  # a = 0, b = 1
+    changed = dataclasses.replace(case, S=S, status=status, S_uncorrected=before)
+    found = only(sensitivity(dataclasses.replace(plain, cases=(changed,)), study)).indices
+    assert found is not None
+    first, total = factorial_shares(np.array([[[0.0, 4.0], [1.0, 1.0]]]))
+    np.testing.assert_allclose(found.first, first[0], rtol=1e-9)
+    np.testing.assert_allclose(found.total, total[0], rtol=1e-9)
+
+
+def test_a_saltelli_sample_gives_the_known_indices_of_ishigami() -> None:
+    """1,024 base points: SALib's intervals are +-0.08 at most here, and hold the known values."""
+    sample = {"method": "saltelli", "count": 1024, "seed": 1}
+    study = study_of({"law": "waves", "gains": CUBE, "sample": sample})
+    found = only(sensitivity(results_of(study, ishigami), study))
+    assert (found.names, found.method, found.designs) == (("a", "b", "c"), "saltelli", 5120)
+    one = found.indices
+    assert one is not None
+    np.testing.assert_allclose(one.first, ISHIGAMI_FIRST, atol=0.05)
+    np.testing.assert_allclose(one.total, ISHIGAMI_TOTAL, atol=0.05)
+    for index, known in (("first", ISHIGAMI_FIRST), ("total", ISHIGAMI_TOTAL)):
+        low, high = getattr(one, f"{index}_low"), getattr(one, f"{index}_high")
+        assert ((low <= known) & (known <= high)).all()
+        assert (high - low < 0.2).all()
+    assert found.interval_over == "designs"
+
+
+@pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
+def test_an_even_sample_gives_the_first_order_indices_of_ishigami(method: str) -> None:
+    """512 designs: the error of RBD-FAST has a standard deviation of 0.03 here."""
+    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": method, "count": 512, "seed": 3}})
+    found = only(sensitivity(results_of(study, ishigami), study))
+    assert (found.method, found.designs) == ("rbd_fast", 512)
+    assert found.indices is not None
+    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.1)
+    assert np.isnan(found.indices.total).all()
+    assert "total indices need a full grid" in found.note
+
+
+def test_numbers_depend_on_the_study_only() -> None:
+    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "saltelli", "count": 64}}, seed=0)
+    results = results_of(study, ishigami)
+    order = np.random.default_rng(0).permutation(len(results.designs))
+    case = results.cases[0]
+    rows = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status")}
+    mixed = dataclasses.replace(
+        results, designs=tuple(results.designs[i] for i in order), cases=(dataclasses.replace(case, **rows),)
+    )
+    np.random.seed(1)  # noqa: NPY002  (SALib falls back on it without a seed)
+    one, other = only(sensitivity(results, study)).indices, only(sensitivity(mixed, study)).indices
+    for field in dataclasses.fields(one):  # type: ignore[arg-type]
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_every_law_of_every_table_has_its_own_indices() -> None:
+    study = study_of(
+        {"law": "none"},
+        {"law": ["waves", "lqr"], "y_s": [0.1, 0.2], "gains": {"a": [0.0, 1.0], "r_delta": [10.0, 20.0, 30.0]}},
+    )
+    found = sensitivity(results_of(study, lambda d: d.y_s), study)
+    assert [(one.block, one.law, one.names, one.designs) for one in found] == [
+        (1, "waves", ("y_s", "a"), 4),
+        (1, "lqr", ("y_s", "r_delta"), 6),
+    ]
+
+
+def test_why_there_are_no_indices_is_said() -> None:
+    grid = {"law": "waves", "gains": {"a": [0.0, 1.0, 2.0]}}
+    study = study_of(grid)
+    a = study.designs
+    assert "same mean S" in only(sensitivity(results_of(study, lambda d: 1.0), study)).reason
+
+    race = Race((3, 6), (3, 2), (Dropped(a[2], 1, 3, 1.0, 0.5, 0.1),), 15, 18)
+    fewer = results_of(study, ishigami, designs=a[:2], race=race)
+    assert "the race gave up 1 of its 3 designs" in only(sensitivity(fewer, study)).reason
+    failed = results_of(study, ishigami, designs=a[:2], failed=(FailedDesign(a[2], "raised"),))
+    assert "1 of its 3 designs have no results" in only(sensitivity(failed, study)).reason
+
+    searched = study_of({"law": "waves", "gains": CUBE}, search={"trials": 10})
+    designs = tuple(Design.from_gains("waves", 0.2, {"a": x}) for x in (0.0, 1.0))
+    assert "a search asks" in only(sensitivity(results_of(searched, ishigami, designs=designs), searched)).reason
+
+    few = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "sobol", "count": 32}})
+    assert "at least 64" in only(sensitivity(results_of(few, ishigami), few)).reason
+
+    when = study_of({"law": "waves", "gains": {"on": [True, False], "a": [0.0, 1.0]}, "when": {"a": {"on": [True]}}})
+    assert "no full grid" in only(sensitivity(results_of(when, ishigami), when)).reason
+
+
+def test_a_few_failed_designs_of_an_even_sample_are_left_out_and_counted() -> None:
+    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "latin_hypercube", "count": 400}})
+    bad = study.designs[7]
+    results = results_of(study, ishigami, designs=(*study.designs[:7], *study.designs[8:]),
+                         failed=(FailedDesign(bad, "raised"),))  # fmt: skip
+    found = only(sensitivity(results, study))
+    assert found.designs == 399
+    assert "1 failed designs are left out" in found.note
+    # the others keep their places: the error has a standard deviation of 0.035 here
+    assert found.indices is not None
+    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.12)
+
+
+def test_without_salib_a_sample_has_no_indices_and_a_grid_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = study_of(
+        {"law": "waves", "gains": CUBE, "sample": {"method": "sobol", "count": 64}},
+        {"law": "waves", "gains": {"a": [0.0, 1.0]}},
+    )
+    results = results_of(study, ishigami)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "SALib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "SALib", None)
+    sampled, grid = sensitivity(results, study)
+    assert "ldctoolkit[sensitivity]" in sampled.reason
+    assert grid.indices is not None
+
+
+# --- the profile ------------------------------------------------------------------------------------------------------
+
+SETTINGS: dict[str, Any] = {
+    "simulation": {"dt": 0.1, "window": ["departure", "control"], "settle": 1.0},
+    "plant": {"sensors": {"e_y_noise": 0.05}, "actuator": {"rate_max": 0.3}},
+}
+
+
+def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12) -> StudyResults:
+    """What a run of the study gives, by `simulate` alone."""
+    scenarios = load_model("reference").sample(n // 2, n - n // 2, seed=study.seed)
+    designs = study.designs if designs is None else designs
+    outcomes = [[_outcome(study, design, scenarios, case) for design in designs] for case in study.cases]
+    cases = tuple(
+        CaseResults(
+            case,
+            *(np.stack([getattr(one, name) for one in each]) for name in ("S", "S_uncorrected", "status")),
+            Companions(
+                **{
+                    f.name: np.stack([getattr(one.companions, f.name) for one in each])
+                    for f in dataclasses.fields(Companions)
+                }
+            ),
+            np.stack([one.failed_solves for one in each]),
+            np.zeros(len(designs)),
+        )
+        for case, each in zip(study.cases, outcomes, strict=True)
+    )
+    return StudyResults(designs, scenarios, cases)
+
+
+def _outcome(study: Study, design: Design, scenarios: Scenarios, case: Case) -> Any:
+    return simulate(
+        design.controller(case.convention),
+        scenarios,
+        vehicle=BicycleModel(study.vehicle, case.convention),
+        y_s=design.y_s,
+        dt=study.simulation.dt,
+        window=case.window,
+        initial_yaw_rate=study.simulation.initial_yaw_rate,
+        options=study.plant,
+        seed=study.seed,
+        settle=study.simulation.settle,
+    )
+
+
+def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:
+    return {profile.name: profile for profile in profiles}
+
+
+@pytest.mark.parametrize("case", [0, 1])
+def test_a_profile_is_what_simulate_gives(case: int) -> None:
+    study = study_of(
+        {"law": "waves", "y_s": [0.1, 0.3], "gains": {"a": [0.5, 2.0], "N": [2, 8]}},
+        **SETTINGS,
+        ranking={"bootstrap": 1000},
+    )
+    results = driven(study, n=30)
+    winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
+    counts: list[tuple[int, int]] = []
+    found = by_name(winner_profile(results, study, winner, case=case, points=5, advance=lambda *c: counts.append(c)))
+    assert list(found) == ["y_s", "a", "N"]
+    assert found["y_s"].values == (0.1, 0.15, 0.2, 0.25, 0.3)
+    assert found["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
+    # whole, and even on a logarithmic scale
+    assert found["N"].values == (2, 3, 4, 6, 8)
+    at_winner = _outcome(study, winner, results.scenarios, study.cases[case]).S
+    critical: list[float] = []
+    errors: list[float] = []
+    for profile in found.values():
+        assert profile.values[profile.at] == gain_value(winner, profile.name)
+        assert profile.stored.tolist() == [True, False, False, False, True]
+        rows = [_outcome(study, design, results.scenarios, study.cases[case]).S for design in profile.designs]
+        np.testing.assert_allclose(profile.S, np.mean(rows, axis=1), rtol=1e-12)
+        paired = np.stack(rows) - at_winner
+        np.testing.assert_allclose(profile.difference, paired.mean(axis=1), rtol=1e-9, atol=1e-12)
+        # all intervals have one critical value, in standard errors of a mean of two strata
+        strata = [paired[:, results.scenarios.side == side] for side in (1, -1)]
+        error = np.sqrt(sum(part.shape[1] * part.var(axis=1, ddof=1) for part in strata)) / paired.shape[1]
+        np.testing.assert_allclose(profile.high - profile.difference, profile.difference - profile.low, atol=1e-12)
+        critical += [c for c, e in zip(profile.high - profile.difference, error, strict=True) if e > 0]
+        errors += [e for e in error if e > 0]
+        assert profile.low[profile.at] == profile.high[profile.at] == 0.0
+        assert {design.law for design in profile.designs} == {"waves"}
+    widths = np.array(critical) / np.array(errors)
+    np.testing.assert_allclose(widths, widths[0], rtol=1e-9)
+    # between one comparison's and Bonferroni's for all; 1,000 resamples give the quantile to a few per cent
+    df = len(results.scenarios) - 2
+    assert 0.95 * scipy.stats.t.ppf(0.975, df) < widths[0] < 1.1 * scipy.stats.t.ppf(1 - 0.025 / widths.size, df)
+    # nine designs and the winner, which is driven once more to see that nothing has changed
+    assert counts == [(i, 10) for i in range(1, 11)]
+    assert found["a"].unit == "1"
+    assert found["y_s"].unit == "m"
+
+
+def test_driven_designs_count_as_stored_ones_do() -> None:
+    """A law that steers well and says that it failed counts as if it had not steered."""
+    study = study_of({"law": "giving_up", "gains": {"K": [0.0, 1.0, 2.0]}}, simulation={"dt": 0.1})
+    results = driven(study, study.designs[:2])
+    found = winner_profile(results, study, study.designs[0], points=3)[0]
+    assert found.stored.tolist() == [True, True, False]
+    whole = driven(study).cases[0]
+    assert (whole.counted[2] > whole.S[2]).any()
+    np.testing.assert_allclose(found.S, whole.counted.mean(axis=1), rtol=1e-12)
+
+
+def test_no_points_take_what_the_study_holds() -> None:
+    """A line of three along a, nothing else next to the winner in y_s, and no run."""
+    designs = [(0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.3, 0.7)]
+    blocks = [{"law": "waves", "y_s": y_s, "gains": {"a": a}} for y_s, a in designs]
+    study = study_of(*blocks)
+    results = results_of(study, lambda d: (gain_value(d, "a") - 1.2) ** 2)
+    found = winner_profile(results, study, study.designs[1], points=0)
+    assert [(one.name, one.values) for one in found] == [("a", (0.5, 1.0, 2.0))]
+    np.testing.assert_allclose(found[0].difference, [0.45, 0.0, 0.6], rtol=1e-9)
+    assert found[0].stored.all()
+    assert found[0].spread == pytest.approx(0.6)
+    assert found[0].best == found[0].at == 1
+    assert not found[0].at_edge
+
+
+def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
+    study = study_of(
+        {"law": "waves", "gains": {"on": True, "c": [0.0, 2.9]}},
+        {"law": "waves", "gains": {"on": False, "c": 3.2}},
+        simulation={"dt": 0.1},
+    )
+    results = driven(study, study.designs[:2])
+    found = by_name(winner_profile(results, study, study.designs[0], points=3))
+    assert found["on"].values == (True, False)
+    assert found["on"].stored.tolist() == [True, False]
+    assert np.isfinite(found["on"].S).all()
+    # 2.9 is in the study and close to the end, 3.2, which is left out; 1.6 is the middle of the range
+    assert found["c"].values == (0.0, 1.6, 2.9)
+    wide = by_name(winner_profile(results, study, study.designs[0], points=41))["c"]
+    assert wide.values[-1] == 3.2
+    assert "ZeroDivisionError: c is too large" in wide.failures[-1]
+    assert np.isnan(wide.S[-1])
+    assert np.isfinite(wide.S[np.array(wide.values, dtype=float) <= 3.0]).all()
+    assert np.isfinite(wide.spread)
+
+
+def test_the_edge_of_a_range_is_told() -> None:
+    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0, 2.0], "on": [False, True]}})
+    found = by_name(
+        winner_profile(results_of(study, lambda d: -gain_value(d, "a")), study, study.designs[-1], points=3)
+    )
+    assert found["a"].at_edge
+    assert found["a"].best == found["a"].at
+    assert not found["on"].at_edge
+
+
+def test_a_study_that_cannot_be_reproduced_gets_no_driven_designs() -> None:
+    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0]}})
+    results = driven(study)
+    case = results.cases[0]
+    other = dataclasses.replace(results, cases=(dataclasses.replace(case, S=case.S + 1e-3),))
+    with pytest.raises(LdcError, match="does not give its stored scores"):
+        winner_profile(other, study, study.designs[0])
+    assert winner_profile(other, study, study.designs[0], points=0)[0].stored.all()
+
+
+def test_a_winner_from_elsewhere_and_negative_points_are_refused() -> None:
+    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0]}})
+    results = results_of(study, ishigami)
+    with pytest.raises(InputError, match="not among the results"):
+        winner_profile(results, study, Design.from_gains("none", 0.2, {}))
+    with pytest.raises(InputError, match="points: -1"):
+        winner_profile(results, study, study.designs[0], points=-1)
+    assert winner_profile(results_of(study_of({"law": "none"}), lambda d: 1.0), study_of({"law": "none"}),
+                          Design.from_gains("none", 0.2, {})) == ()  # fmt: skip
+
+
+def test_the_table_holds_all_of_it(tmp_path: Path) -> None:
+    import polars as pl
+
+    study = study_of(
+        {"law": "waves", "gains": {"a": [0.0, 1.0, 2.0], "b": [0.0, 1.0]}},
+        {"law": "waves", "gains": CUBE, "sample": {"method": "sobol", "count": 16}},
+    )
+    results = results_of(study, lambda d: gain_value(d, "a") ** 2 * (1 + gain_value(d, "b")))
+    blocks = sensitivity(results, study)
+    profiles = winner_profile(results, study, study.designs[0], points=0)
+    write_sensitivity(blocks, profiles, tmp_path / "s.csv")
+    table = pl.read_csv(tmp_path / "s.csv", infer_schema_length=None)
+    assert table.columns == list(COLUMNS)
+    total = table.filter(pl.col("kind") == "total")
+    assert blocks[0].indices is not None
+    assert total["index"].to_list() == blocks[0].indices.total.tolist()
+    assert total["dimension"].to_list() == ["a", "b"]
+    assert table.filter(pl.col("kind") == "none")["note"].to_list() == [blocks[1].reason]
+    rows = table.filter((pl.col("kind") == "profile") & (pl.col("dimension") == "a"))
+    assert rows["value"].to_list() == [0.0, 1.0, 2.0]
+    assert rows["S_m_s"].to_list() == profiles[0].S.tolist()
+    assert rows["design"].to_list() == [design.id for design in profiles[0].designs]

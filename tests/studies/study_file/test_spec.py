@@ -1,0 +1,452 @@
+"""Study files: what they stand for, and what each mistake says."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ldctoolkit import VehicleParameters
+from ldctoolkit.errors import StudyError, UnknownNameError
+from ldctoolkit.plant_options import PlantOptions
+from studies import Case, Design, Study
+from studies.design_space.grid import EntryError, expand
+from studies.study_file.plant_table import UNITS, differences, plant_settings
+from studies.study_file.ready import catalog_names, load_study
+
+pytestmark = pytest.mark.usefixtures("laws")
+
+MISTAKES: list[tuple[dict[str, Any], str]] = [
+    ({"sedd": 1}, "sedd: no such key; did you mean 'seed'?"),
+    ({"seed": "x"}, "seed: 'x'; allowed: a whole number"),
+    ({"seed": 1.5}, "seed: 1.5; allowed: a whole number"),
+    ({"seed": -1}, "seed: -1; allowed: greater than or equal to 0"),
+    ({"name": "a/b"}, "name: 'a/b'; allowed: up to 80 letters"),
+    ({"name": 3}, "name: 3; allowed: text"),
+    (
+        {"scenarios": {"lft": 3}},
+        "scenarios.lft: no such key; did you mean 'left'? (allowed: given, left, model, right)",
+    ),
+    ({"scenarios": {"given": 3}}, "scenarios.given: 3; allowed: a table of keys"),
+    ({"scenarios": {"given": {"v": 3}}}, "scenarios.given: no parameter 'v'; "),
+    ({"scenarios": {"given": {"v_mean": "fast"}}}, "scenarios.given.v_mean: 'fast'; allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": [35, 25]}}}, "scenarios.given.v_mean: (35, 25); allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": [25]}}}, "scenarios.given.v_mean: (25,); allowed: a number, or (lower"),
+    ({"scenarios": {"given": {"v_mean": True}}}, "scenarios.given.v_mean: True; allowed: a number"),
+    ({"scenarios": {"given": {"c_0": float("nan")}}}, "scenarios.given.c_0: nan; allowed: a number"),
+    ({"scenarios": {"given": {"c_0": float("inf")}}}, "scenarios.given.c_0: inf; allowed: a number"),
+    ({"scenarios": {"left": 0, "right": 0}}, "scenarios: left and right are both 0"),
+    ({"scenarios": {"left": True}}, "scenarios.left: True; allowed: a whole number"),
+    ({"scenarios": 3}, "scenarios: 3; allowed: a table of keys"),
+    ({"simulation": {"dt": 0}}, "simulation.dt: 0; allowed: greater than or equal to 0.001"),
+    ({"report": {"D_y": float("inf")}}, "report.D_y: inf; allowed: a finite number"),
+    ({"simulation": {"dt": float("nan")}}, "simulation.dt: nan; allowed: a finite number"),
+    ({"simulation": {"dt": float("nan")}}, "simulation.dt: nan; allowed"),
+    ({"simulation": {"window": "departur"}}, "simulation.window: 'departur'; did you mean 'departure'?"),
+    ({"simulation": {"window": ["departure", "x"]}}, "simulation.window[1]: 'x'; allowed: control, departure"),
+    ({"simulation": {"window": ["control", "control"]}}, "allowed: a name, or a list of different names"),
+    ({"simulation": {"window": []}}, "simulation.window: (); allowed: a name"),
+    ({"simulation": {"convention": "printed"}}, "simulation.convention: 'printed'; did you mean 'as_printed'?"),
+    ({"simulation": {"initial_yaw_rate": 0}}, "simulation.initial_yaw_rate: 0; allowed: path, zero"),
+    ({"simulation": {"settle": -1}}, "simulation.settle: -1; allowed: greater than or equal to 0"),
+    ({"simulation": {"settle": 61.0}}, "simulation.settle: 61.0; allowed: less than or equal to 60"),
+    ({"plant": 3}, "plant: 3; allowed: a table of keys"),
+    ({"plant": {"sped": "frozen"}}, "plant.sped: no such key; did you mean 'speed'?"),
+    ({"plant": {"speed": "profil"}}, "plant.speed: 'profil'; did you mean 'profile'?"),
+    ({"plant": {"actuator": 3}}, "plant.actuator: 3; allowed: a table of keys"),
+    (
+        {"plant": {"actuator": {"rate": 1}}},
+        "plant.actuator.rate: no such key; did you mean 'rate_max'? (allowed: delay, delta_max, lag, rate_max)",
+    ),
+    ({"plant": {"actuator": {"rate_max": -1}}}, "plant.actuator.rate_max: -1; allowed: a finite number > 0"),
+    ({"plant": {"actuator": {"lag": "x"}}}, "plant.actuator.lag: 'x'; allowed: a finite number >= 0 and <= 10"),
+    ({"plant": {"mismatch": {"m": [1.2, 0.9]}}}, "plant.mismatch.m: (1.2, 0.9); allowed: (low, high), 0 < low"),
+    ({"plant": {"mismatch": {"mu": [0.5, 1.0]}}}, "plant.mismatch.mu: (0.5, 1.0); linear tyres have no friction"),
+    ({"plant": {"tyres": {"model": "magic"}}}, "plant.tyres.model: 'magic'; did you mean 'magic_formula'?"),
+    ({"plant": {"sensors": {"e_y_nois": 1}}}, "plant.sensors.e_y_nois: no such key; did you mean 'e_y_noise'?"),
+    ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
+    ({"plant": {"sensors": {"kalman": {"q": 1}}}}, "plant.sensors.kalman.q: no such key; did you mean 'q_y'?"),
+    ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
+    ({"plant": {"sensors": {"period": 0.07}}}, "plant.sensors.period: 0.07 s; allowed: a multiple of simulation.dt"),
+    (
+        {"plant": {"sensors": {"delay": 0.1}}, "simulation": {"dt": 0.04}},
+        "plant.sensors.delay: 0.1 s; allowed: a multiple of simulation.dt = 0.04 s",
+    ),
+    (
+        {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},
+        "plant.tyres.model: 'magic_formula' with simulation.convention 'as_printed'; the printed matrix is linear",
+    ),
+    ({"plant": {"residuals": {"y": 1}}}, "plant.residuals.y: 1; allowed: true or false"),
+    ({"vehicle": {"C_a": 3}}, "vehicle.C_a: no such key; did you mean 'C_ar'?"),
+    ({"vehicle": {"m": -3}}, "vehicle.m: -3; allowed: a finite number > 0"),
+    ({"vehicle": {"w_v": 5.0}}, "vehicle.w_v: 5.0 m; allowed: less than the lane's width w_l = 3.6 m"),
+    ({"vehicle": 3}, "vehicle: 3; allowed: a table of keys"),
+    ({"report": {"Dy": 1}}, "report.Dy: no such key; did you mean 'D_y'?"),
+    ({"ranking": {"confidence": 2}}, "ranking.confidence: 2; allowed: less than 1"),
+    ({"ranking": {"bootstrap": 3}}, "ranking.bootstrap: 3; allowed: greater than or equal to 100"),
+    ({"design": []}, "design: no designs; allowed: one [[design]] table or more"),
+    ({"design": {"law": "toy"}}, "design: {'law': 'toy'}; allowed: a list"),
+    ({"design": [{}]}, "design[0].law: missing"),
+    ({"design": [{"law": "toy"}, {"law": "ty"}]}, "design[1].law: 'ty': no such controller; did you mean 'toy'?"),
+    ({"design": [{"law": 3}]}, "design[0].law: 3; allowed: text"),
+    ({"design": [{"law": "toy", "y_s": -1}]}, "design[0].y_s: -1; allowed: a finite number >= 0 [m]"),
+    ({"design": [{"law": "toy", "y_s": ["a"]}]}, "design[0].y_s: 'a'; allowed: a finite number >= 0 [m]"),
+    ({"design": [{"law": "toy", "gain": {}}]}, "design[0].gain: no such key; did you mean 'gains'?"),
+    ({"design": [{"law": "toy", "gains": 3}]}, "design[0].gains: 3; allowed: a table of keys"),
+    ({"design": [{"law": "toy", "gains": {"KK": 1}}]}, "design[0].gains.KK: no such gain; did you mean 'K'?"),
+    ({"design": [{"law": "toy", "gains": {"K": 1}}]}, "gains.K: 1; allowed: a number from -1 to 0 rad/rad"),
+    ({"design": [{"law": "toy", "gains": {"K": [-0.1, "x"]}}]}, "gains.K: 'x'; allowed: a number from -1 to 0 rad/rad"),
+    ({"design": [{"law": "toy", "gains": {"N": 2.5}}]}, "gains.N: 2.5; allowed: a whole number from 1 to 50"),
+    ({"design": [{"law": "toy", "gains": {"on": 1}}]}, "gains.on: 1; allowed: true or false"),
+    ({"design": [{"law": "toy", "gains": {"K": []}}]}, "gains.K: an empty list"),
+    ({"design": [{"law": "toy", "gains": {"convention": "case"}}]}, "gains.convention: 'case'; allowed: as_printed"),
+    ({"design": [{"law": "toy", "gains": {"K": {"from": -1}}}]}, "gains.K.to: missing; a range is written"),
+    ({"design": [{"law": "toy", "gains": {"K": {"form": -1}}}]}, "gains.K.form: no such key; did you mean 'from'?"),
+    (
+        {"design": [{"law": "toy", "gains": {"K": {"from": -1, "to": 0, "count": 1}}}]},
+        "gains.K.count: 1; allowed: a whole number from 2",
+    ),
+    (
+        {"design": [{"law": "toy", "gains": {"K": {"from": -1, "to": 0, "count": 3, "scale": "log"}}}]},
+        "gains.K.scale: 'log' from -1 to 0; allowed: both ends of one sign",
+    ),
+    (
+        {"design": [{"law": "toy", "gains": {"K": {"from": -1, "to": 0.5, "count": 4}}}]},
+        "gains.K: 0.5; allowed: a number from -1 to 0 rad/rad",
+    ),
+    (
+        {"design": [{"law": "toy", "y_s": {"from": 0, "to": 1, "count": 9000}, "gains": {"N": list(range(1, 51))}}]},
+        "design: the grids make 450000 designs; allowed: at most 100000",
+    ),
+]
+
+
+@pytest.mark.parametrize(("parts", "message"), MISTAKES, ids=[message[:40] for _, message in MISTAKES])
+def test_a_mistake_is_named_by_key_path_value_and_what_is_allowed(parts: dict[str, Any], message: str) -> None:
+    content = {"name": "a", "design": [{"law": "toy"}]} | parts
+    with pytest.raises(StudyError) as caught:
+        Study.from_dict(content, source="s.toml")
+    text = str(caught.value)
+    assert text.startswith("s.toml: ")
+    assert message in text
+    assert "\n" not in text
+    assert "more problem" not in text  # one mistake is one problem
+
+
+def test_several_mistakes_are_counted() -> None:
+    with pytest.raises(StudyError, match=r"\(and 1 more problem in this study\)"):
+        Study.from_dict({"name": "a", "seed": "x", "title": 3, "design": [{"law": "toy"}]})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"name = ", "not a TOML file: "),
+        (b"name = 'a'\nname = 'b'", "not a TOML file: "),
+        (b"\xff\xfe", "not a TOML file: "),
+        (b"", "name: missing"),
+        (b"name = 'a'", "design: missing"),
+    ],
+)
+def test_a_broken_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "s.toml"
+    path.write_bytes(content)
+    with pytest.raises(StudyError) as caught:
+        Study.from_toml(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match="cannot be read: No such file"):
+        Study.from_toml(tmp_path / "none.toml")
+
+
+def test_a_study_file_as_in_the_reference(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(
+        """
+        name = "t"
+        seed = 1
+        [scenarios]
+        model = "m.json"
+        left = 5
+        right = 6
+        [simulation]
+        window = ["control", "departure"]
+        convention = "as_printed"
+        [vehicle]
+        m = 1200
+        [[design]]
+        law = "toy"
+        y_s = [0.1, 0.2]
+        [design.gains]
+        K = { from = -0.4, to = -0.1, count = 3, scale = "log" }
+        N = { from = 1, to = 10, count = 4, scale = "linear" }
+        """
+    )
+    study = Study.from_toml(path)
+    assert study.cases == (Case("control", "as_printed"), Case("departure", "as_printed"))
+    assert study.vehicle == VehicleParameters(m=1200.0)
+    assert study.model_path == tmp_path / "m.json"
+    assert len(study.designs) == 2 * 3 * 4
+    first = dict(study.designs[0].gains)
+    assert first == {"K": -0.4, "N": 1, "on": True, "convention": "case"}
+    assert {dict(d.gains)["N"] for d in study.designs} == {1, 4, 7, 10}
+
+
+def test_content_goes_through_json_and_back(make_study: Callable[..., Study]) -> None:
+    study = make_study()
+    again = Study.from_dict(json.loads(json.dumps(study.content())))
+    assert again == study
+    assert again.hash == study.hash
+    assert again.designs == study.designs
+
+
+def test_identity_follows_numbers_and_not_words(make_study: Callable[..., Study]) -> None:
+    study = make_study()
+    for same in ({"title": "other"}, {"report": {"D_y": 0.3}}, {"ranking": {"bootstrap": 300}}, {"name": "other"}):
+        assert make_study(**same).hash == study.hash
+    for other in ({"seed": 4}, {"vehicle": {"m": 999.0}}, {"scenarios": {"left": 7, "right": 6}}):
+        assert make_study(**other).hash != study.hash
+    assert make_study(design=[{"law": "none"}]).hash != study.hash
+
+
+def test_conditions_on_scenarios_are_read_and_decide_the_numbers(
+    make_study: Callable[..., Study], tmp_path: Path
+) -> None:
+    """A study without conditions has the identity that it had before there were any."""
+    plain = make_study()
+    assert plain.identity()["scenarios"] == {"left": 7, "right": 5}
+    (tmp_path / "s.toml").write_text(
+        'name = "motorway"\n[scenarios]\nleft = 5\nright = 5\n[scenarios.given]\nv_mean = [25, inf]\nc_0 = 0.001\n'
+        '[[design]]\nlaw = "none"\n'
+    )
+    study = Study.from_toml(tmp_path / "s.toml")
+    assert study.scenarios.given == {"v_mean": (25.0, None), "c_0": 0.001}
+    assert Study.from_dict(json.loads(json.dumps(study.content()))).content() == study.content()
+    assert study.identity()["scenarios"]["given"] == {"v_mean": [25.0, None], "c_0": 0.001}
+    scenarios = {"left": 7, "right": 5, "given": {"v_mean": [25, 30]}}
+    some = make_study(scenarios=scenarios)
+    other = make_study(scenarios=scenarios | {"given": {"v_mean": [25, 31]}})
+    assert len({plain.hash, some.hash, other.hash}) == 3
+    assert make_study(scenarios=scenarios | {"given": {}}).hash == plain.hash
+
+
+EVERY_OPTION = """
+name = "real"
+[simulation]
+dt = 0.05
+settle = 2
+[plant]
+speed = "profile"
+[plant.actuator]
+delta_max = 0.5
+rate_max = 1
+lag = 0.1
+delay = 0.03
+[plant.mismatch]
+m = [0.9, 1.2]
+I_z = [0.9, 1.1]
+C_af = [0.8, 1.2]
+C_ar = [0.8, 1.2]
+mu = [0.5, 1]
+[plant.tyres]
+model = "magic_formula"
+mu = 0.8
+shape = 1.4
+[plant.sensors]
+e_y_noise = 0.02
+e_psi_noise = 0.002
+e_y_bias = 0.05
+e_psi_bias = -0.001
+e_y_step = 0.01
+e_psi_step = 0.001
+period = 0.15
+delay = 0.3
+curvature_gain = 0.1
+curvature_bias = 1e-4
+curvature_noise = 2e-4
+[plant.sensors.kalman]
+q_y = 1
+q_psi = 0.3
+r_y = 0.02
+r_psi = 0.002
+[plant.residuals]
+y = true
+v = true
+bandwidth = 0.5
+[[design]]
+law = "toy"
+"""
+
+
+def leaves(value: Any, path: str = "") -> dict[str, Any]:
+    """Key path -> value of everything below a value of tables."""
+    if not isinstance(value, dict):
+        return {path: value}
+    return {k: v for key, inner in value.items() for k, v in leaves(inner, f"{path}.{key}" if path else key).items()}
+
+
+def test_every_key_of_the_plant_is_read_and_told(tmp_path: Path) -> None:
+    """Every option of the dataclasses is in the file above, differs from its default, and is told to a reader."""
+    (tmp_path / "s.toml").write_text(EVERY_OPTION)
+    study = Study.from_toml(tmp_path / "s.toml")
+    assert study.simulation.settle == 2.0
+    written = leaves(tomllib.loads(EVERY_OPTION)["plant"])
+    read = leaves(json.loads(json.dumps(dataclasses.asdict(study.plant))))
+    assert read == written
+    ideal = leaves(json.loads(json.dumps(dataclasses.asdict(PlantOptions()))))
+    assert not [key for key, value in read.items() if value == ideal.get(key)]
+    told = dict(plant_settings(study.plant))
+    assert set(told) == set(read)
+    assert told["actuator.rate_max"] == "1 rad/s"
+    assert told["mismatch.m"] == "0.9 to 1.2"
+    assert len(differences(study.plant)) == 6
+    assert set(UNITS) <= set(read)
+
+
+def test_the_plant_is_ideal_unless_the_study_says_otherwise(make_study: Callable[..., Study]) -> None:
+    study = make_study()
+    assert study.plant.ideal
+    assert study.simulation.settle == 3.0
+    assert list(plant_settings(study.plant)) == []
+    assert differences(study.plant) == ()
+    empty = make_study(plant={"actuator": {}, "mismatch": {}, "tyres": {}, "sensors": {}, "residuals": {}})
+    assert empty.hash == study.hash
+    assert not make_study(plant={"sensors": {"kalman": {}}}).plant.ideal  # a filter with its defaults is a filter
+
+
+def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
+    make_study: Callable[..., Study], tmp_path: Path
+) -> None:
+    (tmp_path / "s.toml").write_text(EVERY_OPTION)
+    study = Study.from_toml(tmp_path / "s.toml")
+    again = Study.from_dict(json.loads(json.dumps(study.content())))
+    assert again.content() == study.content()
+    assert again.plant == study.plant
+    assert again.hash == study.hash
+    simulation = {"window": ["departure", "control"]}
+    hashes = {make_study(simulation=simulation).hash}
+    for key, value in leaves(tomllib.loads(EVERY_OPTION)["plant"]).items():
+        table: Any = value
+        for part in reversed(key.split(".")):
+            table = {part: table}
+        if key == "mismatch.mu":
+            table["tyres"] = {"model": "magic_formula"}
+        elif key in ("tyres.mu", "tyres.shape"):
+            table["tyres"]["model"] = "magic_formula"
+        elif key == "residuals.bandwidth":
+            table["residuals"]["y"] = True
+        hashes.add(make_study(plant=table, simulation=simulation).hash)
+    hashes.add(make_study(simulation=simulation | {"settle": 2}).hash)
+    # every key gives a study of its own; tyres.model alone is the one that mismatch.mu was compared with
+    assert len(hashes) == 2 + len(leaves(tomllib.loads(EVERY_OPTION)["plant"]))
+
+
+@given(st.integers(1, 40), st.integers(0, 100))
+def test_a_camera_keeps_the_clock_of_the_controller(steps: int, off: int) -> None:
+    """Multiples of dt are read although 3*0.05 is not 0.15 in binary; a hundredth of dt beside one is refused."""
+    dt = 0.05
+    content = {"name": "a", "design": [{"law": "none"}]}
+    assert Study.from_dict(content | {"plant": {"sensors": {"period": round(steps * dt, 10)}}})
+    value = steps * dt + off * dt / 100
+    if off % 100:
+        with pytest.raises(StudyError, match=r"plant\.sensors\.delay: .*allowed: a multiple of simulation\.dt"):
+            Study.from_dict(content | {"plant": {"sensors": {"delay": value}}})
+
+
+def test_a_design_runs_once_however_often_it_is_written() -> None:
+    blocks = [{"law": "toy", "y_s": [0.1, 0.2]}, {"law": "toy", "y_s": 0.1, "gains": {"K": -0.2}}]
+    assert len(Study.from_dict({"name": "a", "design": blocks}).designs) == 2
+
+
+def test_a_law_follows_the_case_unless_the_design_says_otherwise() -> None:
+    free = Design.from_gains("toy", 0.2, {})
+    fixed = Design.from_gains("toy", 0.2, {"convention": "consistent"})
+    assert free.id != fixed.id
+    assert free.controller("as_printed").convention == "as_printed"  # type: ignore[attr-defined]
+    assert fixed.controller("as_printed").convention == "consistent"  # type: ignore[attr-defined]
+    assert free.label == fixed.label == "Toy, y_s=0.2 m"
+
+
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=4, unique=True),
+    st.lists(st.floats(0, 1), min_size=1, max_size=4, unique=True),
+    st.lists(st.integers(1, 50), min_size=1, max_size=3, unique=True),
+)
+def test_a_grid_is_the_whole_product_in_the_order_written(y_s: list[float], K: list[float], N: list[int]) -> None:
+    block = {"law": "linear_mpc", "y_s": y_s, "gains": {"q_y_rate": K, "horizon": N}}
+    study = Study.from_dict({"name": "a", "design": [block]})
+    found = [(d.y_s, dict(d.gains)["q_y_rate"], dict(d.gains)["horizon"]) for d in study.designs]
+    wanted = list(dict.fromkeys(itertools.product(y_s, K, N)))
+    assert found == wanted
+    assert len({d.id for d in study.designs}) == len(found)
+
+
+@given(st.floats(-100, 100), st.floats(-100, 100), st.integers(2, 50))
+def test_a_linear_range_is_even_and_keeps_its_ends(first: float, last: float, count: int) -> None:
+    values = expand({"from": first, "to": last, "count": count, "scale": "linear"})
+    assert values[0] == first
+    assert values[-1] == last or first == last
+    # twelve significant digits are kept
+    wanted = np.array(list(dict.fromkeys(np.linspace(first, last, count).tolist())))
+    if len(values) == wanted.size:
+        np.testing.assert_allclose(values, wanted, rtol=1e-11, atol=1e-300)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.integers(3, 20), st.sampled_from([1.0, -1.0]))
+def test_a_log_range_has_one_ratio(first: float, last: float, count: int, sign: float) -> None:
+    values = np.array(expand({"from": sign * first, "to": sign * last, "count": count, "scale": "log"}))
+    if values.size == count:
+        np.testing.assert_allclose(values[1:] / values[:-1], (last / first) ** (1 / (count - 1)), rtol=1e-10)
+
+
+def test_expand_names_what_is_wrong() -> None:
+    with pytest.raises(EntryError) as caught:
+        expand({"from": "a", "to": 2, "count": 3})
+    assert caught.value.path == ".from"
+
+
+def test_the_catalog_loads() -> None:
+    assert {"paper", "trigger-and-gains", "reality", "zoo"} <= set(catalog_names())
+    for name in catalog_names():
+        study = load_study(name)
+        assert study.name == name
+    assert not load_study("reality").plant.ideal
+    assert load_study("paper").plant.ideal
+    assert len(load_study("trigger-and-gains").designs) >= 100
+    assert {d.law for d in load_study("trigger-and-gains").designs} >= {"none", "lqr", "linear_mpc"}
+
+
+def test_an_unknown_study_lists_the_catalog(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'paper'"):
+        load_study("papr")
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"ranking": {"baseline": "lqx"}}, r"ranking\.baseline: 'lqx'; allowed: .*'lqr'"),
+        ({"ranking": {"baseline": "000000"}}, r"ranking\.baseline: '000000'; no design's identifier begins so"),
+        ({"race": True, "ranking": {"require": ["ay_p95 <= 3"]}}, r"race: true with ranking\.require; allowed: one"),
+        ({"race": True, "search": {}}, r"race: true with \[search\]; allowed: one"),
+        ({"ranking": {"require": "ay_p59 <= 3"}}, r"ranking\.require: .*'ay_p59'.*did you mean 'a_y_peak_p95'"),
+        ({"ranking": {"pareto": ["S", "cost"]}}, r"ranking\.pareto.*figure 'cost': no such figure"),
+        ({"search": {"objectives": []}}, r"search\.objectives"),
+    ],
+)
+def test_what_a_night_could_be_lost_on_is_refused_at_once(parts: dict[str, Any], message: str) -> None:
+    content = {"name": "s", "design": [{"law": "none"}, {"law": "lqr"}]}
+    with pytest.raises(StudyError, match=message):
+        Study.from_dict(content | parts)
+    good = content | {"ranking": {"baseline": Study.from_dict(content).designs[1].id[:7], "require": "ay_p95 <= 3"}}
+    assert Study.from_dict(good).ranking.require
