@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -139,6 +140,39 @@ class Run:
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
+
+    def columns(self, windows: Sequence[Window]) -> FloatArray:
+        """What holds in a scenario that nobody drives: a row of `fill` each, before it is filled.
+
+        Parameters
+        ----------
+        windows : sequence of {"departure", "control"}
+
+        Returns
+        -------
+        (2 w + c, n)
+            S and S_uncorrected of each window, then the companions, of the recorded paths.
+        """
+        over = self.takeover
+        scores = [over.S_uncorrected - (over.S_before if window == "control" else 0.0) for window in windows]
+        recorded = [getattr(over.recorded, field.name) for field in dataclasses.fields(metrics.Companions)]
+        return np.stack([*(S for S in scores for _ in range(2)), *recorded])
+
+    def fill(self, out: FloatArray, windows: Sequence[Window]) -> None:
+        """Write this run's numbers over those of `columns`: the same bits as in `outcome`, without its copies.
+
+        Parameters
+        ----------
+        out : (2 w + c, n)
+            Changed in place.
+        windows : sequence of {"departure", "control"}
+        """
+        over, rows = self.takeover, self.takeover.rows
+        if self.area is not None:
+            for w, window in enumerate(windows):
+                out[2 * w, rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
+        for i, field in enumerate(dataclasses.fields(metrics.Companions), start=2 * len(windows)):
+            out[i, rows] = getattr(self.companions, field.name)
 
     def outcome(self, window: Window) -> Outcome:
         """Score the run over a window and put the scenarios back into their own order.

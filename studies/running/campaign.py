@@ -23,7 +23,7 @@ _STORE_EVERY = 5.0
 """Seconds between parts: what a kill can cost at most."""
 
 _ROWS_A_PART = 250_000
-"""Rows after which a part is stored before its time: results that wait are in memory twice, and the last part is written
+"""Rows after which a part is stored before its time: results that wait are in memory twice, and the last is written
 while nothing else is left to do."""
 
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from ldctoolkit import BicycleModel, EventStatus, LdcError, Scenarios
 from ldctoolkit.law_errors import raised
-from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.simulation import Outcome, Run, Takeover, drive, drive_many
 from ldctoolkit.simulation.runs import recorded_run
 from ldctoolkit.vehicle import Convention
@@ -154,25 +153,32 @@ class _Room:
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
         self.commands = np.zeros(k, dtype=np.int64)
+        self._takeover: Takeover | None = None
+        self._recorded = np.zeros((0, 0))
+        self._not_driven = np.zeros(0, dtype=np.int8)
+        self._commands = 0
 
     def put(self, i: int, run: Run) -> None:
         """Results of one design; two windows are two ways to score the same run."""
-        outcomes = [run.outcome(window) for window in self.task.job.windows]
-        first = outcomes[0]
-        driven = first.status != EventStatus.INVALID
-        if not all(np.isfinite(outcome.S[driven]).all() for outcome in outcomes):
-            raise LdcError("S is not finite in some scenario")
-        scores = [values for outcome in outcomes for values in (outcome.S, outcome.S_uncorrected)]
-        for column, values in enumerate(scores):
-            self.values[column, i] = values
-        for column, name in enumerate(COMPANION_UNITS, start=len(scores)):
-            self.values[column, i] = getattr(first.companions, name)
-        self.status[i] = first.status
-        self.failed_solves[i] = first.failed_solves
-        self.law_seconds[i] = first.law_seconds
-        over = run.takeover
-        # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
-        self.commands[i] = int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
+        over, windows = run.takeover, self.task.job.windows
+        if over is not self._takeover:  # designs of one threshold share what they do not change
+            self._takeover, self._recorded = over, run.columns(windows)
+            self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
+            # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
+            self._commands = int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
+        values, rows = self.values[:, i], over.rows
+        values[:] = self._recorded
+        run.fill(values, windows)
+        self.status[i] = self._not_driven
+        self.status[i, rows] = run.status
+        if not np.isfinite(values[: 2 * len(windows)]).all():
+            driven = self.status[i] != EventStatus.INVALID
+            if not np.isfinite(values[: 2 * len(windows), driven]).all():
+                raise LdcError("S is not finite in some scenario")
+        self.failed_solves[i] = 0
+        self.failed_solves[i, rows] = run.failed_solves
+        self.law_seconds[i] = run.law_seconds
+        self.commands[i] = self._commands
 
     def some(
         self, i: int, rows: npt.NDArray[np.int64]

@@ -456,7 +456,7 @@ def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> Non
         run_study(make_study(), directory=tmp_path, workers=0)
     with pytest.raises(InputError, match="time_limit: -1; allowed"):
         run_study(make_study(), directory=tmp_path, time_limit=-1)
-    with pytest.raises(InputError, match="executor: 'process'; .*processes"):
+    with pytest.raises(InputError, match=r"executor: 'process'; .*processes"):
         run_study(make_study(), directory=tmp_path, executor="process")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="block_size: 'a'; allowed"):
         run_study(make_study(), directory=tmp_path, block_size="a")  # type: ignore[arg-type]
