@@ -95,7 +95,8 @@ def run(chosen: argparse.Namespace) -> int:
     else:
         print(f"ranking: {ranking_path}")
         print(f"report:  {report_path}")
-    return SOME_FAILED if results.failed else 0
+    fresh_failed = results.fresh is not None and results.fresh.failed
+    return SOME_FAILED if results.failed or fresh_failed else 0
 
 
 def _progress(chosen: argparse.Namespace) -> Progress | bool | None:

@@ -15,9 +15,10 @@ from studies.storage.files import write_text
 FILE_NAME = "race.json"
 
 
-def write_race(folder: Path, race: Race) -> None:
-    """Write or replace the file."""
+def write_race(folder: Path, race: Race, ranked_as: str) -> None:
+    """Write or replace the file; `ranked_as` tells which designs and settings it is the race of."""
     content = dataclasses.asdict(race) | {
+        "ranked_as": ranked_as,
         "dropped": [
             {
                 "design": one.design.id,
@@ -28,13 +29,13 @@ def write_race(folder: Path, race: Race) -> None:
                 "low_m_s": one.low,
             }
             for one in race.dropped
-        ]
+        ],
     }
     write_text(folder / FILE_NAME, json.dumps(content, indent=1) + "\n")
 
 
-def read_race(folder: Path, designs: Sequence[Design]) -> Race | None:
-    """What a folder knows of its race; None where the file is missing.
+def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race | None:
+    """What a folder knows of its race; None where the file is missing, or that of other designs or settings.
 
     Raises
     ------
@@ -45,6 +46,8 @@ def read_race(folder: Path, designs: Sequence[Design]) -> Race | None:
     by_id = {design.id: design for design in designs}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        if content["ranked_as"] != ranked_as:
+            return None
         dropped = tuple(
             Dropped(
                 design=by_id[one["design"]],

@@ -16,6 +16,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
     """Run the race of a study; the designs that are left, and how it went."""
     study, store, rounds = campaign.study, campaign.store, campaign.prefixes.stops
     alive, dropped, counts, runs = list(study.designs), [], [], 0
+    failed: list[Design] = []  # not run again in every round
     before = 0
     for i, size in enumerate(rounds, start=1):
         campaign.complete(alive, size, f"round {i} of {len(rounds)}, {len(alive)} designs")
@@ -47,11 +48,13 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
             if not decision.keep[k] and k != reference:
                 figures = (float(values[k]) for values in (decision.mean, decision.difference, decision.low))
                 dropped.append(Dropped(design, i, size, *figures))
-        gone = {one.design.id for one in dropped}
+        failed += [one.design for one in results.failed]
+        gone = {design.id for design in (*(one.design for one in dropped), *failed)}
         alive = [design for design in alive if design.id not in gone]
         counts.append(len(alive))
     full = len(study.designs) * len(campaign.scenarios)
     conventions = len(study.simulation.convention)
     race = Race(rounds, tuple(counts), tuple(dropped), runs * conventions, full * conventions)
-    write_race(store.folder, race)
-    return alive, race
+    write_race(store.folder, race, study.ranked_as)
+    left = {design.id for design in (*alive, *failed)}
+    return [design for design in study.designs if design.id in left], race

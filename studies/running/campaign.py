@@ -10,11 +10,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from ldctoolkit import Scenarios, controller_class, registry
 from ldctoolkit.errors import LdcError, StoreError
 from studies.design import Design
-from studies.running.dispatch import Dispatcher, Lane
+from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
+from studies.running.faults import Faults
 from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
-from studies.running.tasks import Done, FailedRun, Job, TaskResult
+from studies.running.tasks import Done, FailedRun, Job, RunKey, TaskResult
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file.spec import Study
@@ -72,6 +73,7 @@ class Campaign:
         self._executor, self._progress = executor, progress
         self._block_size = block_size
         self._job = _job(study, store, executor, time_limit)
+        self._faults = Faults()
         self._waiting: list[TaskResult] = []
         self._failed: list[FailedRun] = []
         self._stored = time.monotonic()
@@ -85,9 +87,15 @@ class Campaign:
         """
         lanes = self._lanes(designs, size)
         if not lanes:
+            self._forget_failures(designs)
             return
+        for lane in lanes:
+            for design in lane.designs:
+                self._remember_faults((design.id, lane.convention))
         self._progress.stage(stage, sum(len(lane.designs) * lane.piece.rows.size for lane in lanes))
-        dispatcher = Dispatcher(self._job, self.scenarios, self._executor, self._collect, self._block_size)
+        dispatcher = Dispatcher(
+            self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size
+        )
         with ThreadPoolExecutor(1) as self._writer:
             try:
                 dispatcher.run(lanes)
@@ -95,6 +103,12 @@ class Campaign:
                 self._flush()
                 self._written()
         self._forget_failures(designs)
+
+    def _remember_faults(self, key: RunKey) -> None:
+        """Scenarios that ended a worker in an earlier run count as well, or a resume could save a design."""
+        for fault, status in STATUS_OF.items():
+            for row in self.table.rows_with(key, status):
+                self._faults.record(key, int(row), fault)
 
     def _lanes(self, designs: Sequence[Design], size: int) -> list[Lane]:
         """What is missing, slow laws last to begin and thresholds together."""

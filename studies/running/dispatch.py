@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
@@ -9,10 +10,12 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
+from studies.design import NO_CONTROL, Design
 from studies.running.executors.protocol import Ended, Executor, Fault
 from studies.running.faults import Faults
+from studies.running.in_order import InOrder
 from studies.running.merge import Merge
 from studies.running.pieces import Piece
 from studies.running.simulate_designs import Simulator
@@ -30,7 +33,8 @@ _MOST_RUNS: Final = 400_000
 _AHEAD: Final = 2
 """Tasks a worker that are under way or wait in the executor."""
 
-_STATUS: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
+STATUS_OF: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
+"""What becomes of the scenario at fault."""
 
 
 class Lane:
@@ -59,6 +63,8 @@ class Dispatcher:
     executor : Executor
     collect : callable
         Called with each `Done`, whose designs have whole pieces.
+    faults : Faults
+        What is known of tasks that ended their workers, for all dispatchers of a study.
     block_size : int, optional
         Designs in a task; chosen from the law's pace by default. No number depends on it.
     """
@@ -69,6 +75,8 @@ class Dispatcher:
         scenarios: Scenarios,
         executor: Executor,
         collect: Callable[[Done], None],
+        *,
+        faults: Faults,
         block_size: int | None = None,
     ) -> None:
         self._job = job
@@ -80,12 +88,15 @@ class Dispatcher:
         self._under_way = 0
         self._again: deque[Task] = deque()
         self._alone: deque[Task] = deque()
-        self._faults = Faults()
+        self._faults = faults
         self._merge = Merge()
+        self._in_order = InOrder()
         self._failed: dict[RunKey, int] = {}
 
     def run(self, lanes: Sequence[Lane]) -> None:
         """Run everything; returns when nothing is left."""
+        for lane in lanes:
+            self._in_order.expect(((design.id, lane.convention) for design in lane.designs), lane.piece.number)
         queue = self._tasks(deque(lanes))
         following = next(queue, None)
         while following or self._again or self._alone or self._under_way:
@@ -158,13 +169,38 @@ class Dispatcher:
             # the halves go first: what is left of the study waits for no other death
             self._alone.extendleft(reversed(halves))
             return
-        design, key = task.designs[0], (task.designs[0].id, task.convention)
+        key = (task.designs[0].id, task.convention)
         reason = self._faults.record(key, int(task.rows[0]), fault)
         if reason:
+            if not self._faults.workers_live and not self._probe(task):
+                raise LdcError("worker processes end whatever they run; what was finished is stored")
             self._fail(FailedRun(key, task.piece, reason))
-            self._alone = deque(one for one in self._alone if design.id not in {d.id for d in one.designs})
+            self._alone = deque(self._without(key, self._alone))
+            self._again = deque(self._without(key, self._again))
         else:
-            self._give(task, Done(Simulator(self._job).uncontrolled(task, _STATUS[fault])))
+            self._give(task, Done(Simulator(self._job).uncontrolled(task, STATUS_OF[fault])))
+
+    def _without(self, key: RunKey, tasks: Iterable[Task]) -> Iterator[Task]:
+        """The same tasks without a design that has failed; those of its fellows are as suspect as before."""
+        for task in tasks:
+            rest = tuple(design for design in task.designs if (design.id, task.convention) != key)
+            if len(rest) == len(task.designs):
+                yield task
+            elif rest:
+                fewer = task.only(rest)
+                self._faults.same_strikes(task, fewer)
+                yield fewer
+
+    def _probe(self, task: Task) -> bool:
+        """Whether a worker lives that drives nobody, on one scenario; nothing else is under way."""
+        harmless = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
+        probe = dataclasses.replace(
+            task.only((harmless,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1
+        )
+        self._executor.start(probe)
+        while True:
+            for ended in self._executor.wait():
+                return ended.done is not None
 
     def _give(self, task: Task, done: Done) -> None:
         """Hand on whole pieces; parts of one wait for the rest."""
@@ -172,9 +208,10 @@ class Dispatcher:
             self._fail(run)
         if not done.result.keys:
             return
-        result = done.result if task.whole else self._merge.add(task, done.result)
-        if result is not None:
-            self._collect(Done(result))
+        whole = done.result if task.whole else self._merge.add(task, done.result)
+        if whole is not None:
+            for result in self._in_order.take(task.piece, whole):
+                self._collect(Done(result))
 
     def _fail(self, run: FailedRun) -> None:
         before = self._failed.get(run.key)

@@ -21,13 +21,19 @@ _WORDS: Final[dict[Fault, str]] = {"died": "ends its worker process", "late": "t
 
 
 class Faults:
-    """What is known of tasks that ended their workers."""
+    """What is known of tasks that ended their workers.
+
+    Attributes
+    ----------
+    workers_live : bool
+        Whether any task has ended well, so that workers as such are sound.
+    """
 
     def __init__(self) -> None:
         self._strikes: dict[int, int] = {}
         self._scenarios: dict[RunKey, dict[int, Fault]] = {}
         self._lost = 0
-        self._innocent = False
+        self.workers_live = False
 
     def guilty(self, task: Task, fault: Fault, *, certain: bool) -> bool:
         """Whether a task has to be cut, after one more end of its worker."""
@@ -38,20 +44,16 @@ class Faults:
         """Half of a guilty task is under suspicion from the start."""
         self._strikes[half.number] = _STRIKES - 1
 
-    def record(self, key: RunKey, row: int, fault: Fault) -> str:
-        """Note a scenario at fault; a sentence if the design has failed with that.
+    def same_strikes(self, task: Task, other: Task) -> None:
+        """Another task, with some of the designs, is as suspect as this one."""
+        self._strikes[other.number] = self._strikes.get(task.number, 0)
 
-        Raises
-        ------
-        LdcError
-            If no task has ever ended well: then it is not the design.
-        """
+    def record(self, key: RunKey, row: int, fault: Fault) -> str:
+        """Note a scenario at fault; a sentence if the design has failed with that."""
         rows = self._scenarios.setdefault(key, {})
         rows[row] = fault
         if len(rows) <= _MOST_SCENARIOS:
             return ""
-        if not self._innocent:
-            raise LdcError("worker processes end whatever they run; what was finished is stored")
         named = ", ".join(f"{row} ({_WORDS[kind]})" for row, kind in sorted(rows.items()))
         return f"ends or stops its worker process in scenarios {named}"
 
@@ -73,4 +75,4 @@ class Faults:
     def ended_well(self) -> None:
         """A task gave its result."""
         self._lost = 0
-        self._innocent = True
+        self.workers_live = True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,13 +21,17 @@ from studies.running.progress import Progress, default_progress
 from studies.storage.folder_lock import locked, remove_leftovers
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import model_notes
-from studies.storage.store import FINALISTS, Store
+from studies.storage.run_table import AllFailedError
+from studies.storage.store import FINALISTS, Store, make_folder
 from studies.study_file.spec import Study
 
 _log = logging.getLogger("studies")
 
 TIME_LIMIT = 600.0
 """Seconds that a task may take: a thousand times what it is made for."""
+
+_LIMITS = (0.1, 1e7)
+"""Seconds that a limit may be."""
 
 
 def run_study(
@@ -96,8 +99,7 @@ def run_study(
     """
     _positive("workers", workers)
     _positive("block_size", block_size)
-    if isinstance(time_limit, bool) or not (isinstance(time_limit, int | float) and 0 <= time_limit < math.inf):
-        raise InputError(f"time_limit: {time_limit!r}; allowed: a number >= 0 [s], 0 for none")
+    _allowed_limit(time_limit)
     generator = study_model(study, model)
     named = study.scenarios.model if model is None else "in memory" if generator is model else str(model)
     shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
@@ -111,10 +113,17 @@ def run_study(
             chosen.close(orderly=False)
             raise
         chosen.close(orderly=True)
+    _warn_of_failures(results)
+    return results
+
+
+def _warn_of_failures(results: StudyResults) -> None:
     if results.failed:
         share, first = f"{len(results.failed)} of {len(results.failed) + len(results.designs)}", results.failed[0]
         _log.warning("failed and not ranked: %s designs; the first, %s", share, first.sentence)
-    return results
+    if results.fresh is not None and results.fresh.failed:
+        count, first = len(results.fresh.failed), results.fresh.failed[0]
+        _log.warning("failed on fresh scenarios: %s of the finalists; the first, %s", count, first.sentence)
 
 
 def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -> ScenarioModel:
@@ -124,6 +133,13 @@ def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -
     if model is not None:
         return load_model(model)
     return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
+
+
+def _allowed_limit(seconds: object) -> None:
+    least, most = _LIMITS
+    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    if not (number and (seconds == 0 or least <= seconds <= most)):  # type: ignore[operator]
+        raise InputError(f"time_limit: {seconds!r}; allowed: {least:g} to {most:g} s, or 0 for none")
 
 
 def _positive(name: str, value: int | None) -> None:
@@ -144,17 +160,27 @@ class _Run:
 
     def whole(self, study: Study, folder: Path) -> StudyResults:
         """All stages: the study itself, and its finalists on fresh scenarios."""
-        results = self.study(study, folder)
-        if not study.ranking.finalists or len(results.designs) < 2:
-            return results
+        make_folder(folder)
+        with locked(folder):
+            results = self.study(study, folder)
+            if not study.ranking.finalists or len(results.designs) < 2:
+                return results
+            return dataclasses.replace(results, fresh=self.fresh(study, results, folder))
+
+    def fresh(self, study: Study, results: StudyResults, folder: Path) -> StudyResults | None:
+        """The finalists on fresh scenarios; None if all of them fail there."""
         from studies.ranking.ranking import rank_study
         from studies.running.finalists import finalists, fresh_study
 
         best = finalists(rank_study(results, study)[0], study.ranking.finalists)
-        fresh = self.study(fresh_study(study, best), folder / FINALISTS, stage="finalists")
-        return dataclasses.replace(results, fresh=fresh)
+        make_folder(folder / FINALISTS)
+        try:
+            return self.study(fresh_study(study, best), folder / FINALISTS, stage="finalists", part_of=study.ranked_as)
+        except AllFailedError as error:
+            _log.warning("no scores on fresh scenarios: %s", error)
+            return None
 
-    def study(self, study: Study, folder: Path, stage: str = "designs") -> StudyResults:
+    def study(self, study: Study, folder: Path, stage: str = "designs", part_of: str = "") -> StudyResults:
         """One study into one folder."""
         started = time.monotonic()
         wanted = study.scenarios
@@ -165,40 +191,40 @@ class _Run:
             model_hash=self.generator.content_hash,
             model_notes=model_notes(self.generator, study.vehicle, study.scenarios.given),
             model_synthetic=self.generator.provenance.synthetic,
+            part_of=part_of,
         )
         store = Store.create(folder, manifest, scenarios)
-        with locked(folder):
-            remove_leftovers(folder)
-            table = store.load(study.designs, repair=True)
-            for message in store.broken:
-                _log.warning(message)
-            campaign = Campaign(
-                study,
-                scenarios,
-                Prefixes(scenarios.side, _stops(study, len(scenarios))),
-                store,
-                table,
-                self.executor,
-                self.progress,
-                time_limit=self.time_limit,
-                block_size=self.block_size,
+        remove_leftovers(folder)
+        table = store.load(study.designs, repair=True)
+        for message in store.broken:
+            _log.warning(message)
+        campaign = Campaign(
+            study,
+            scenarios,
+            Prefixes(scenarios.side, _stops(study, len(scenarios))),
+            store,
+            table,
+            self.executor,
+            self.progress,
+            time_limit=self.time_limit,
+            block_size=self.block_size,
+        )
+        complete = False
+        try:
+            designs, race = self._designs(campaign, stage)
+            complete = True
+        finally:
+            ended = store.manifest.ended(
+                seconds=time.monotonic() - started,
+                executor=self.executor.name,
+                workers=self.executor.workers,
+                complete=complete,
             )
-            complete = False
-            try:
-                designs, race = self._designs(campaign, stage)
-                complete = True
-            finally:
-                ended = store.manifest.ended(
-                    seconds=time.monotonic() - started,
-                    executor=self.executor.name,
-                    workers=self.executor.workers,
-                    complete=complete,
-                )
-                # where the disk is full, why the run ended says more than that this cannot be written either
-                with contextlib.suppress(*(() if complete else (StoreError,))):
-                    store.write_manifest(ended)
-            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
-            return dataclasses.replace(results, race=race)
+            # where the disk is full, why the run ended says more than that this cannot be written either
+            with contextlib.suppress(*(() if complete else (StoreError,))):
+                store.write_manifest(ended)
+        results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+        return dataclasses.replace(results, race=race)
 
     def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:
         """Run what the study asks for; the designs that went all the way, and how a race went."""

@@ -111,12 +111,16 @@ class Task:
         """Two tasks that together are this one, first by designs, then by scenarios; none for one run."""
         if len(self.designs) > 1:
             middle = len(self.designs) // 2
-            return tuple(self._with(designs=part) for part in (self.designs[:middle], self.designs[middle:]))
+            return tuple(self.only(part) for part in (self.designs[:middle], self.designs[middle:]))
         if self.rows.size > 1:
             middle = self.rows.size // 2
             places = np.split(np.arange(self.rows.size), [middle])
             return tuple(self._with(rows=self.rows[at], scenarios=self.scenarios.take(at)) for at in places)
         return ()
+
+    def only(self, designs: tuple[Design, ...]) -> Task:
+        """The same with some of the designs."""
+        return self._with(designs=designs)
 
     def _with(self, **changes: object) -> Task:
         return dataclasses.replace(self, number=next(_numbers), **changes)  # type: ignore[arg-type]

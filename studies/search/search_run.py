@@ -18,9 +18,12 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
     """
     study, store, n = campaign.study, campaign.store, len(campaign.scenarios)
     search = Search(study)
+    stored = store.known_designs()
     while batch := search.ask():
         campaign.table.add_designs(batch)
-        store.write_designs(search.asked)
+        # what an earlier run asked for is asked for again: its table stays until there is more to say
+        if stored[: len(search.asked)] != search.asked:
+            store.write_designs(search.asked)
         campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
         search.tell(_values(campaign, batch))
     return search.asked
@@ -35,7 +38,7 @@ def _values(campaign: Campaign, batch: Sequence[Design]) -> dict[str, Values | N
     study, store = campaign.study, campaign.store
     values: dict[str, Values | None] = {design.id: None for design in batch}
     conventions = study.simulation.convention
-    ran = [design for design in batch if not any((design.id, c) in store.failures for c in conventions)]
+    ran = [design for design in batch if not any(campaign.table.missing((design.id, c)) for c in conventions)]
     if not ran:
         return values
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)

@@ -79,6 +79,8 @@ class Manifest(BaseModel):
         Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``.
     workers : int
         Of the last run.
+    part_of : str
+        Of finalists: which ranking they are the finalists of (`Study.ranked_as`); empty otherwise.
     command : str
         Command line of the last run, absolute paths reduced to file names.
     """
@@ -103,11 +105,19 @@ class Manifest(BaseModel):
     wall_time_s: float = 0.0
     executor: str = "serial"
     workers: int = 1
+    part_of: str = ""
     command: str = ""
 
     @classmethod
     def of(
-        cls, study: Study, *, model: str, model_hash: str, model_notes: tuple[str, ...], model_synthetic: bool
+        cls,
+        study: Study,
+        *,
+        model: str,
+        model_hash: str,
+        model_notes: tuple[str, ...],
+        model_synthetic: bool,
+        part_of: str = "",
     ) -> Manifest:
         """The manifest of a study that starts now."""
         content = study.content()
@@ -119,6 +129,7 @@ class Manifest(BaseModel):
             model_hash=model_hash,
             model_notes=model_notes,
             model_synthetic=model_synthetic,
+            part_of=part_of,
             inputs=study.inputs(),
             seed=study.seed,
             versions=_versions(),

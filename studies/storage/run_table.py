@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Scenarios
+from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies.design import Design
@@ -20,6 +20,10 @@ from studies.study_file.spec import Study
 IntArray = npt.NDArray[np.int64]
 
 _GROWS: Final = 1.5
+
+
+class AllFailedError(LdcError):
+    """Every design of a study failed: there is nothing to rank."""
 
 
 class RunTable:
@@ -85,6 +89,11 @@ class RunTable:
         """Number of scenarios that a run's results are not there of."""
         return self.n - int(np.count_nonzero(self._there[self._at(key)]))
 
+    def rows_with(self, key: RunKey, status: EventStatus) -> IntArray:
+        """Row numbers of the scenarios that are there and have a status."""
+        at = self._at(key)
+        return np.flatnonzero(self._there[at] & (self._status[at] == status))
+
     def _at(self, key: RunKey) -> tuple[int, int]:
         design, convention = key
         return self._conventions.index(convention), self._place[design]
@@ -140,7 +149,7 @@ class RunTable:
         ------
         StoreError
             If runs are missing that did not fail.
-        LdcError
+        AllFailedError
             If every design failed.
         """
         wanted = list(self.designs if designs is None else designs)
@@ -159,7 +168,7 @@ class RunTable:
         failed = _failed_designs(wanted, self._conventions, lost)
         if wanted and len(failed) == len(wanted):
             first = failed[0].sentence
-            raise LdcError(f"{source}: every design failed; the first, {first}; all of them are in failures.json")
+            raise AllFailedError(f"{source}: every design failed; the first, {first}; all of them are in failures.json")
         gone = {one.design.id for one in failed}
         kept = [i for i, design in enumerate(wanted) if design.id not in gone]
         ran = tuple(wanted[i] for i in kept)

@@ -22,11 +22,12 @@ recorded, unless a law's own error message names them.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 from ldctoolkit import Scenarios
-from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.racing.race_log import read_race
 from studies.results import StudyResults
@@ -36,10 +37,29 @@ from studies.storage.failures import FAILURES, read_failures, write_failures
 from studies.storage.files import read_scenarios, scenario_table, write_parquet
 from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
 from studies.storage.parts import PATTERN, read_part, write_part
-from studies.storage.run_table import RunTable
+from studies.storage.run_table import AllFailedError, RunTable
 from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times
 
+_log = logging.getLogger("studies")
+
 FINALISTS = "finalists"
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a study, if it is not there.
+
+    Raises
+    ------
+    StoreError
+        If something else is there, or it cannot be made.
+    """
+    strange = folder.exists() and not (folder / "manifest.json").exists()
+    if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
+        raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
+    try:
+        (folder / "results").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
 
 
 class Store:
@@ -74,17 +94,11 @@ class Store:
         StoreError
             If the folder holds something else; the message says what differs.
         """
-        path = folder / "manifest.json"
-        if path.exists():
+        if (folder / "manifest.json").exists():
             found = read_manifest(folder)
             refuse_other(folder, found, manifest)
             manifest = found.resumed(manifest)
-        elif folder.exists() and (not folder.is_dir() or (folder / "results").exists()):
-            raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
-        try:
-            (folder / "results").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        make_folder(folder)
         store = cls(folder, manifest)
         # the scenarios follow from model and seed, which are the same: writing them again cannot change them
         write_parquet(folder / "scenarios.parquet", scenario_table(scenarios))
@@ -144,7 +158,12 @@ class Store:
             Naming the first file that is broken.
         """
         n = self._study.scenarios.left + self._study.scenarios.right
-        table = RunTable(self._study, n, self.designs() if designs is None else designs, keep=repair)
+        table = RunTable(
+            self._study,
+            n,
+            self.designs() if designs is None else designs,
+            keep=repair and self._study.search is not None,
+        )
         messages = []
         for path in sorted((self.folder / "results").glob(PATTERN)):
             try:
@@ -184,6 +203,13 @@ class Store:
             return self._study.designs
         return read_designs(self.folder / DESIGNS)
 
+    def known_designs(self) -> tuple[Design, ...]:
+        """The designs that an earlier run wrote down; none where that cannot be read."""
+        try:
+            return read_designs(self.folder / DESIGNS)
+        except StoreError:
+            return ()
+
     def results(self) -> StudyResults:
         """Everything in memory: all designs that were run to the end, with the finalists' fresh results.
 
@@ -194,7 +220,9 @@ class Store:
         """
         scenarios = read_scenarios(self.folder / "scenarios.parquet")
         designs = self.designs()
-        race = read_race(self.folder, designs) if self._study.race else None
+        if self._study.search is not None and not self.manifest.finished:
+            raise StoreError(f"{self.folder}: its search is not over yet; run the study again")
+        race = read_race(self.folder, designs, self._study.ranked_as) if self._study.race else None
         if self._study.race and race is None:
             raise StoreError(f"{self.folder}: its race is not over yet; run the study again")
         if race is not None:
@@ -202,18 +230,24 @@ class Store:
             designs = tuple(design for design in designs if design.id not in dropped)
         table = self.load(designs)
         results = table.results(scenarios, self.times, self.failures, source=str(self.folder))
-        fresh = self.fresh_results() if self._study.ranking.finalists else None
-        return dataclasses.replace(results, race=race, fresh=fresh)
+        results = dataclasses.replace(results, race=race)
+        return dataclasses.replace(results, fresh=self._fresh(results))
 
-    def fresh_results(self) -> StudyResults | None:
-        """The finalists on fresh scenarios; None where there are none, or not all yet."""
+    def _fresh(self, results: StudyResults) -> StudyResults | None:
+        """The finalists on fresh scenarios; None where there are none, or not all yet, or of other results."""
         folder = self.folder / FINALISTS
-        if not (folder / "manifest.json").exists():
+        if not self._study.ranking.finalists or len(results.designs) < 2 or not (folder / "manifest.json").exists():
+            return None
+        store = Store.open(folder)
+        if not store.manifest.finished or store.manifest.part_of != self._study.ranked_as:
+            _log.warning("%s: no fresh scores of this ranking yet; run the study again to have them", self.folder)
             return None
         try:
-            return Store.open(folder).results()
-        except LdcError:
-            return None  # a run that was stopped in its last stage; the search scenarios are all there
+            fresh = store.results()
+        except AllFailedError:
+            return None
+        # a design that failed in this run and not in an earlier one
+        return fresh if {design.id for design in fresh.designs} <= {design.id for design in results.designs} else None
 
 
 def read_results(folder: str | Path) -> StudyResults:

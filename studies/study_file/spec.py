@@ -311,6 +311,13 @@ class Study(Part):
         text = json.dumps(self.identity(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
+    @property
+    def ranked_as(self) -> str:
+        """Sixteen hexadecimal digits of what decides a ranking: `identity`, and the settings of the ranking."""
+        settings = self.ranking.model_dump(mode="json")
+        text = json.dumps([self.hash, settings, self.scenarios.model], sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
 
 def _tuples(value: Any) -> Any:
     """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""

@@ -427,6 +427,7 @@ def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy
     with pytest.raises(StoreError, match="holds no study"):
         read_results(tmp_path)
     (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "mine.txt").write_text("")
     with pytest.raises(StoreError, match="is not the folder of a study"):
         run_study(make_study(), directory=tmp_path)
     (tmp_path / "file").write_text("")

@@ -1,0 +1,192 @@
+"""The dispatcher against an executor that kills workers by plan: what is found and stored depends on the plan alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit import Controller, EventStatus, Plant, SteeringLaw, gain, register, registry
+from ldctoolkit.errors import LdcError
+from studies import Study, read_results, run_study
+from studies.running import runner
+from studies.running.executors import Ended
+from studies.running.simulate_designs import Simulator
+from studies.running.tasks import Task
+
+MakeStudy = Callable[..., Study]
+
+
+class Stepped(SteeringLaw):
+    @property
+    def preview_times(self) -> Any:
+        return np.zeros(0)
+
+    def init(self, n: int) -> None:
+        return None
+
+    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
+        return -0.02 * x[:, 0], state, np.zeros(t.size, dtype=np.int8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Small(Controller):
+    name = "small"
+    title = "Small"
+    batch = 5
+
+    K: float = gain(0.0, unit="1", lower=0.0, upper=9.0, description="raises at 9, in the fast scenarios")
+
+    def prepare(self, plant: Plant) -> Stepped:
+        if self.K == 9 and plant.v.max() > FAST[0]:
+            raise ZeroDivisionError("too fast")
+        return Stepped()
+
+
+FAST = [np.inf]
+
+
+@pytest.fixture(autouse=True)
+def small() -> Iterator[None]:
+    FAST[0] = np.inf
+    register(Small)
+    yield
+    registry.forget("small")
+
+
+class Deadly:
+    """Runs up to `workers` tasks at a time, ends them in any order, and dies where the plan says so.
+
+    `plan` names the design (by its K) and the rows that end a worker.
+    """
+
+    name = "processes"
+    isolated = True
+
+    def __init__(self, seed: int, plan: dict[float, set[int]], workers: int = 2) -> None:
+        self.chance = random.Random(seed)
+        self.plan, self.workers = plan, workers
+        self.tasks: list[Task] = []
+        self.deaths = 0
+
+    def start(self, task: Task) -> None:
+        self.tasks.append(task)
+
+    def wait(self) -> list[Ended]:
+        if not self.tasks:
+            return []
+        under_way = self.tasks[: self.workers]
+        task = self.chance.choice(under_way)
+        if self.deadly(task):
+            self.deaths += 1
+            queued, self.tasks = self.tasks[self.workers :], []
+            lost = [Ended(one) for one in queued]
+            return lost + [Ended(one, None, "died", len(under_way) == 1) for one in under_way]
+        self.tasks.remove(task)
+        return [Ended(task, Simulator(task.job).run(task))]
+
+    def deadly(self, task: Task) -> bool:
+        rows = set(task.rows.tolist())
+        return any(rows & self.plan.get(dict(design.gains).get("K", -1.0), set()) for design in task.designs)  # type: ignore[arg-type]
+
+    def close(self, *, orderly: bool) -> None:
+        pass
+
+
+def small_study(make_study: MakeStudy, K: list[float], **parts: Any) -> Study:
+    designs = [{"law": "small", "y_s": 0.0, "gains": {"K": K}}, {"law": "lqr", "y_s": 0.1}]
+    return make_study(**{"design": designs, "scenarios": {"left": 9, "right": 8}, "simulation": {}} | parts)
+
+
+def use(monkeypatch: pytest.MonkeyPatch, executor: Deadly) -> None:
+    monkeypatch.setattr(runner, "make_executor", lambda *words: executor)
+
+
+@pytest.mark.parametrize("block_size", [None, 1, 3])
+@pytest.mark.parametrize("seed", range(8))
+def test_the_same_scenarios_are_found_whatever_ran_beside_them(
+    make_study: MakeStudy,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stored_rows: Callable[..., Any],
+    seed: int,
+    block_size: int | None,
+) -> None:
+    """Two designs with a few scenarios at fault, one with too many; the rest as in one process."""
+    plan = {1.0: {3}, 2.0: {0, 12}, 4.0: {2, 7, 8, 9, 13}}
+    study = small_study(make_study, [0, 1, 2, 3, 4])
+    sound = run_study(study, directory=tmp_path / "sound", workers=1)
+    use(monkeypatch, Deadly(seed, plan))
+    results = run_study(study, directory=tmp_path / "deadly", block_size=block_size)
+    (failed,) = results.failed
+    assert dict(failed.design.gains)["K"] == 4.0
+    assert failed.reason.count("(ends its worker process)") == 4
+    for i, design in enumerate(results.designs):
+        crashed = np.flatnonzero(results.cases[0].status[i] == EventStatus.CRASHED)
+        assert set(crashed.tolist()) == plan.get(dict(design.gains).get("K", -1.0), set())  # type: ignore[arg-type]
+        others = np.setdiff1d(np.arange(17), crashed)
+        j = sound.designs.index(design)
+        np.testing.assert_array_equal(results.cases[0].S[i, others], sound.cases[0].S[j, others])
+    rows = stored_rows(tmp_path / "deadly").filter(design=failed.design.id)
+    # rows of first pieces (of 5, 4, 4 and 4 scenarios); which one was one too many is a matter of what ran first
+    assert rows.height in (0, 5, 9, 13)
+    assert set(rows["scenario"]) == set(range(rows.height))
+    # a design that failed is tried again, and fails again, though nothing else is left to run
+    use(monkeypatch, Deadly(seed + 100, plan))
+    again = run_study(study, directory=tmp_path / "deadly", block_size=block_size)
+    assert [one.design for one in again.failed] == [failed.design]
+    np.testing.assert_array_equal(again.cases[0].S, results.cases[0].S)
+
+
+def test_a_study_of_nothing_but_a_deadly_design_says_so(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = small_study(make_study, [1], design=[{"law": "small", "y_s": 0.0, "gains": {"K": 1}}])
+    for _ in range(2):
+        use(monkeypatch, Deadly(0, {1.0: set(range(17))}))
+        with pytest.raises(LdcError, match=r"every design failed; the first, .*ends or stops its worker process"):
+            run_study(study, directory=tmp_path)
+
+
+def test_workers_that_cannot_live_are_told_from_designs_that_kill(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor = Deadly(0, {})
+    monkeypatch.setattr(executor, "deadly", lambda task: True)
+    use(monkeypatch, executor)
+    with pytest.raises(LdcError, match="worker processes end whatever they run; what was finished is stored"):
+        run_study(small_study(make_study, [1]), directory=tmp_path)
+
+
+@pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 1, "block_size": 1}, {"seed": 1}, {"seed": 2}])
+def test_what_is_stored_of_a_failing_design_is_no_accident(
+    make_study: MakeStudy,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stored_rows: Callable[..., Any],
+    how: dict[str, int],
+) -> None:
+    """The pieces before the first one that it fails on, however often it is run."""
+    study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
+    from studies.running.runner import study_model
+
+    speeds = study_model(study).sample(20, 20, seed=study.seed).v_mean
+    FAST[0] = float(np.sort(speeds)[-3])
+    counts = []
+    for _ in range(2):
+        named = dict(how)
+        if "seed" in named:
+            use(monkeypatch, Deadly(named.pop("seed"), {}, workers=4))
+            named = {"block_size": 1}
+        results = run_study(study, directory=tmp_path, **named)  # type: ignore[arg-type]
+        (failed,) = results.failed
+        counts.append(stored_rows(tmp_path).filter(design=failed.design.id).height)
+    first = next(i for i in range(0, 40, 5) if speeds[i : i + 5].max() > FAST[0])
+    assert counts[0] == counts[1]
+    assert counts[0] <= first
+    assert read_results(tmp_path).failed == results.failed

@@ -1,0 +1,183 @@
+"""What is left behind by a run that was stopped between its stages, or of other settings, is never taken for new."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import InputError, StoreError
+from studies import Study, rank_study, read_manifest, read_results, run_study
+from studies.running import campaign
+from studies.storage.folder_lock import locked
+from studies.storage.store import Store
+
+MakeStudy = Callable[..., Study]
+
+FOUR = [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.1, 0.15, 0.2]}]
+
+
+def study_of(make_study: MakeStudy, **parts: Any) -> Study:
+    settings: dict[str, Any] = {
+        "design": FOUR,
+        "simulation": {},
+        "scenarios": {"left": 30, "right": 30},
+        "ranking": {"bootstrap": 200, "finalists": 3},
+    }
+    return make_study(**(settings | parts))
+
+
+def stop_at(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+    """An interrupt when a stage begins."""
+    complete = campaign.Campaign.complete
+
+    def stopped(self: campaign.Campaign, designs: Any, size: int, name: str) -> None:
+        if name.startswith(stage):
+            raise KeyboardInterrupt
+        complete(self, designs, size, name)
+
+    monkeypatch.setattr(campaign.Campaign, "complete", stopped)
+
+
+def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = study_of(make_study)
+    results = run_study(study, directory=tmp_path, workers=1)
+    fresh = results.fresh
+    assert fresh is not None
+    assert 3 == len(fresh.designs) <= len(results.designs)
+    assert not np.isin(fresh.scenarios.d_y, results.scenarios.d_y).any()
+    best = rank_study(results, study)[0].designs[0]
+    assert best in fresh.designs
+    again = read_results(tmp_path)
+    assert again.fresh is not None
+    np.testing.assert_array_equal(again.fresh.cases[0].S, fresh.cases[0].S)
+    none = study_of(make_study, ranking={"finalists": 0})
+    assert run_study(none, directory=tmp_path, workers=1).fresh is None
+    assert read_results(tmp_path).fresh is None
+
+
+def test_finalists_of_another_ranking_are_not_shown(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_study(study_of(make_study), directory=tmp_path, workers=1)
+    fewer = study_of(make_study, design=[{"law": "lqr", "y_s": [0.15, 0.2]}])
+    with monkeypatch.context() as patch:
+        stop_at(patch, "finalists")
+        with pytest.raises(KeyboardInterrupt):
+            run_study(fewer, directory=tmp_path, workers=1)
+    results = read_results(tmp_path)
+    assert [design.y_s for design in results.designs] == [0.15, 0.2]
+    assert results.fresh is None
+    assert "no fresh scores of this ranking yet; run the study again" in caplog.text
+    rank_study(results, fewer)
+    one = study_of(make_study, design=[{"law": "lqr", "y_s": 0.2}])
+    assert run_study(one, directory=tmp_path, workers=1).fresh is None
+    assert read_results(tmp_path).fresh is None
+    assert run_study(fewer, directory=tmp_path, workers=1).fresh is not None
+
+
+def test_damaged_finalists_are_refused_and_repaired(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = study_of(make_study)
+    expected = run_study(study, directory=tmp_path, workers=1).fresh
+    (part,) = (tmp_path / "finalists" / "results").glob("part-*")
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(StoreError, match=r"finalists/results/part-.*: broken: "):
+        read_results(tmp_path)
+    fresh = run_study(study, directory=tmp_path, workers=1).fresh
+    assert fresh is not None
+    assert expected is not None
+    np.testing.assert_array_equal(fresh.cases[0].S, expected.cases[0].S)
+
+
+def test_a_refused_run_changes_nothing(make_study: MakeStudy, tmp_path: Path) -> None:
+    run_study(study_of(make_study), directory=tmp_path, workers=1)
+    before = (tmp_path / "manifest.json").read_bytes()
+    with locked(tmp_path), pytest.raises(StoreError, match="another run is writing"):
+        run_study(study_of(make_study, design=[{"law": "none"}]), directory=tmp_path, workers=1)
+    assert (tmp_path / "manifest.json").read_bytes() == before
+
+
+RACE = {
+    "race": True,
+    "scenarios": {"left": 100, "right": 100},
+    "ranking": {"bootstrap": 200, "finalists": 0},
+    "design": [{"law": "none"}, {"law": "preview_proportional", "y_s": [0.05, 0.4], "gains": {"K_y": [-0.02, -0.001]}}],
+}
+
+
+def test_the_race_of_other_designs_is_not_believed(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = study_of(make_study, **RACE)
+    results = run_study(study, directory=tmp_path, workers=1)
+    assert results.race is not None
+    assert results.race.dropped
+    assert read_results(tmp_path).race == results.race
+    best = rank_study(results, study)[0].designs[0]
+    left = [design for design in study.designs if design != best]
+    gains = [{name: value for name, value in design.gains if value != "case"} for design in left]
+    blocks = [{"law": d.law, "y_s": d.y_s, "gains": set_} for d, set_ in zip(left, gains, strict=True)]
+    fewer = study_of(make_study, **RACE | {"design": blocks})
+    with monkeypatch.context() as patch:
+        stop_at(patch, "round")
+        with pytest.raises(KeyboardInterrupt):
+            run_study(fewer, directory=tmp_path, workers=1)
+    with pytest.raises(StoreError, match="its race is not over yet; run the study again"):
+        read_results(tmp_path)
+    assert run_study(fewer, directory=tmp_path, workers=1).designs
+
+
+def test_a_race_keeps_its_baseline_and_says_when_others_went(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = study_of(make_study, **RACE)
+    results = run_study(study, directory=tmp_path, workers=1)
+    assert results.race is not None
+    assert "none" in [design.law for design in results.designs]
+    for one in results.race.dropped:
+        assert one.low > 0
+        assert one.scenarios in results.race.rounds
+    assert results.race.runs < results.race.full_runs == 5 * 200
+    content = json.loads((tmp_path / "race.json").read_text(encoding="utf-8"))
+    assert {one["design"] for one in content["dropped"]} == {one.design.id for one in results.race.dropped}
+
+
+SEARCH = {
+    "search": {"trials": 12, "batch": 4, "sampler": "random"},
+    "ranking": {"bootstrap": 200, "finalists": 0},
+    "design": [{"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": {"from": 10, "to": 5000}}}],
+}
+
+
+def test_a_search_goes_on_where_it_was_stopped(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any]
+) -> None:
+    study = study_of(make_study, **SEARCH)
+    whole = run_study(study, directory=tmp_path / "whole", workers=1)
+    assert len(whole.designs) == 12
+    with monkeypatch.context() as patch:
+        stop_at(patch, "designs 5")
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study, directory=tmp_path / "s", workers=1)
+    with pytest.raises(StoreError, match="its search is not over yet; run the study again"):
+        read_results(tmp_path / "s")
+    # a finished one that is looked through again, and stopped, has lost nothing
+    with monkeypatch.context() as patch:
+        stop_at(patch, "designs 5")
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study, directory=tmp_path / "whole", workers=1)
+    assert len(Store.open(tmp_path / "whole").designs()) == 12
+    for folder in ("s", "whole"):
+        results = run_study(study, directory=tmp_path / folder, workers=1)
+        assert results.designs == whole.designs
+        np.testing.assert_array_equal(read_results(tmp_path / folder).cases[0].S, whole.cases[0].S)
+    assert stored_rows(tmp_path / "s").equals(stored_rows(tmp_path / "whole"))
+    assert read_manifest(tmp_path / "s").finished
+
+
+@pytest.mark.parametrize("limit", [-1, 1e-9, 1e10, float("nan"), True, "a"])
+def test_a_time_limit_that_no_clock_knows_is_refused(make_study: MakeStudy, tmp_path: Path, limit: Any) -> None:
+    with pytest.raises(InputError, match=r"time_limit: .*; allowed: 0\.1 to 1e"):
+        run_study(study_of(make_study), directory=tmp_path, time_limit=limit)
