@@ -22,6 +22,9 @@ _JOBS_KEPT = 2
 _WARM_LAWS = ("preview_proportional", "pid")
 """A law of each kind of loop: linear, and step by step."""
 
+_LONGEST = 4e6
+"""Seconds, 46 days, that every platform can watch for; a longer limit counts as this one."""
+
 _local = threading.local()
 _notes: IO[str] | None = None
 _deadlines: dict[int, float] = {}
@@ -128,7 +131,7 @@ def _watch(thread: int, deadline: float | None) -> None:
             _deadlines[thread] = deadline
         faulthandler.cancel_dump_traceback_later()
         if _deadlines:
-            left = max(0.001, min(_deadlines.values()) - time.monotonic())
+            left = min(_LONGEST, max(0.001, min(_deadlines.values()) - time.monotonic()))
             if _notes is not None:
                 faulthandler.dump_traceback_later(left, exit=True, file=_notes)
             else:

@@ -27,16 +27,17 @@ def locked(folder: Path) -> Iterator[None]:
         yield
         return
     try:
-        with (folder / _NAME).open("ab") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
-            except OSError:
-                pass  # a file system without locks, as some network ones: nobody guards the folder there
-            yield
-    except PermissionError as error:
+        stream = (folder / _NAME).open("ab")
+    except OSError as error:
         raise StoreError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
+        except OSError:
+            pass  # a file system without locks, as some network ones: nobody guards the folder there
+        yield
 
 
 def remove_leftovers(folder: Path) -> None:

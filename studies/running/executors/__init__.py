@@ -27,10 +27,12 @@ def make_executor(name: str | None, workers: int | None, address: str | None = N
     Raises
     ------
     InputError
-        For an unknown name, or workers of a cluster that is not started here.
+        For an unknown name, an empty address, or workers of a cluster that is not started here.
     LdcError
         If a cluster cannot be used.
     """
+    if address is not None and not address.strip():
+        raise InputError(f"dask: {address!r}; allowed: an address such as tcp://host:8786, or 'local'")
     if name is None:
         name = "dask" if address else "serial" if workers == 1 else "processes"
     if name not in EXECUTORS:
@@ -43,7 +45,8 @@ def make_executor(name: str | None, workers: int | None, address: str | None = N
 
         return SerialExecutor()
     if name == "dask":
-        from studies.running.executors.dask_cluster import LOCAL, DaskExecutor
+        from studies.running.executors.dask_cluster import DaskExecutor
+        from studies.running.executors.dask_connection import LOCAL
 
         if address and address != LOCAL and workers is not None:
             raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")

@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.metadata
+import contextlib
+import dataclasses
 import logging
+import pickle
 import queue
 import time
-from concurrent.futures import CancelledError
-from typing import Any, Final
+import uuid
+from typing import Any
 
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import ClusterError
+from studies.running.executors.checked_task import run_checked, versions
+from studies.running.executors.dask_connection import Connection, lost, unable
 from studies.running.executors.protocol import Ended, Fault
-from studies.running.tasks import Task
-from studies.running.worker import run_task
-
-LOCAL: Final = "local"
-"""Address that stands for a cluster started on this machine."""
+from studies.running.tasks import Done, Task
 
 _LISTEN_EVERY = 0.2
-_CONNECT = "15s"
-_SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")
-"""Packages whose versions decide a number's last bits: they must be the same here and on every worker."""
+
+_COUNT_EVERY = 3.0
+"""Seconds after which workers are counted again; the scheduler has other things to do."""
+
+_ANSWER = 10.0
+"""Seconds that the scheduler has to answer a question, or to hand over a result."""
+
+_GRACE = 60.0
+"""Seconds that a run goes on without any worker: one that is restarted comes back within them."""
+
+_log = logging.getLogger("studies")
+
+
+@dataclasses.dataclass
+class _UnderWay:
+    task: Task
+    since: float
+    alone: bool
 
 
 class DaskExecutor:
@@ -36,99 +50,128 @@ class DaskExecutor:
 
     Raises
     ------
+    InputError
+        If a worker has other versions of the packages that decide numbers.
     LdcError
-        If Dask is not installed, the scheduler does not answer or has no workers, or a worker has other versions.
+        If Dask is not installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
     """
 
     name = "dask"
     isolated = True
 
     def __init__(self, address: str, workers: int | None = None) -> None:
-        try:
-            distributed = importlib.import_module("distributed")
-        except ImportError:
-            raise LdcError("a Dask cluster needs the extra cluster: install ldctoolkit[cluster]") from None
-        self._killed: type[Exception] = distributed.KilledWorker
-        # what becomes of a worker is told by this program, in its own words
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        try:
-            if address == LOCAL:
-                self._cluster: Any = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None
-                )
-                self._client: Any = distributed.Client(self._cluster, timeout=_CONNECT)
-            else:
-                self._cluster = None
-                self._client = distributed.Client(address, timeout=_CONNECT, name="ldc")
-        except (OSError, TimeoutError, ValueError) as error:
-            raise LdcError(f"dask: no scheduler answers at {address} ({error or 'no reply'})") from None
-        self._tasks: dict[Any, tuple[Task, float]] = {}
+        self._connection = Connection(address, workers)
+        self._tasks: dict[Any, _UnderWay] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        try:
-            self._client.wait_for_workers(1, timeout=30)
-        except TimeoutError:
-            self._client.close()
-            raise LdcError(f"dask: the scheduler at {address} has no workers") from None
-        self._check_versions()
-
-    def _check_versions(self) -> None:
-        here = _versions()
-        for worker, there in self._client.run(_versions).items():
-            for name in _SAME_VERSIONS:
-                if there.get(name) != here.get(name):
-                    self._client.close()
-                    raise InputError(
-                        f"dask: worker {worker} has {name} {there.get(name)}, this process {here.get(name)}; "
-                        "allowed: the same version everywhere, or numbers would depend on where they were computed"
-                    )
+        self._count = 0
+        self._counted_at = -float("inf")
+        self._deserted_since: float | None = None
 
     @property
     def workers(self) -> int:
-        """Threads of all workers that are there now."""
-        return max(1, int(sum(self._client.nthreads().values())))
+        """Threads of all workers that were there a moment ago, at least one; raises nothing."""
+        self._count_workers()
+        return max(1, self._count)
+
+    def _count_workers(self) -> None:
+        client = self._connection.client
+        if time.monotonic() - self._counted_at < _COUNT_EVERY or client.status != "running":
+            return
+        # no answer: `wait` finds out whether the scheduler has gone
+        with contextlib.suppress(Exception):
+            self._count = int(sum(client.nthreads(callback_timeout=_ANSWER).values()))
+        self._counted_at = time.monotonic()
 
     def start(self, task: Task) -> None:
         """Hand a task to the scheduler."""
-        future = self._client.submit(run_task, task, pure=False, key=f"ldc-{task.job.token}-{task.number}")
-        self._tasks[future] = (task, time.monotonic())
-        future.add_done_callback(self._ended.put)
+        sent = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
+        # a key of its own each time: the scheduler answers a key that it knows with what that gave before
+        key = f"ldc-{uuid.uuid4().hex}"
+        with self._connection.asking():
+            future = self._connection.client.submit(run_checked, versions(), sent, pure=False, key=key)
+            future.add_done_callback(self._ended.put)
+        for other in self._tasks.values():
+            other.alone = False
+        self._tasks[future] = _UnderWay(task, time.monotonic(), alone=not self._tasks)
 
     def wait(self) -> list[Ended]:
         """A task that has ended; waits a moment for it. The scheduler itself repeats tasks of workers that died."""
         try:
             future = self._ended.get(timeout=_LISTEN_EVERY)
         except queue.Empty:
-            if self._client.status not in ("running", "connecting"):
-                raise _lost() from None
+            self._nothing_came()
             return []
         if future not in self._tasks:
             return []
-        task, since = self._tasks.pop(future)
         try:
-            return [Ended(task, future.result())]
-        except self._killed:
-            limit = task.job.time_limit
-            late = limit > 0 and time.monotonic() - since > limit
-            fault: Fault = "late" if late else "died"
-            return [Ended(task, None, fault, certain=True)]
-        except CancelledError:
-            raise _lost() from None
+            done = self._fetch(future)
+        except self._connection.killed as error:
+            under_way = self._tasks.pop(future)
+            return [Ended(under_way.task, None, _fault(under_way, error), certain=True)]
+        if done is None:
+            self._ended.put(future)
+            self._nothing_came()
+            return []
+        self._deserted_since = None
+        return [Ended(self._tasks.pop(future).task, done)]
+
+    def _fetch(self, future: Any) -> Done | None:
+        """What a task gave; None if it does not arrive, because the worker that held it has gone since."""
+        if future.status != "error":
+            with self._connection.asking():
+                try:
+                    done: Done = future.result(timeout=_ANSWER)
+                except TimeoutError:
+                    return None
+                return done
+        try:
+            done = future.result(timeout=_ANSWER)
+        except (ImportError, AttributeError) as error:
+            raise unable("a worker", error) from None
+        except RuntimeError as error:
+            if "deserializ" in str(error).lower():
+                raise unable("the scheduler", error.__cause__ or "it cannot read a task") from None
+            raise
+        return done
+
+    def _nothing_came(self) -> None:
+        """See whether something can come at all.
+
+        Raises
+        ------
+        ClusterError
+            If the scheduler has gone, or there has been no worker for too long.
+        """
+        if not self._connection.open:
+            raise lost()
+        self._count_workers()
+        if self._count or not self._tasks:
+            self._deserted_since = None
+            return
+        now = time.monotonic()
+        if self._deserted_since is None:
+            self._deserted_since = now
+            _log.warning("dask: all workers have gone; the run waits %g s for others", _GRACE)
+        elif now - self._deserted_since > _GRACE:
+            raise ClusterError(
+                f"dask: all workers have gone, and none has come for {_GRACE:g} s; what was finished is stored: run "
+                "the study again to go on"
+            )
 
     def close(self, *, orderly: bool) -> None:
         """Leave the cluster as it was; one that was started here ends."""
-        if not orderly:
-            self._client.cancel(list(self._tasks))
+        futures = list(self._tasks)
         self._tasks.clear()
-        self._client.close()
-        if self._cluster is not None:
-            self._cluster.close()
+        self._connection.close(futures, orderly=orderly)
 
 
-def _versions() -> dict[str, str]:
-    return {name: importlib.metadata.version(name) for name in _SAME_VERSIONS}
+def _fault(under_way: _UnderWay, error: Any) -> Fault:
+    """What ended the workers that tried a task: the scheduler, who tells of it, does not know.
 
-
-def _lost() -> LdcError:
-    return LdcError(
-        "dask: the connection to the scheduler is lost; what was finished is stored: run the study again to go on"
-    )
+    A task that is over its time takes at least the limit in each of its attempts. The time since it was sent tells
+    this only if it had no other before or beside it. Otherwise it counts as "died", which is no verdict yet: the
+    dispatcher sends it again, alone.
+    """
+    attempts = error.allowed_failures + 1
+    late = 0 < under_way.task.job.time_limit * attempts < time.monotonic() - under_way.since
+    return "late" if late and under_way.alone else "died"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import re
 import tempfile
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
@@ -13,6 +14,8 @@ from typing import Any
 from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
+from ldctoolkit.errors import LdcError
+from studies.running.executors.closing import attempt
 from studies.running.executors.protocol import Ended, Fault
 from studies.running.tasks import Done, Task
 from studies.running.worker import run_task, start_worker
@@ -25,6 +28,12 @@ _IDLE = 30.0
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
 """The designs are what runs in parallel."""
+
+_CLOSE = 30.0
+"""Seconds that ending the workers may take."""
+
+_NOTE = re.compile(r"^(?:task (\d+)|(done|Timeout)\b.*)$", re.MULTILINE)
+"""A line of a worker's notes: what it began, that it was done, or the first line of the dump that ends it."""
 
 _folder: tempfile.TemporaryDirectory[str] | None = None
 
@@ -52,13 +61,27 @@ class ProcessExecutor:
         return self._workers
 
     def start(self, task: Task) -> None:
-        """Hand a task to the pool."""
+        """Hand a task to the pool.
+
+        Raises
+        ------
+        LdcError
+            If worker processes cannot start.
+        """
         try:
-            self._submit(task)
-        except BrokenProcessPool:
-            # a worker died while it had nothing to do
+            try:
+                self._submit(task)
+            except BrokenProcessPool:
+                # a worker died while it had nothing to do
+                self._pool = None
+                self._submit(task)
+        except (BrokenProcessPool, OSError) as error:
             self._pool = None
-            self._submit(task)
+            reason = str(error).strip() or type(error).__name__
+            raise LdcError(
+                f"worker processes cannot start ({reason}); what was finished is stored: run the study again to go on, "
+                "with fewer workers, or with one, which runs in this process"
+            ) from None
 
     def _submit(self, task: Task) -> None:
         if self._pool is None:
@@ -123,8 +146,10 @@ class ProcessExecutor:
     def close(self, *, orderly: bool) -> None:
         """Leave the workers to the next study of this process; if not `orderly`, end them now."""
         if self._pool is not None and not orderly:
-            self._pool.shutdown(wait=True, kill_workers=True)
-            self._pool = None
+            pool, self._pool = self._pool, None
+            # who gives up is told already why: a second interrupt only ends the waiting
+            with contextlib.suppress(KeyboardInterrupt):
+                attempt(lambda: pool.shutdown(wait=True, kill_workers=True), _CLOSE)
         self._tasks.clear()
 
 
@@ -142,10 +167,15 @@ def _last_words(folder: Path) -> tuple[set[int], set[int]]:
     for path in folder.iterdir():
         text = path.read_text(encoding="utf-8", errors="replace")
         path.unlink()
-        _, _, last = text.rpartition("task ")
-        number, _, after = last.partition("\n")
-        if number.isdigit() and not after.startswith("done"):
-            under_way.add(int(number))
-            if after.startswith("Timeout"):
-                late.add(int(number))
+        number: int | None = None
+        # where the dump of a late task names files, a path may hold any of these words
+        for begun, word in _NOTE.findall(text):
+            if begun:
+                number = int(begun)
+            elif number is not None and word == "Timeout":
+                late.add(number)
+            elif word == "done":
+                number = None
+        if number is not None:
+            under_way.add(number)
     return under_way, late

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import contextlib
 import dataclasses
 import os
@@ -11,16 +13,19 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from loky.process_executor import BrokenProcessPool
 
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import ClusterError, InputError, LdcError
 from studies import Study, StudyResults, rank_study, run_study
-from studies.running.executors import make_executor
+from studies.running.executors import checked_task, dask_cluster, dask_connection, make_executor, processes
+from studies.running.tasks import Done
 
 MakeStudy = Callable[..., Study]
 
@@ -49,17 +54,22 @@ def study(make_study: MakeStudy) -> Study:
 
 
 @contextlib.contextmanager
-def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler and workers as processes of their own, over loopback TCP."""
+def cluster(
+    folder: Path, workers: int = 2, scheduler: tuple[str, ...] = (), later: tuple[str, ...] = ()
+) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them.
+
+    With `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line.
+    """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
-    scheduler_words = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    scheduler_words = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", *scheduler]
     worker_words = ["worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory", str(folder)]
     processes = []
     try:
-        for words in (scheduler_words, *[worker_words] * workers):
+        for words in (scheduler_words, *[worker_words] * workers, *([[*worker_words, *later]] if later else [])):
             processes.append(
                 subprocess.Popen(
                     [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]],
@@ -68,7 +78,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[subproce
                     start_new_session=True,
                 )
             )
-        yield address, processes[1:]
+        yield address, [*processes[1:], processes[0]]
     finally:
         for process in processes:
             with contextlib.suppress(ProcessLookupError):
@@ -141,6 +151,9 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
         make_executor("serial", None, "tcp://h:1")
     with pytest.raises(InputError, match=r"workers: 3 with the cluster at tcp://127\.0\.0\.1:1; allowed"):
         make_executor(None, 3, "tcp://127.0.0.1:1")
+    for empty in ("", " "):
+        with pytest.raises(InputError, match=f"dask: '{empty}'; allowed: an address such as tcp://host:8786, or 'loc"):
+            make_executor(None, None, empty)
     with pytest.raises(LdcError, match=r"dask: no scheduler answers at tcp://127\.0\.0\.1:1 "):
         make_executor(None, None, "tcp://127.0.0.1:1")
     with pytest.raises(LdcError, match="dask: no scheduler answers at nowhere"):
@@ -151,3 +164,339 @@ def test_missing_dask_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(LdcError, match=r"install ldctoolkit\[cluster\]"):
         make_executor(None, None, "local")
+
+
+class FakeFuture:
+    """As one of Dask: pending until it gives something, or raises it."""
+
+    def __init__(self) -> None:
+        self.status = "pending"
+        self.outcome: Any = None
+        self.callbacks: list[Callable[[Any], None]] = []
+
+    def add_done_callback(self, callback: Callable[[Any], None]) -> None:
+        self.callbacks.append(callback)
+
+    def end(self, status: str, outcome: Any) -> None:
+        self.status, self.outcome = status, outcome
+        for callback in self.callbacks:
+            callback(self)
+
+    def result(self, timeout: float) -> Any:
+        if isinstance(self.outcome, BaseException):
+            raise self.outcome
+        return self.outcome
+
+
+class KilledWorker(Exception):
+    allowed_failures = 3
+
+
+class FakeClient:
+    """As one of Dask, of a scheduler that may have gone."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.status = "running"
+        self.threads: Any = {"tcp://w:1": 2}
+        self.there: dict[str, Any] = {}
+        self.asked = 0
+        self.futures: list[FakeFuture] = []
+        self.sent: list[tuple[Any, ...]] = []
+        self.keys: list[str] = []
+        self.fails: Exception | None = None
+
+    def wait_for_workers(self, n: int, timeout: float) -> None:
+        pass
+
+    def run(self, function: Callable[[], Any], on_error: str) -> dict[str, Any]:
+        return self.there or {"tcp://w:1": function()}
+
+    def nthreads(self, callback_timeout: float) -> dict[str, int]:
+        self.asked += 1
+        if self.fails:
+            raise self.fails
+        return dict(self.threads)
+
+    def submit(self, *sent: Any, pure: bool, key: str) -> FakeFuture:
+        if self.fails:
+            raise self.fails
+        self.sent.append(sent)
+        self.keys.append(key)
+        self.futures.append(FakeFuture())
+        return self.futures[-1]
+
+    def cancel(self, futures: Any) -> None:
+        if self.fails:
+            raise self.fails
+
+    def close(self) -> None:
+        if self.fails:
+            raise self.fails
+        self.status = "closed"
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
+    """What a `DaskExecutor` finds behind any address; the executor looks often and does not wait."""
+    found = FakeClient()
+    fake = types.SimpleNamespace(KilledWorker=KilledWorker, Client=lambda *_, **__: found)
+    monkeypatch.setitem(sys.modules, "distributed", fake)
+    monkeypatch.setattr(dask_cluster, "_LISTEN_EVERY", 0.001)
+    return found
+
+
+def a_task(time_limit: float = 0.0) -> Any:
+    """All that an executor looks at."""
+    return types.SimpleNamespace(number=1, job=types.SimpleNamespace(token="t", time_limit=time_limit))
+
+
+def connected() -> dask_cluster.DaskExecutor:
+    return dask_cluster.DaskExecutor("tcp://h:1")
+
+
+LOST = "the connection to the scheduler is lost; what was finished is stored: run the study again"
+
+
+def test_workers_of_a_cluster_are_not_counted_at_every_look(client: FakeClient) -> None:
+    executor = connected()
+    assert [executor.workers for _ in range(50)] == [2] * 50
+    assert client.asked == 1
+
+
+@pytest.mark.parametrize("error", [OSError("refused"), TimeoutError(), RuntimeError("IOLoop is closed")])
+def test_a_scheduler_that_has_gone_is_told_as_such(
+    client: FakeClient, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """Whatever is asked of it: `workers` keeps the last count, `close` is quiet, the others say that it has gone."""
+    monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
+    executor = connected()
+    assert executor.workers == 2
+    executor.start(a_task())
+    client.fails = error
+    assert executor.workers == 2
+    client.status = "closed"
+    assert executor.workers == 2
+    with pytest.raises(ClusterError, match=LOST):
+        executor.start(a_task())
+    with pytest.raises(ClusterError, match=LOST):
+        executor.wait()
+    executor.close(orderly=False)
+
+
+@pytest.mark.parametrize(
+    ("status", "outcome"),
+    [
+        ("cancelled", concurrent.futures.CancelledError()),
+        ("cancelled", asyncio.CancelledError()),
+        ("finished", OSError("the connection broke off")),
+    ],
+)
+def test_a_result_that_went_with_the_scheduler_is_told_as_such(client: FakeClient, status: str, outcome: Any) -> None:
+    executor = connected()
+    executor.start(a_task())
+    client.futures[0].end(status, outcome)
+    with pytest.raises(ClusterError, match=LOST):
+        executor.wait()
+
+
+def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> None:
+    executor = connected()
+    executor.start(a_task())
+    client.futures[0].end("finished", TimeoutError())
+    assert executor.wait() == []
+    client.futures[0].outcome = done = Done(None)  # type: ignore[arg-type]
+    assert [ended.done for ended in executor.wait()] == [done]
+
+
+def test_a_run_without_workers_warns_and_ends(
+    client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
+    executor = connected()
+    executor.start(a_task())
+    assert executor.wait() == []
+    assert not caplog.records
+    client.threads = {}
+    for _ in range(5):
+        assert executor.wait() == []
+    assert [record.getMessage() for record in caplog.records] == [
+        "dask: all workers have gone; the run waits 60 s for others"
+    ]
+    # one comes back, and the time begins anew
+    client.threads = {"tcp://w:2": 1}
+    executor.wait()
+    monkeypatch.setattr(dask_cluster, "_GRACE", 0.0)
+    client.threads = {}
+    executor.wait()
+    time.sleep(0.002)
+    with pytest.raises(ClusterError, match="all workers have gone, and none has come for 0 s; what was finished is st"):
+        executor.wait()
+
+
+def test_a_task_is_late_only_where_nothing_else_took_the_time(
+    client: FakeClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A limit of 10 s and four attempts: 41 s alone are too long; 39 s, or 41 s beside another task, tell nothing."""
+    now = 0.0
+    monkeypatch.setattr(dask_cluster.time, "monotonic", lambda: now)
+    faults = []
+    for seconds, companions, limit in ((41.0, 0, 10.0), (39.0, 0, 10.0), (41.0, 1, 10.0), (1e9, 0, 0.0)):
+        now = 0.0
+        executor = connected()
+        client.futures.clear()
+        for _ in range(companions + 1):
+            executor.start(a_task(limit))
+        now = seconds
+        for future in client.futures:
+            future.end("error", KilledWorker())
+        while ended := executor.wait():
+            assert ended[0].certain
+            assert ended[0].done is None
+            faults.append(ended[0].fault)
+    assert faults == ["late", "died", "died", "died", "died"]
+
+
+def test_a_task_that_is_sent_again_has_another_key(client: FakeClient) -> None:
+    """The scheduler would answer the old one with the old fault, or with what another run of the study asked."""
+    executor, task = connected(), a_task()
+    executor.start(task)
+    executor.start(task)
+    assert len(set(client.keys)) == 2
+
+
+def test_other_versions_are_refused_by_the_worker_itself(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before it reads the task, which it may not be able to."""
+    executor = connected()
+    executor.start(a_task())
+    function, sender, _ = client.sent[0]
+    assert function is checked_task.run_checked
+    there = tuple((name, "0.1" if name == "scipy" else version) for name, version in sender)
+    monkeypatch.setattr(checked_task, "versions", lambda: there)
+    ours = dict(sender)["scipy"]
+    with pytest.raises(InputError, match=f"dask: a worker has scipy 0.1, the process that runs the study {ours}; allo"):
+        function(sender, b"not a task")
+    client.there = {"tcp://w:9": there}
+    with pytest.raises(InputError, match=r"dask: worker tcp://w:9 has scipy 0\.1, the process that runs the study"):
+        connected()
+    assert client.status == "closed"
+
+
+def test_a_cluster_without_the_toolkit_is_told_as_such(client: FakeClient) -> None:
+    executor = connected()
+    missing = ModuleNotFoundError("No module named 'studies'")
+    unreadable = RuntimeError("Error during deserialization of the task graph.")
+    for error, who in ((missing, "a worker"), (unreadable, "the scheduler")):
+        executor.start(a_task())
+        client.futures[-1].end("error", error)
+        with pytest.raises(ClusterError, match=f"dask: {who} cannot run tasks .*allowed: ldctoolkit in the same vers"):
+            executor.wait()
+    client.there = {"tcp://w:9": missing}
+    with pytest.raises(ClusterError, match=r"worker tcp://w:9 cannot run tasks .No module named 'studies'"):
+        connected()
+
+
+@pytest.mark.slow
+def test_a_dask_scheduler_that_is_killed_ends_the_run(make_study: MakeStudy, tmp_path: Path) -> None:
+    study = make_study(
+        design=[{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 60}}],
+        scenarios={"left": 100, "right": 100},
+    )
+    with cluster(tmp_path) as (address, processes):
+
+        def kill_in_the_midst() -> None:
+            while not list((tmp_path / "dask" / "results").glob("part-*")):
+                time.sleep(0.05)
+            os.killpg(processes[-1].pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill_in_the_midst, daemon=True)
+        killer.start()
+        with pytest.raises(ClusterError, match=LOST):
+            run_study(study, directory=tmp_path / "dask", dask=address, block_size=1)
+        killer.join(1)
+        assert not killer.is_alive()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("preload", "message"),
+    [
+        ("import sys; sys.modules['studies'] = None", r"worker tcp://\S+ cannot run tasks"),
+        (
+            "import importlib.metadata as m; v = m.version; m.version = lambda n: '0.1' if n == 'scipy' else v(n)",
+            r"worker tcp://\S+ has scipy 0\.1",
+        ),
+    ],
+)
+def test_a_dask_worker_of_another_kind_is_refused(tmp_path: Path, preload: str, message: str) -> None:
+    with (
+        cluster(tmp_path, workers=0, later=("--preload", preload)) as (address, _),
+        pytest.raises(LdcError, match=message),
+    ):
+        make_executor(None, None, address)
+
+
+@pytest.mark.slow
+def test_a_dask_scheduler_without_the_toolkit_is_told(make_study: MakeStudy, tmp_path: Path) -> None:
+    preload = ("--preload", "import sys; sys.modules['studies'] = None")
+    told = pytest.raises(ClusterError, match="the scheduler cannot run tasks")
+    with cluster(tmp_path, workers=1, scheduler=preload) as (address, _), told:
+        run_study(make_study(), directory=tmp_path / "results", dask=address)
+
+
+def test_processes_that_cannot_start_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pool that is broken as soon as it is made, and a machine that gives no processes."""
+    for error in (BrokenProcessPool("a worker ended"), OSError(11, "Resource temporarily unavailable")):
+
+        def submit(*_: Any, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr(processes, "get_reusable_executor", lambda *_, **__: types.SimpleNamespace(submit=submit))
+        executor = processes.ProcessExecutor(2)
+        with pytest.raises(
+            LdcError, match=r"worker processes cannot start \(.*(ended|unavailable)\); what was finished"
+        ):
+            executor.start(a_task())
+
+
+def test_last_words_are_read_by_the_line(tmp_path: Path) -> None:
+    """A late task's dump names files, whose paths may hold words of a note."""
+    dump = (
+        'Timeout (0:00:04)!\nThread 0x1 (most recent call first):\n  File "/home/task 7/done\'s task 9", line 3 in f\n'
+    )
+    (tmp_path / "1").write_text(f"task 3\ndone\ntask 12\n{dump}")
+    (tmp_path / "2").write_text("task 4\ndone\n")
+    (tmp_path / "3").write_text("task 4\ndone\ntask 5\n")
+    (tmp_path / "4").write_text("")
+    assert processes._last_words(tmp_path) == ({12, 5}, {12})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("hurdle", ["raises", "hangs", "is interrupted"])
+def test_giving_up_neither_raises_nor_hangs(client: FakeClient, monkeypatch: pytest.MonkeyPatch, hurdle: str) -> None:
+    release = threading.Event()
+
+    def end(*_: Any, **__: Any) -> None:
+        if hurdle == "raises":
+            raise OSError("gone")
+        release.wait(60)
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dask_connection, "_CLOSE", 0.01)
+    monkeypatch.setattr(processes, "_CLOSE", 0.01)
+    on_dask = connected()
+    on_dask.start(a_task())
+    monkeypatch.setattr(client, "cancel", end)
+    pool = types.SimpleNamespace(submit=lambda *_: concurrent.futures.Future(), shutdown=end)
+    monkeypatch.setattr(processes, "get_reusable_executor", lambda *_, **__: pool)
+    here = processes.ProcessExecutor(2)
+    here.start(a_task())
+    try:
+        with monkeypatch.context() as patch:
+            if hurdle == "is interrupted":
+                patch.setattr(threading.Thread, "join", interrupted)
+            on_dask.close(orderly=False)
+            here.close(orderly=False)
+    finally:
+        release.set()

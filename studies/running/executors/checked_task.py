@@ -1,0 +1,74 @@
+"""A task that a worker runs only if it has the packages of whoever sent it."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import pickle
+from typing import Final
+
+from ldctoolkit.errors import InputError
+from studies.running.tasks import Done
+from studies.running.worker import run_task
+
+SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")
+"""Packages whose versions decide a number's last bits: they must be the same here and on every worker."""
+
+Versions = tuple[tuple[str, str], ...]
+"""Names of packages and their versions; ``"not installed"`` where there is none."""
+
+
+@functools.cache
+def versions() -> Versions:
+    """What this process has of `SAME_VERSIONS`."""
+    return tuple((name, _version(name)) for name in SAME_VERSIONS)
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def check(sender: Versions, worker: Versions, named: str) -> None:
+    """Compare two processes.
+
+    Parameters
+    ----------
+    sender, worker : tuple of (str, str)
+        `versions` of each.
+    named : str
+        The worker.
+
+    Raises
+    ------
+    InputError
+        Naming the first package that differs, and both versions.
+    """
+    there = dict(worker)
+    for name, version in sender:
+        if there.get(name) != version:
+            raise InputError(
+                f"dask: {named} has {name} {there.get(name)}, the process that runs the study {version}; allowed: the "
+                "same version everywhere, or numbers would depend on where they were computed"
+            )
+
+
+def run_checked(sender: Versions, task: bytes) -> Done:
+    """Run a pickled task in this process.
+
+    Parameters
+    ----------
+    sender : tuple of (str, str)
+        `versions` of the process that sends the task.
+    task : bytes
+        A `Task`; it is read after the check, because other versions may not even be able to read it.
+
+    Raises
+    ------
+    InputError
+        If this process has other versions.
+    """
+    check(sender, versions(), "a worker")
+    return run_task(pickle.loads(task))
