@@ -19,7 +19,7 @@ _LEAST: Final = 3
 
 
 def finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
-    """The designs in the set of best, best first; at least three and at most `most`."""
+    """The designs in the set of best, best first; at least three and at most `most`; none where nothing is ranked."""
     best = [i for i in range(len(ranking)) if ranking.set_of_best[i]]
     others = [i for i in range(len(ranking)) if not ranking.set_of_best[i] and ranking.rank[i] > 0]
     chosen = (best + others[: max(0, _LEAST - len(best))])[:most]

@@ -169,10 +169,16 @@ class _Run:
 
     def fresh(self, study: Study, results: StudyResults, folder: Path) -> StudyResults | None:
         """The finalists on fresh scenarios; None if all of them fail there."""
+        from studies.ranking.baseline import find_baseline
         from studies.ranking.ranking import rank_study
         from studies.running.finalists import finalists, fresh_study
 
         best = finalists(rank_study(results, study)[0], study.ranking.finalists)
+        if not best:
+            return None  # nothing meets the requirements
+        reference = find_baseline(study.ranking.baseline, results)
+        if reference is not None and results.designs[reference] not in best:
+            best = (*best, results.designs[reference])  # so that the gain is known on fresh scenarios too
         make_folder(folder / FINALISTS)
         try:
             return self.study(fresh_study(study, best), folder / FINALISTS, stage="finalists", part_of=study.ranked_as)
