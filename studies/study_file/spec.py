@@ -158,6 +158,18 @@ class Study(Part):
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _front_of_the_search(cls, content: Any) -> Any:
+        """Several objectives of a search are the figures of the Pareto front, unless others are written down."""
+        if not isinstance(content, dict) or not isinstance(content.get("search"), dict):
+            return content
+        objectives, ranking = content["search"].get("objectives"), content.get("ranking", {})
+        several = isinstance(objectives, list | tuple) and len(objectives) > 1
+        if not several or not isinstance(ranking, dict) or "pareto" in ranking:
+            return content
+        return content | {"ranking": ranking | {"pareto": objectives}}
+
     @model_validator(mode="after")
     def _grid_size(self) -> Self:
         if not self.design:

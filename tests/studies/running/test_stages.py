@@ -48,7 +48,9 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     results = run_study(study, directory=tmp_path, workers=1)
     fresh = results.fresh
     assert fresh is not None
-    assert 3 == len(fresh.designs) <= len(results.designs)
+    # three finalists, and the baseline, so that the gain is known on fresh scenarios too
+    assert "none" in [design.law for design in fresh.designs]
+    assert 3 <= len(fresh.designs) <= 4
     assert not np.isin(fresh.scenarios.d_y, results.scenarios.d_y).any()
     best = rank_study(results, study)[0].designs[0]
     assert best in fresh.designs

@@ -450,3 +450,13 @@ def test_what_a_night_could_be_lost_on_is_refused_at_once(parts: dict[str, Any],
         Study.from_dict(content | parts)
     good = content | {"ranking": {"baseline": Study.from_dict(content).designs[1].id[:7], "require": "ay_p95 <= 3"}}
     assert Study.from_dict(good).ranking.require
+
+
+def test_several_objectives_of_a_search_are_the_pareto_front() -> None:
+    content: dict[str, Any] = {"name": "s", "design": [{"law": "lqr", "gains": {"r_delta": [50, 500]}}]}
+    two = content | {"search": {"objectives": ["S", "effort_mean"]}}
+    assert Study.from_dict(two).ranking.pareto == ("S", "effort_mean")
+    assert Study.from_dict(two | {"ranking": {"pareto": ["S"]}}).ranking.pareto == ("S",)
+    one = Study.from_dict(content | {"search": {}})
+    assert one.ranking.pareto == Study.from_dict(content).ranking.pareto
+    assert Study.from_dict(one.content()).ranking == one.ranking
