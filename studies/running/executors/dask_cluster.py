@@ -13,7 +13,7 @@ from typing import Any
 
 from ldctoolkit.errors import ClusterError
 from studies.running.executors.checked_task import run_checked, versions
-from studies.running.executors.dask_connection import Connection, lost, unable
+from studies.running.executors.dask_connection import Connection, lost, unable, unreadable
 from studies.running.executors.protocol import Ended, Fault
 from studies.running.tasks import Done, Task
 
@@ -126,11 +126,13 @@ class DaskExecutor:
                 return done
         try:
             done = future.result(timeout=_ANSWER)
-        except (ImportError, AttributeError) as error:
-            raise unable("a worker", error) from None
         except RuntimeError as error:
             if "deserializ" in str(error).lower():
                 raise unable("the scheduler", error.__cause__ or "it cannot read a task") from None
+            raise
+        except Exception as error:
+            if unreadable(error):
+                raise unable("a worker", error) from None
             raise
         return done
 

@@ -19,6 +19,8 @@ LOCAL: Final = "local"
 
 _CONNECT = "15s"
 
+_NOT_THERE: Final = (ModuleNotFoundError, ImportError, AttributeError)
+
 _CLOSE = 30.0
 """Seconds that leaving a cluster may take."""
 
@@ -84,10 +86,11 @@ class Connection:
         with self.asking():
             answers = self.client.run(versions, on_error="return")
         for worker, there in answers.items():
-            if isinstance(there, ImportError | AttributeError):
+            if isinstance(there, OSError):
+                continue  # it has gone
+            if isinstance(there, Exception):
                 raise unable(f"worker {worker}", there)
-            if not isinstance(there, Exception):  # else it has gone, or has no time to answer
-                check(versions(), there, f"worker {worker}")
+            check(versions(), there, f"worker {worker}")
 
     @property
     def open(self) -> bool:
@@ -143,6 +146,11 @@ def lost() -> ClusterError:
     return ClusterError(
         "dask: the connection to the scheduler is lost; what was finished is stored: run the study again to go on"
     )
+
+
+def unreadable(error: Exception) -> bool:
+    """Whether a process could not read what it was sent; Dask hands on some errors as their text alone."""
+    return isinstance(error, _NOT_THERE) or str(error).startswith(tuple(kind.__name__ for kind in _NOT_THERE))
 
 
 def unable(who: str, error: object) -> ClusterError:

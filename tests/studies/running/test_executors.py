@@ -24,7 +24,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from studies import Study, StudyResults, rank_study, run_study
-from studies.running.executors import checked_task, dask_cluster, dask_connection, make_executor, processes
+from studies.running.executors import Executor, checked_task, dask_cluster, dask_connection, make_executor, processes
 from studies.running.tasks import Done
 
 MakeStudy = Callable[..., Study]
@@ -254,6 +254,12 @@ def connected() -> dask_cluster.DaskExecutor:
     return dask_cluster.DaskExecutor("tcp://h:1")
 
 
+def listen(executor: Executor, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        executor.wait()
+
+
 LOST = "the connection to the scheduler is lost; what was finished is stored: run the study again"
 
 
@@ -385,14 +391,16 @@ def test_a_cluster_without_the_toolkit_is_told_as_such(client: FakeClient) -> No
     executor = connected()
     missing = ModuleNotFoundError("No module named 'studies'")
     unreadable = RuntimeError("Error during deserialization of the task graph.")
-    for error, who in ((missing, "a worker"), (unreadable, "the scheduler")):
+    as_text = Exception(repr(missing))  # what Dask makes of an error that it cannot send
+    for error, who in ((missing, "a worker"), (as_text, "a worker"), (unreadable, "the scheduler")):
         executor.start(a_task())
         client.futures[-1].end("error", error)
         with pytest.raises(ClusterError, match=f"dask: {who} cannot run tasks .*allowed: ldctoolkit in the same vers"):
             executor.wait()
-    client.there = {"tcp://w:9": missing}
-    with pytest.raises(ClusterError, match=r"worker tcp://w:9 cannot run tasks .No module named 'studies'"):
-        connected()
+    for error in (missing, as_text):
+        client.there = {"tcp://w:9": error}
+        with pytest.raises(ClusterError, match=r"worker tcp://w:9 cannot run tasks .*No module named 'studies'"):
+            connected()
 
 
 @pytest.mark.slow
@@ -422,7 +430,7 @@ def test_a_dask_scheduler_that_is_killed_ends_the_run(make_study: MakeStudy, tmp
     [
         ("import sys; sys.modules['studies'] = None", r"worker tcp://\S+ cannot run tasks"),
         (
-            "import importlib.metadata as m; v = m.version; m.version = lambda n: '0.1' if n == 'scipy' else v(n)",
+            "import importlib.metadata as m; m.version = lambda n, v=m.version: '0.1' if n == 'scipy' else v(n)",
             r"worker tcp://\S+ has scipy 0\.1",
         ),
     ],
@@ -433,6 +441,33 @@ def test_a_dask_worker_of_another_kind_is_refused(tmp_path: Path, preload: str, 
         pytest.raises(LdcError, match=message),
     ):
         make_executor(None, None, address)
+
+
+@pytest.mark.slow
+def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path) -> None:
+    """The one that was there goes, and one with another SciPy comes: the study ends, and says why."""
+    preload = tmp_path / "other.py"
+    preload.write_text(
+        "import importlib.metadata as m\nm.version = lambda n, v=m.version: '0.1' if n == 'scipy' else v(n)"
+    )
+    with cluster(tmp_path, workers=1) as (address, processes_there):
+        executor = make_executor(None, None, address)
+        os.killpg(processes_there[0].pid, signal.SIGKILL)
+        words = [address, "--nthreads", "1", "--no-dashboard", "--preload", str(preload)]
+        other = subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli.dask_worker", *words, "--local-directory", str(tmp_path)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            executor.start(a_task())
+            with pytest.raises(InputError, match=r"dask: a worker has scipy 0\.1, the process that runs the study"):
+                listen(executor, 60.0)
+        finally:
+            executor.close(orderly=False)
+            os.killpg(other.pid, signal.SIGKILL)
+            other.wait(30)
 
 
 @pytest.mark.slow
