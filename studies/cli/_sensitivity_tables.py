@@ -31,16 +31,16 @@ def print_indices(blocks: Sequence[BlockSensitivity], case: str, confidence: flo
         console().print()
 
 
-def print_profiles(profiles: Sequence[Profile], middle: Design, case: str, confidence: float) -> None:
-    """One line for every dimension, the one that moves S most first."""
-    _line(f"Around {middle.label} ({middle.id}), one at a time, {case}:")
+def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case: str, confidence: float) -> None:
+    """One line for every dimension, the one that moves S most first; `which` says what the design in the middle is."""
+    _line(f"Around {middle.label} ({middle.id}), {which}, one at a time, {case}:")
     if not profiles:
         _line("nothing varies in the designs of this law")
         return
     console().print(_profile_table(profiles, confidence))
     for profile in profiles:
-        if profile.at_edge and profile.best == profile.at:
-            _line(f"{profile.name} = {_text(profile.values[profile.at])} is the end of its range in this study: "
+        if (end := profile.beyond) is not None:
+            _line(f"{profile.name}: S is least at {_text(end)}, the end of its range in this study: "
                   "something better may lie beyond")  # fmt: skip
         for value, reason in zip(profile.values, profile.failures, strict=True):
             if reason:

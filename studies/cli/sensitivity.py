@@ -54,11 +54,12 @@ def run(chosen: argparse.Namespace) -> None:
         raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
     case = chosen.case - 1
     if chosen.design is not None:
-        middle = _design(results, chosen.design)
+        middle, role = _design(results, chosen.design), "the chosen design"
     else:
         ranking = rank_study(results, study)[case]
-        # no design is the winner where none meets the requirements: the smallest S then
+        # without a design that meets the requirements the first one is the one with the smallest mean S
         middle = ranking.designs[ranking.winner or 0]
+        role = "smallest mean S, not ranked" if ranking.winner is None else "the winner"
     blocks = sensitivity(results, study, case=case)
     with progress_bar("profile") as advance:
         profiles = winner_profile(results, study, middle, case=case, points=chosen.points, advance=advance)
@@ -68,7 +69,7 @@ def run(chosen: argparse.Namespace) -> None:
     if which.window == "control":
         warn("S over the control window starts at the trigger: designs with different y_s are not comparable there")
     print_indices(blocks, which.label, study.ranking.confidence)
-    print_profiles(profiles, middle, which.label, study.ranking.confidence)
+    print_profiles(profiles, middle, role, which.label, study.ranking.confidence)
     print(f"sensitivity: {path}")
 
 
@@ -82,5 +83,9 @@ def _design(results: StudyResults, name: str) -> Design:
     if found:
         raise InputError(f"--design {name!r}: the ids of {len(found)} designs start so; allowed: more of the id")
     near = nearest(name, [design.label for design in results.designs])
-    hint = f"{near.partition('? (')[0]}? " if near.startswith("did you mean") else ""
-    raise InputError(f"--design {name!r}: no such design; {hint}(allowed: a label, or the id in ranking.csv)")
+    # the labels of a large study fill a screen
+    hint = f"{near.partition('? (')[0]}? ({_ALLOWED})" if near.startswith("did you mean") else _ALLOWED
+    raise InputError(f"--design {name!r}: no such design; {hint}")
+
+
+_ALLOWED = "allowed: a label, or the id in ranking.csv"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -16,7 +17,7 @@ from studies.design_space.law_space import THRESHOLD
 from studies.ranking.resampled import Resampled, simultaneous_interval
 from studies.results import CaseResults, StudyResults
 from studies.sensitivity.drive_again import check_reproduced, drive_designs
-from studies.sensitivity.profile_points import ProfilePoint, profile_points
+from studies.sensitivity.profile_points import ProfilePoint, declared_ends, profile_points
 from studies.study_file.spec import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,6 +25,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 POINTS = 9
 """Values of a numeric dimension that a profile has at least."""
+
+_SAME = 1e-6
+"""Differences of mean S [m s] below this are solver tolerance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +55,9 @@ class Profile:
         Designs of the study; the others were driven for the profile.
     failures : tuple of str
         Why a law failed; empty where it did not.
+    open_ends : tuple of float
+        Smallest and largest number that the study's tables declare, as far as the law itself allows more beyond; none
+        for words and switches.
     """
 
     name: str
@@ -64,6 +71,7 @@ class Profile:
     high: FloatArray
     stored: BoolArray
     failures: tuple[str, ...]
+    open_ends: tuple[float, ...] = ()
 
     @property
     def spread(self) -> float:
@@ -76,10 +84,21 @@ class Profile:
         return self.at if self.difference[self.at] <= np.nanmin(self.difference) else int(np.nanargmin(self.difference))
 
     @property
-    def at_edge(self) -> bool:
-        """Whether the design has the smallest or largest of several numbers: something better may lie beyond."""
-        numbers = not any(isinstance(value, str | bool) for value in self.values)
-        return numbers and self.at in (0, len(self.values) - 1)
+    def beyond(self) -> GainValue | None:
+        """The end of the declared range where mean S is smallest, if something better may lie beyond it.
+
+        None where S is smallest elsewhere, where nothing beyond is allowed, and where S at the end cannot be told from
+        S at the design, or, if the design itself is at the end, from S next to it: chance or nothing moves it there.
+        """
+        best = self.best
+        if len(self.values) < 2 or self.values[best] not in self.open_ends:
+            return None
+        if best != self.at:
+            told = self.high[best] < 0 and self.difference[best] < -_SAME
+        else:
+            inner = best + 1 if best == 0 else best - 1
+            told = self.low[inner] > 0 and self.difference[inner] > _SAME
+        return self.values[best] if told else None
 
 
 def winner_profile(
@@ -91,7 +110,7 @@ def winner_profile(
     points: int = POINTS,
     advance: Callable[[int, int], None] | None = None,
 ) -> tuple[Profile, ...]:
-    """Move one dimension at a time away from a design, over the values that its law has in the study.
+    """Move one dimension at a time away from a design, over the range that the study's tables declare for its law.
 
     Parameters
     ----------
@@ -103,8 +122,8 @@ def winner_profile(
     case : int
         Which case; the primary one by default.
     points : int
-        Numbers of which the study holds fewer are filled up to so many, evenly between its own smallest and largest,
-        and driven on the study's scenarios; 0 takes only what the study holds.
+        Numbers of which the study holds fewer are filled up to so many, evenly over the range that its tables declare,
+        whose ends are always among them, and driven on the study's scenarios; 0 takes only what the study holds.
     advance : callable, optional
         Called with the number of designs driven so far and of all to be driven.
 
@@ -161,7 +180,9 @@ def _profiles(
     interval = simultaneous_interval(resampled, settings.confidence, reference=0)
     numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
     position = {design: i for i, design in enumerate(scored)}
-    units = {gain.name: gain.unit for gain in controller_class(winner.law).gains()} | {THRESHOLD: "m"}
+    gains = controller_class(winner.law).gains()
+    units = {gain.name: gain.unit for gain in gains} | {THRESHOLD: "m"}
+    bounds = {gain.name: (gain.lower, gain.upper) for gain in gains} | {THRESHOLD: (0.0, math.inf)}
     for name in dict.fromkeys(one.name for one in along):
         points = [one for one in along if one.name == name]
         designs = tuple(one.design for one in points)
@@ -178,4 +199,5 @@ def _profiles(
             *(own[0], own[1], own[2], own[3]),
             np.array([design in row for design in designs]),
             tuple(reasons.get(design, "") for design in designs),
+            tuple(end for end in declared_ends(study, winner.law, name) or () if end not in bounds[name]),
         )

@@ -71,7 +71,7 @@ def test_indices_and_profiles_are_printed_and_written(folder: Path, capsys: pyte
     # the design with the smallest mean S is the middle
     results = read_results(folder)
     best = results.designs[int(results.cases[0].counted.mean(axis=1).argmin())]
-    assert f"Around {best.label} ({best.id})" in out.out
+    assert f"Around {best.label} ({best.id}), the winner, one at a time" in out.out
     assert best.id in table["design"]
 
 
@@ -87,6 +87,17 @@ def test_the_middle_the_case_and_the_points_can_be_chosen(folder: Path, capsys: 
     assert profile["dimension"].to_list() == ["y_s", "y_s", "K_y", "K_y"]
     assert main(["sensitivity", str(folder), "--design", middle.label, "--points", "0", "--case", "2"]) == 0
     assert capsys.readouterr().out == first.out
+
+
+def test_the_middle_is_no_winner_where_nothing_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = STUDY["ranking"] | {"require": ["S <= 0"]}  # type: ignore[operator]
+    study = Study.from_dict(STUDY | {"ranking": settings, "design": STUDY["design"][:2]})  # type: ignore[index]
+    run_study(study, directory=tmp_path / "out", workers=1, progress=False)
+    capsys.readouterr()
+    assert main(["sensitivity", str(tmp_path / "out"), "--points", "0"]) == 0
+    out = capsys.readouterr().out
+    assert ", smallest mean S, not ranked, one at a time, departure window" in out
+    assert "winner" not in out
 
 
 def test_a_design_without_neighbours_has_no_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,9 +125,9 @@ def test_without_salib_the_rest_goes_on(
         (["--case", "3"], "--case 3; allowed: 1 to 2"),
         (["--case", "0"], "allowed: a whole number >= 1"),
         (["--points", "-1"], "allowed: a whole number >= 0"),
-        (["--design", "zz"], "--design 'zz': no such design"),
+        (["--design", "zz"], "--design 'zz': no such design; allowed: a label, or the id in ranking.csv"),
         (["--design", ""], "--design '': no such design"),
-        (["--design", "No control, y_s=0.3 m"], "did you mean 'No control, y_s=0.2 m'?"),
+        (["--design", "No control, y_s=0.3 m"], "did you mean 'No control, y_s=0.2 m'? (allowed: a label, or the"),
     ],
 )
 def test_wrong_input_is_one_line(

@@ -468,7 +468,7 @@ def test_no_points_take_what_the_study_holds() -> None:
     assert found[0].stored.all()
     assert found[0].spread == pytest.approx(0.6)
     assert found[0].best == found[0].at == 1
-    assert not found[0].at_edge
+    assert found[0].beyond is None
 
 
 def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
@@ -482,8 +482,8 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
     assert found["on"].values == (True, False)
     assert found["on"].stored.tolist() == [True, False]
     assert np.isfinite(found["on"].S).all()
-    # 2.9 is in the study and close to the end, 3.2, which is left out; 1.6 is the middle of the range
-    assert found["c"].values == (0.0, 1.6, 2.9)
+    # 1.6 is the middle of the range; the end is there although 2.9 is in the study and close to it
+    assert found["c"].values == (0.0, 1.6, 2.9, 3.2)
     wide = by_name(winner_profile(results, study, study.designs[0], points=41))["c"]
     assert wide.values[-1] == 3.2
     assert "ZeroDivisionError: c is too large" in wide.failures[-1]
@@ -492,14 +492,62 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
     assert np.isfinite(wide.spread)
 
 
-def test_the_edge_of_a_range_is_told() -> None:
-    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0, 2.0], "on": [False, True]}})
-    found = by_name(
-        winner_profile(results_of(study, lambda d: -gain_value(d, "a")), study, study.designs[-1], points=3)
-    )
-    assert found["a"].at_edge
-    assert found["a"].best == found["a"].at
-    assert not found["on"].at_edge
+@pytest.mark.parametrize(
+    ("a", "S", "end"),
+    [
+        ([0.0, 1.0, 2.0], lambda a: -a, 2.0),
+        ([2.0, 0.0, 1.0], lambda a: a, 0.0),
+        ([0.0, 1.0, 2.0], lambda a: abs(a - 1.0), None),  # least inside
+        ([0.0, 1.0, 4.0], lambda a: -a, None),  # the law itself ends at 4
+        ([0.0, 1.0, 2.0], lambda a: -1e-9 * a, None),  # solver tolerance
+        ([0.0, 1.0, 2.0], lambda a: -0.1 * a + a * np.array([5.0, -5.0] * 3), None),  # chance
+    ],
+)
+def test_the_end_of_a_range_is_told_where_s_goes_on_falling(
+    a: list[float], S: Callable[[float], Any], end: float | None
+) -> None:
+    study = study_of({"law": "waves", "gains": {"a": a, "on": [False, True]}})
+    results = results_of(study, lambda d: S(float(gain_value(d, "a"))))
+    best = min(study.designs, key=lambda d: float(np.mean(S(float(gain_value(d, "a"))))))
+    found = by_name(winner_profile(results, study, best, points=0))
+    assert found["a"].beyond == end
+    assert found["on"].beyond is None
+
+
+def test_the_end_is_told_where_only_the_profile_gets_there() -> None:
+    """The design is inside, S at the end is smaller for certain, or for all one knows not."""
+    study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0, 2.0]}})
+    inside = study.designs[1]
+    for noise, end in ((0.0, 2.0), (5.0, None)):
+        S = results_of(study, lambda d, n=noise: (0.1 + n * np.array([1.0, -1.0] * 3)) * -gain_value(d, "a"))
+        assert by_name(winner_profile(S, study, inside, points=0))["a"].beyond == end
+
+
+@pytest.mark.parametrize("more", [{}, {"search": {"trials": 8}}])
+def test_a_range_ends_where_the_study_file_says(more: dict[str, Any]) -> None:
+    """Not at the smallest and largest number that was drawn, however close these are."""
+    block: dict[str, Any] = {
+        "law": "waves",
+        "y_s": {"from": 0.3, "to": 0.05},
+        "gains": {"a": {"from": -1.0, "to": 1.0}, "N": {"from": 2, "to": 9}, "on": [True, False]},
+    }
+    drawn = study_of(block | {"sample": {"method": "sobol", "count": 8}}, simulation={"dt": 0.1})
+    study = study_of(block, simulation={"dt": 0.1}, **more) if more else drawn
+    results = driven(study, drawn.designs)
+    # the design with the smallest threshold of those drawn, and something to fall on towards it
+    middle = min(drawn.designs, key=lambda d: d.y_s)
+    assert 0.05 < middle.y_s < 0.09
+    held = by_name(winner_profile(results, study, middle, points=0))
+    assert "y_s" not in held
+    found = by_name(winner_profile(results, study, middle, points=4))
+    assert list(found) == ["y_s", "a", "N", "on"]
+    assert (found["y_s"].values[0], found["y_s"].values[-1]) == (0.05, 0.3)
+    assert found["y_s"].at == 1
+    assert (found["a"].values[0], found["a"].values[-1]) == (-1.0, 1.0)
+    assert (found["N"].values[0], found["N"].values[-1]) == (2, 9)
+    assert {type(value) for value in found["N"].values} == {int}
+    assert set(found["on"].values) == {True, False}
+    assert len(set(found["y_s"].values)) == len(found["y_s"].values)
 
 
 def test_a_study_that_cannot_be_reproduced_gets_no_driven_designs() -> None:
