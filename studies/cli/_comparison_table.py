@@ -66,7 +66,8 @@ def _table(comparison: Comparison, case: CaseComparison, top: int) -> Table:
     from rich.text import Text
 
     percent, shared = f"{100 * comparison.confidence:g}%", comparison.shared
-    title = f"{len(case)} designs in both studies, {shared.n:,} shared scenarios, {case.case.label}"
+    designs = f"{len(case)} design{'' if len(case) == 1 else 's'}"
+    title = f"{designs} in both studies, {shared.n:,} shared scenarios, {case.case.label}"
     table = Table(title=Text(title, style="table.title"), title_justify="left")
     table.add_column("verdict")
     table.add_column("design")

@@ -13,7 +13,7 @@ from studies.cli._ranking_table import ranking_table
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
 from studies.report import ReportInput, write_report
-from studies.results import StudyResults
+from studies.results import Race, StudyResults
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
 from studies.study_file.plant_table import plant_settings
@@ -50,10 +50,10 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def write_ranking(folder: Path, rankings: Sequence[Ranking]) -> Path:
+def write_ranking(folder: Path, rankings: Sequence[Ranking], race: Race | None) -> Path:
     """Write DIR/ranking.csv."""
     path = folder / "ranking.csv"
-    write_csv(rankings, path)
+    write_csv(rankings, path, race)
     return path
 
 
@@ -111,6 +111,11 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
         yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
     yield "deep departures, D_y", f"{study.report.D_y:g} m"
     yield "bootstrap", f"{study.ranking.bootstrap} resamples, {100 * study.ranking.confidence:g} % intervals"
+    yield "baseline", study.ranking.baseline or "no control, where it is among the designs"
+    yield "requirements", ", ".join(study.ranking.require) or "none"
+    yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
+    yield "finalists on fresh departures", f"{study.ranking.finalists} at most"
+    yield "race", "yes" if study.race else "no"
     yield "finished", manifest.finished or "not finished"
     yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
 

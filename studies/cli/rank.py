@@ -1,11 +1,18 @@
-"""``ldc rank``: rank the stored results of a study again."""
+"""``ldc rank``: rank the stored results of a study again, as the study says or with other settings."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from studies.cli._console import Subparsers, positive_number
+from ldctoolkit.errors import InputError
+from studies.cli._console import Subparsers, number, output_file, positive_number, warn
+
+if TYPE_CHECKING:
+    from studies.ranking.ranking import Ranking
+    from studies.study_file.spec import Study
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -13,20 +20,94 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "rank",
         help="print the ranking of a study that was run",
-        description="Rank the stored results of a study, print the table and write DIR/ranking.csv again.",
+        description="Rank the stored results of a study, print the table and write DIR/ranking.csv again. Nothing is "
+        "driven. With settings other than the study's own, DIR/ranking.csv stays as it is; -o writes the other one.",
     )
     parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
+    parser.add_argument(
+        "--require",
+        action="append",
+        metavar="TEXT",
+        help="what a design must meet to be ranked, as 'ay_p95 <= 3.0', instead of the study's requirements; "
+        "repeatable; '' for none",
+    )
+    parser.add_argument(
+        "--baseline",
+        metavar="DESIGN",
+        help="design that all are compared with: a law, or the start of an identifier; '' for no control",
+    )
+    parser.add_argument(
+        "--pareto",
+        action="append",
+        metavar="FIGURE",
+        help="figure of the Pareto front, instead of the study's; repeatable; '' for no front",
+    )
+    parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
+    parser.add_argument("-o", "--output", metavar="FILE.csv", help="write the ranking here, not to DIR/ranking.csv")
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
+    parser.add_argument("--quiet", action="store_true", help="no table")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
     parser.set_defaults(run=run)
 
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
+    from studies.cli._race_table import print_race
     from studies.cli._results import print_rankings, write_ranking
+    from studies.cli._summary import rank_summary
     from studies.ranking.ranking import rank_study
+    from studies.ranking.ranking_csv import write_csv
     from studies.storage.store import Store
 
+    target = None if chosen.output is None else output_file(chosen.output, ".csv")
     store = Store.open(chosen.folder)
-    rankings = rank_study(store.results(), store.manifest.read_study())
-    print_rankings(rankings, chosen.top)
-    print(f"ranking: {write_ranking(Path(chosen.folder), rankings)}")
+    own = store.manifest.read_study()
+    study = _with_settings(own, chosen)
+    results = store.results()
+    if results.fresh is not None and not _same_chances(own, study):
+        # who is a finalist, and what their intervals promise, was decided by the study's own settings
+        warn("fresh scores are those of the study's own requirements and confidence; they are left out")
+        results = dataclasses.replace(results, fresh=None)
+    if results.race is not None and results.race.dropped and study.ranking.confidence != own.ranking.confidence:
+        warn(f"the race gave designs up at the study's own confidence, {own.ranking.confidence:g}")
+    rankings = rank_study(results, study)
+    if chosen.baseline:
+        _check_baseline(chosen.baseline, rankings[0])
+    if not (chosen.quiet or chosen.json):
+        if results.race is not None:
+            print_race(results.race)
+        print_rankings(rankings, chosen.top)
+    if target is not None:
+        write_csv(rankings, target, results.race)
+    elif study.ranking == own.ranking:
+        target = write_ranking(Path(chosen.folder), rankings, results.race)
+    if chosen.json:
+        print(rank_summary(results, rankings[0], store.manifest, target))
+    elif target is not None:
+        print(f"ranking: {target}")
+
+
+def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
+    """The study with the settings of the ranking that were asked for, checked as if they stood in its file."""
+    changes: dict[str, Any] = {name: getattr(chosen, name) for name in ("baseline", "confidence")}
+    for name in ("require", "pareto"):
+        texts = getattr(chosen, name)
+        changes[name] = None if texts is None else [text for text in texts if text]
+    changes = {name: value for name, value in changes.items() if value is not None}
+    if not changes:
+        return study
+    content = study.content()
+    return type(study).from_dict(content | {"ranking": content["ranking"] | changes}, source=chosen.folder)
+
+
+def _same_chances(own: Study, study: Study) -> bool:
+    """Whether nothing is asked for that decides who could be the best."""
+    return (own.ranking.require, own.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
+
+
+def _check_baseline(baseline: str, ranking: Ranking) -> None:
+    if ranking.baseline is None:
+        raise InputError(
+            f"--baseline {baseline}: it failed or was given up in a race, and has no results to compare with; allowed: "
+            "a design with figures in ranking.csv"
+        )

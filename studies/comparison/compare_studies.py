@@ -16,7 +16,7 @@ from studies.comparison.paired_verdicts import paired_differences
 from studies.comparison.shared_scenarios import SharedScenarios, drawn_streams, share_scenarios
 from studies.comparison.winners import compare_winners
 from studies.design import Design
-from studies.results import CaseResults, FailedDesign, StudyResults
+from studies.results import Case, CaseResults, FailedDesign, StudyResults
 
 _FEW = 200
 """Shared scenarios below which intervals are rough."""
@@ -129,16 +129,25 @@ def _cases(
     )
     fresh = _shared_fresh(before, after)
     for i, (case_old, case_new) in enumerate(pairs):
+        raced_elsewhere = any(_raced_elsewhere(side.results, case_new.case) for side in (before, after))
         yield CaseComparison(
             case=case_new.case,
             designs=designs,
             S=table.take(range(i * len(designs), (i + 1) * len(designs))),
             failed_old=tuple(case_old.failed[at_old][:, shared.old].sum(axis=1).tolist()),
             failed_new=tuple(case_new.failed[at_new][:, shared.new].sum(axis=1).tolist()),
-            winners=compare_winners(
+            winners=None
+            if raced_elsewhere
+            else compare_winners(
                 before, after, case_new.case, shared, fresh, bootstrap=bootstrap, confidence=confidence
             ),
+            raced_elsewhere=raced_elsewhere,
         )
+
+
+def _raced_elsewhere(results: StudyResults, case: Case) -> bool:
+    """Whether a race gave up designs that may be the best in this case: it knows the primary case alone."""
+    return results.race is not None and bool(results.race.dropped) and results.cases[0].case != case
 
 
 def _read_both(old: str | Path | FinishedStudy, new: str | Path | FinishedStudy) -> tuple[FinishedStudy, FinishedStudy]:
@@ -229,15 +238,24 @@ def _failed(
 def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
     shared = comparison.shared
     if left_out:
-        yield f"{left_out} shared scenarios cannot be driven under some design of one of the studies; none counts them."
+        yield (
+            f"{left_out} shared scenario{'' if left_out == 1 else 's'} cannot be driven under some design of one of "
+            f"the studies; no comparison counts {'it' if left_out == 1 else 'them'}."
+        )
     if shared.other_draws:
         yield (
-            f"{shared.other_draws} departures are in both studies with other noise, mismatch or residuals, because the "
-            "seed or the scenario's number differs; they are not shared."
+            f"Departures in both studies with other noise, mismatch or residuals, because the seed or the scenario's "
+            f"number differs: {shared.other_draws}; they are not shared."
         )
     if shared.n < _FEW:
-        yield f"Only {shared.n} shared scenarios: the intervals are rough."
-    if any(case.winners is None for case in comparison.cases):
+        yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
+    elsewhere = [case.case.label for case in comparison.cases if case.raced_elsewhere]
+    if elsewhere:
+        yield (
+            f"Winners are not compared in {'; '.join(elsewhere)}: a race of one of the studies gave designs up by "
+            "their S in its primary case alone, and the best one here may be among them. Run it without a race."
+        )
+    if any(case.winners is None and not case.raced_elsewhere for case in comparison.cases):
         yield "No design of one of the studies meets its requirements in some case: there is no winner to compare."
     in_control = [case.winners for case in comparison.cases if case.winners and case.case.window == "control"]
     if any(winners.old.y_s != winners.new.y_s for winners in in_control):
@@ -247,6 +265,6 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         )
     if comparison.given_up:
         yield (
-            f"{len(comparison.given_up)} designs of both studies were given up early by a race in one of them; they "
-            "are not compared."
+            f"Designs of both studies that a race in one of them gave up early: {len(comparison.given_up)}; they are "
+            "not compared."
         )

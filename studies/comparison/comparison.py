@@ -33,7 +33,11 @@ class CaseComparison:
     failed_old, failed_new : tuple of int
         Shared scenarios that failed (solver failed, diverged, timed out, crashed).
     winners : Winners or None
-        The new study's winner against the old one's; None where no design meets the requirements of one of them.
+        The new study's winner against the old one's; None where no design meets the requirements of one of them, or
+        a race was in another case.
+    raced_elsewhere : bool
+        A race gave designs up by their scores in another case. Its best design here may be among them, so that there is
+        no winner to compare.
     """
 
     case: Case
@@ -42,6 +46,7 @@ class CaseComparison:
     failed_old: tuple[int, ...]
     failed_new: tuple[int, ...]
     winners: Winners | None
+    raced_elsewhere: bool = False
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -124,5 +129,6 @@ class Comparison:
         else:
             told = f"no design in both, {first.case.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
-        winners = "no winner" if first.winners is None else PHRASES[first.winners.verdict]
+        nothing = "not compared" if first.raced_elsewhere else "no winner"
+        winners = nothing if first.winners is None else PHRASES[first.winners.verdict]
         return f"{shared}; {told}{failed}; the new winner against the old one: {winners}."

@@ -1,7 +1,8 @@
 """``ranking.csv``: every design of every case, one row each, units in the names of the columns.
 
 A design that misses a requirement has no rank; the column ``unmet`` says which. A design whose law failed has a row
-without rank and figures; the column ``failure`` says why.
+without rank and figures; the column ``failure`` says why. A design that a race gave up has one behind those of the
+primary case, in which the race was; the columns ``dropped_...`` say when, and what was known of it then.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,33 +19,46 @@ from ldctoolkit import controller_class
 from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.ranking.release import COLUMNS
+from studies.results import Race
 from studies.storage.files import write_text
 
+_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
+"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
+lower bound of how much worse than the best it is."""
 
-def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
+
+def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case.
 
     Parameters
     ----------
     rankings : sequence of Ranking
+        The primary case first.
     path : path
+    race : Race, optional
+        What it gave up is listed too.
 
     Raises
     ------
     StoreError
         If the file cannot be written.
     """
-    gains = _gain_columns(rankings)
+    gains = _gain_columns(rankings, race)
     text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    if race is not None:
+        behind = len(rankings[0]) + len(rankings[0].failed)
+        rows[behind:behind] = _given_up(race, rankings[0], gains)
+    # what a row has no value for is empty
+    writer = csv.DictWriter(text, fieldnames=[*rows[0], *_DROPPED], restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_text(Path(path), text.getvalue())
 
 
-def _gain_columns(rankings: Iterable[Ranking]) -> list[str]:
-    laws = dict.fromkeys(design.law for ranking in rankings for design in _every(ranking))
+def _gain_columns(rankings: Iterable[Ranking], race: Race | None) -> list[str]:
+    dropped = () if race is None else race.dropped
+    laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
     return list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
 
 
@@ -87,7 +101,16 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
         "fresh_S_m_s": ranking.fresh_S,
         "fresh_low_m_s": ranking.fresh_low,
         "fresh_high_m_s": ranking.fresh_high,
+        "fresh_difference_to_first_m_s": ranking.fresh_difference,
+        "fresh_difference_to_first_low_m_s": ranking.fresh_difference_low,
+        "fresh_difference_to_first_high_m_s": ranking.fresh_difference_high,
+        "fresh_baseline_difference_m_s": ranking.fresh_baseline_difference,
+        "fresh_baseline_difference_low_m_s": ranking.fresh_baseline_difference_low,
+        "fresh_baseline_difference_high_m_s": ranking.fresh_baseline_difference_high,
+        "fresh_reduction": ranking.fresh_reduction,
         "optimism_m_s": ranking.optimism,
+        "optimism_low_m_s": ranking.optimism_low,
+        "optimism_high_m_s": ranking.optimism_high,
         "winner": np.arange(len(ranking)) == ranking.winner,
         "triggered_share": ranking.triggered,
         "deeper_than_D_y_share": ranking.deeper,
@@ -102,21 +125,43 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
-        values = dict.fromkeys(gains, "") | dict(
-            zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
-        )
         yield {
-            "window": ranking.case.window,
-            "convention": ranking.case.convention,
-            "rank": int(ranking.rank[i]) if here and ranking.rank[i] else "",
-            "design": design.id,
-            "law": design.law,
-            "y_s_m": repr(design.y_s),
-            **{f"gain_{name}": value for name, value in values.items()},
+            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
             **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
+            "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else "",
             "failure": reason,
         }
+
+
+def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+    """The columns that say which design in which case."""
+    values = dict.fromkeys(gains, "") | dict(
+        zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
+    )
+    return {
+        "window": ranking.case.window,
+        "convention": ranking.case.convention,
+        "rank": rank,
+        "design": design.id,
+        "law": design.law,
+        "y_s_m": repr(design.y_s),
+        **{f"gain_{name}": value for name, value in values.items()},
+    }
+
+
+def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """No rank and no figures: these would stand for fewer scenarios than all others."""
+    for one in race.dropped:
+        figures = (one.round, one.scenarios, _field(one.S), _field(one.low))
+        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, figures, strict=True))
+
+
+def _optimism_of(ranking: Ranking, i: int) -> str:
+    if np.isnan(ranking.optimism[i]):
+        return ""
+    return "baseline_difference" if ranking.optimism_paired else "S"
 
 
 def _field(value: Any) -> str:

@@ -162,9 +162,8 @@ class RunTable:
                 key = (wanted[i].id, convention)
                 if key in failures:
                     lost[key] = failures[key]
-        missing = int(np.count_nonzero(~there)) - len(lost)
-        if missing:
-            raise StoreError(f"{source}: {missing} of {there.size} runs are not there yet; run the study again")
+        if np.count_nonzero(~there) > len(lost):
+            raise StoreError(f"{source}: {self._incomplete(wanted, there, lost, some_there)}; run the study again")
         failed = _failed_designs(wanted, self._conventions, lost)
         if wanted and len(failed) == len(wanted):
             first = failed[0].sentence
@@ -204,6 +203,27 @@ class RunTable:
             scenarios=scenarios if rows is None else scenarios.take(rows),
             cases=tuple(cases),
             failed=failed,
+        )
+
+    def _incomplete(
+        self,
+        designs: Sequence[Design],
+        there: npt.NDArray[np.bool_],
+        lost: Mapping[RunKey, str],
+        some_there: npt.NDArray[np.bool_],
+    ) -> str:
+        """How many designs wait for results that did not fail, and how much is there of all."""
+        waits = {
+            design.id
+            for c, convention in enumerate(self._conventions)
+            for design, done in zip(designs, there[c], strict=True)
+            if not done and (design.id, convention) not in lost
+        }
+        # rounded down: all of it would be no reason to complain
+        share = 100 * int(np.count_nonzero(some_there)) // some_there.size
+        return (
+            f"{len(waits)} of {len(designs)} design{'' if len(designs) == 1 else 's'} "
+            f"{'is' if len(waits) == 1 else 'are'} not complete ({share} % of the scenario runs are there)"
         )
 
 
