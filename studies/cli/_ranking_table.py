@@ -50,7 +50,7 @@ def _cells(ranking: Ranking, i: int) -> list[str]:
         f"{design.y_s:g}",
         gains,
         f"{ranking.S[i]:.4f}",
-        f"{ranking.S_low[i]:.3f} .. {ranking.S_high[i]:.3f}",
+        f"{ranking.S_low[i]:.3f} .. {ranking.S_high[i]:.3f}" if np.isfinite(ranking.S_low[i]) else "-",
         f"{ranking.difference[i]:+.4f}{tie}",
         *(_percent(values[i]) for values in (ranking.reduction, ranking.reduction_left, ranking.reduction_right)),
         _percent(ranking.deeper[i]),

@@ -1,14 +1,17 @@
-"""Finalists on fresh scenarios: what is left of a score once luck in the search is gone."""
+"""Finalists on fresh scenarios: their scores, paired differences, and how much of the search's scores was luck."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from studies.ranking.case_figures import DrivableCase
-from studies.ranking.resampled import Resampled, simultaneous_interval
+from studies.ranking.resampled import Interval, Resampled, critical_value, simultaneous_interval
+from studies.ranking.standard_error import half_widths
+from studies.ranking.winner import choose_winner
 from studies.results import Case, StudyResults
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,29 +24,52 @@ _STREAM = 1
 
 @dataclasses.dataclass(frozen=True)
 class FreshScores:
-    """Mean S of the finalists on scenarios that no design was chosen on, arrays of d; NaN for designs that are none.
+    """What scenarios that no design was chosen on say of the finalists, arrays of d; NaN for designs that are none.
+
+    The baseline is scored there too. It is a finalist only where it is in the set of best.
 
     Attributes
     ----------
-    fresh_S : (d,) [m s]
-        Mean S.
-    fresh_low, fresh_high : (d,) [m s]
-        Its interval, for all finalists at once.
-    optimism : (d,) [m s]
-        `fresh_S` minus S of the search: what choosing the best of many had made of luck (the winner's curse).
+    fresh_S, fresh_low, fresh_high : (d,) [m s]
+        Mean S and its interval, for all finalists and the baseline at once.
+    fresh_difference, fresh_difference_low, fresh_difference_high : (d,) [m s]
+        Mean S minus that of the search's first, paired, with its interval, for all finalists at once.
+    fresh_baseline_difference, fresh_baseline_difference_low, fresh_baseline_difference_high : (d,) [m s]
+        The same to the baseline.
+    fresh_reduction : (d,)
+        1 - mean S / mean S of the baseline.
+    fresh_unmet : tuple of tuple of str
+        Requirements that a finalist misses on the fresh scenarios.
+    optimism, optimism_low, optimism_high : (d,) [m s]
+        How much better the search's figure was than the fresh one, and its interval, for all finalists at once: an
+        interval that holds 0 is no more than two draws of scenarios explain.
+    optimism_paired : bool
+        Whether that figure is the difference to the baseline (where the baseline is a law) or mean S itself.
     fresh_scenarios : int
         How many; 0 for none.
     fresh_best : int or None
         Position of the finalist with the smallest `fresh_S`.
     winner : int or None
-        Position of the design to take: of the finalists in the set of best the one with the smallest `fresh_S`; without
-        fresh scenarios the first of the ranking. None where no design is ranked.
+        Position of the design to take, see `studies.ranking.winner.choose_winner`; without fresh scenarios the first of
+        the ranking. None where no design is ranked, where no finalist meets the requirements on the fresh scenarios, or
+        where a race gave designs up by another case.
     """
 
     fresh_S: FloatArray
     fresh_low: FloatArray
     fresh_high: FloatArray
+    fresh_difference: FloatArray
+    fresh_difference_low: FloatArray
+    fresh_difference_high: FloatArray
+    fresh_baseline_difference: FloatArray
+    fresh_baseline_difference_low: FloatArray
+    fresh_baseline_difference_high: FloatArray
+    fresh_reduction: FloatArray
+    fresh_unmet: tuple[tuple[str, ...], ...]
     optimism: FloatArray
+    optimism_low: FloatArray
+    optimism_high: FloatArray
+    optimism_paired: bool
     fresh_scenarios: int
     fresh_best: int | None
     winner: int | None
@@ -52,16 +78,44 @@ class FreshScores:
 def no_fresh_scores(d: int, ranked: int) -> FreshScores:
     """No fresh scenarios were run."""
     nothing = np.full(d, np.nan)
-    return FreshScores(nothing, nothing, nothing, nothing, 0, None, 0 if ranked else None)
+    three = (nothing, nothing, nothing)
+    unmet: tuple[tuple[str, ...], ...] = ((),) * d
+    return FreshScores(*three, *three, *three, nothing, unmet, *three, False, 0, None, 0 if ranked else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchScores:
+    """What the search's scenarios said, d designs by position in the ranking.
+
+    Attributes
+    ----------
+    scores : (d, n) [m s]
+        Counted S.
+    side : (n,) int
+    set_of_best : (d,) bool
+    ranked : int
+        So many first designs are ranked.
+    baseline : int or None
+        Position of the design that all are compared with.
+    paired : bool
+        Whether the baseline is a law: a difference to it then leaves most of the draw of scenarios out.
+    """
+
+    scores: FloatArray
+    side: npt.NDArray[np.signedinteger]
+    set_of_best: BoolArray
+    ranked: int
+    baseline: int | None
+    paired: bool
 
 
 def fresh_scores(
     drivable: DrivableCase,
     positions: IntArray,
-    S: FloatArray,
-    set_of_best: BoolArray,
+    search: SearchScores,
+    unmet: Sequence[tuple[str, ...]],
     *,
-    ranked: int,
+    first_failed: bool = False,
     seed: int,
     samples: int,
     confidence: float,
@@ -71,41 +125,116 @@ def fresh_scores(
     Parameters
     ----------
     drivable : DrivableCase
-        Of the finalists on the fresh scenarios.
+        Of the finalists, and the baseline, on the fresh scenarios.
     positions : (f,) int
-        Position of each finalist in the ranking.
-    S : (d,) [m s]
-        Of the search, by position.
-    set_of_best : (d,) bool
-    ranked : int
-        So many first designs are ranked.
+        Position of each of them in the ranking.
+    search : SearchScores
+    unmet : sequence of f tuples of str
+        Requirements that each misses on the fresh scenarios.
+    first_failed : bool
+        Whether the law of the search's first failed on the fresh scenarios.
     seed, samples, confidence
         As for `studies.ranking.inference.infer`.
     """
-    resampled = Resampled.of(drivable.counted, drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM)
-    interval = simultaneous_interval(resampled, confidence)
+    d = len(search.scores)
+    order = np.argsort(positions, kind="stable")
+    positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
+    every = Resampled.of(drivable.counted[order], drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM)
+    rows = np.flatnonzero(
+        (positions < search.ranked)
+        & (search.set_of_best[positions] | (positions != (-1 if search.baseline is None else search.baseline)))
+    )
+    finalists, resampled = positions[rows], every.take(rows)
 
-    def spread(values: FloatArray) -> FloatArray:
-        result = np.full(S.size, np.nan)
-        result[positions] = values
+    def spread(values: FloatArray, among: IntArray) -> FloatArray:
+        result = np.full(d, np.nan)
+        result[among] = values
         return result
 
-    fresh_S = spread(resampled.mean)
-    finalist = np.isfinite(fresh_S) & (np.arange(S.size) < ranked)
-    in_set = finalist & set_of_best
+    def ends(interval: Interval, among: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return spread(interval.centre, among), spread(interval.low, among), spread(interval.high, among)
+
+    nothing = (np.full(d, np.nan),) * 3
+    S = spread(every.mean, positions)
+    to_first = to_baseline = optimism = nothing
+    reduction = nothing[0]
+    if finalists.size and (finalists[0] == 0 or first_failed):
+        to_first = ends(simultaneous_interval(resampled, confidence, 0), finalists)
+    there = search.baseline is not None and search.baseline in positions
+    if search.baseline is not None and there and finalists.size:
+        among = np.unique([*finalists, search.baseline])
+        taken = every.take(np.searchsorted(positions, among))
+        reference = int(np.searchsorted(among, search.baseline))
+        to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
+        reduction = spread(_reduction(taken.mean, reference), among)
+    paired = search.paired and there
+    if finalists.size:
+        among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
+        fresh = every.take(np.searchsorted(positions, among))
+        before = Resampled.of(search.scores[among], search.side, seed=seed, samples=samples)
+        found = lost(before, fresh, confidence, among.size - 1 if paired else None)
+        optimism = ends(found, among)
+        if paired:  # the baseline's own difference is 0 by definition
+            for values in optimism:
+                values[search.baseline] = np.nan
+    winner: int | None = 0 if search.ranked else None
+    if finalists.size and (finalists[0] == 0 or first_failed):
+        meets = np.array([not unmet[i] for i in rows.tolist()], dtype=np.bool_)
+        chosen = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
+        winner = None if chosen is None else int(finalists[chosen])
+    texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
-        fresh_S=fresh_S,
-        fresh_low=spread(interval.low),
-        fresh_high=spread(interval.high),
-        optimism=fresh_S - S,
-        fresh_scenarios=len(drivable.scenarios),
-        fresh_best=_smallest(fresh_S, finalist),
-        winner=_smallest(fresh_S, in_set) if in_set.any() else 0 if ranked else None,
+        S,
+        *ends(simultaneous_interval(every, confidence), positions)[1:],
+        *to_first,
+        *to_baseline,
+        reduction,
+        tuple(texts.get(i, ()) for i in range(d)),
+        *optimism,
+        paired,
+        len(drivable.scenarios),
+        int(finalists[np.argmin(resampled.mean)]) if finalists.size else None,
+        winner,
     )
 
 
-def _smallest(values: FloatArray, among: BoolArray) -> int | None:
-    return int(np.argmin(np.where(among, values, np.inf))) if among.any() else None
+def _reduction(S: FloatArray, reference: int) -> FloatArray:
+    result: FloatArray = 1.0 - S / S[reference] if S[reference] > 0 else np.full(S.size, np.nan)
+    return result
+
+
+def lost(before: Resampled, after: Resampled, confidence: float, reference: int | None = None) -> Interval:
+    """Means on one sample of scenarios minus those on another, independent one, simultaneous for all designs.
+
+    Parameters
+    ----------
+    before, after : Resampled
+        Of the same k designs; two streams of resamples.
+    confidence : float
+        Between 0 and 1.
+    reference : int, optional
+        Of the paired differences to this design instead of the means.
+
+    Returns
+    -------
+    Interval
+        `after` minus `before`, with the standard errors of both.
+    """
+    one, two = before.errors(reference), after.errors(reference)
+    errors = np.hypot(one, two)
+    deviations = after.deviations - before.deviations
+    if reference is not None:
+        deviations = deviations - deviations[:, reference : reference + 1]
+    scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
+    largest = np.abs(deviations * scale).max(axis=1, initial=0.0)
+    critical = critical_value(largest, confidence, min(before.df, after.df))
+    means = (
+        (before.mean, after.mean)
+        if reference is None
+        else (before.differences(reference), after.differences(reference))
+    )
+    centre, width = means[1] - means[0], half_widths(critical, errors)
+    return Interval(centre, errors, centre - width, centre + width, critical)
 
 
 def fresh_case(fresh: StudyResults, case: Case) -> DrivableCase:

@@ -37,6 +37,9 @@ class Inference:
     best_frequency : (d,)
         Share of resamples in which the design has the smallest mean of the ranked ones; equal ones share it. It is not
         the probability that the design is the best.
+    references, may_be_best : int
+        Designs that the critical values of the comparisons with the best were worked out for, and those that they stand
+        for; fewer references make intervals too short.
     """
 
     S_low: FloatArray
@@ -49,6 +52,8 @@ class Inference:
     baseline_difference_high: FloatArray
     set_of_best: BoolArray
     best_frequency: FloatArray
+    references: int
+    may_be_best: int
 
 
 def infer(
@@ -101,6 +106,8 @@ def infer(
         baseline_difference_high=nothing if to_baseline is None else to_baseline.high,
         set_of_best=~best.clear & among,
         best_frequency=np.where(among, best_frequency(resampled, contenders), 0.0),
+        references=best.references,
+        may_be_best=best.may_be_best,
     )
 
 

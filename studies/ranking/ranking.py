@@ -13,8 +13,9 @@ from studies.design import Design
 from studies.ranking.baseline import find_baseline
 from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order
 from studies.ranking.failed_commands import warnings_of
+from studies.ranking.few_scenarios import warnings_of_sample
 from studies.ranking.figures import Requirement, figure, parse_requirement
-from studies.ranking.fresh_scores import FreshScores, fresh_case, fresh_scores, no_fresh_scores
+from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
 from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
 from studies.ranking.requirements import missed_requirements
@@ -63,6 +64,11 @@ class Ranking(CaseFigures, Inference, FreshScores):
         What a reader must know before comparing designs.
     failed : tuple of FailedDesign
         Designs whose law failed: they have no rank and no figures.
+    given_up : int
+        Designs that a race gave up before: they have no rank and no figures either.
+    raced : bool
+        Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
+        of another race only, and there is no winner.
     """
 
     case: Case
@@ -79,6 +85,8 @@ class Ranking(CaseFigures, Inference, FreshScores):
     confidence: float
     warnings: tuple[str, ...]
     failed: tuple[FailedDesign, ...] = ()
+    given_up: int = 0
+    raced: bool = True
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -91,6 +99,11 @@ class Ranking(CaseFigures, Inference, FreshScores):
     def ranked(self) -> int:
         """Number of designs that have a rank; they are the first ones."""
         return int((self.rank > 0).sum())
+
+    @property
+    def survivors_only(self) -> bool:
+        """Whether designs were given up by S of another case, which may have been the best of this one."""
+        return self.given_up > 0 and not self.raced
 
     @property
     def tied_with_best(self) -> BoolArray:
@@ -155,25 +168,43 @@ class Ranking(CaseFigures, Inference, FreshScores):
         ranked = sum(not texts for texts in missed)
         taken = in_order(figures, order)
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
+        position = None if reference is None else _position(order, reference)
         inference = infer(
             drivable.counted[order],
             drivable.scenarios.side,
             ranked=ranked,
-            baseline=None if reference is None else _position(order, reference),
+            baseline=position,
             **chance,
         )
         warnings = list(_warnings(drivable, results.designs))
         warnings += _about_requirements(requirements, ranked, len(order))
-        if results.fresh is None or not results.fresh.designs:
-            fresh = no_fresh_scores(len(order), ranked)
-        else:
-            again, place = fresh_case(results.fresh, case.case), {results.designs[i].id: k for k, i in enumerate(order)}
-            positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
-            fresh = fresh_scores(again, positions, taken["S"], inference.set_of_best, ranked=ranked, **chance)
-            if requirements:
-                texts = missed_requirements(requirements, case_figures(again, results.fresh.designs, D_y))
-                of_winner = [texts[i] for i in np.flatnonzero(positions == fresh.winner).tolist()]
-                warnings += [f"The winner misses {', '.join(one)} on the fresh scenarios." for one in of_winner if one]
+        designs = tuple(results.designs[i] for i in order)
+        fresh = no_fresh_scores(len(order), ranked)
+        if results.fresh is not None and results.fresh.designs:
+            again, place = fresh_case(results.fresh, case.case), {design.id: k for k, design in enumerate(designs)}
+            search = SearchScores(
+                drivable.counted[order],
+                drivable.scenarios.side,
+                inference.set_of_best,
+                ranked,
+                position,
+                paired=position is not None and not designs[position].is_baseline,
+            )
+            fresh = fresh_scores(
+                again,
+                np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64),
+                search,
+                missed_requirements(requirements, case_figures(again, results.fresh.designs, D_y)),
+                first_failed=designs[0] in [one.design for one in results.fresh.failed],
+                **chance,
+            )
+            warnings += _about_finalists(fresh, ranked)
+        given_up = 0 if results.race is None else len(results.race.dropped)
+        raced = case.case == results.cases[0].case
+        if given_up and not raced:
+            fresh = dataclasses.replace(fresh, winner=None)
+            warnings.append(_not_raced(results, given_up))
+        warnings += warnings_of_sample(drivable.scenarios.side, inference)
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_figures and ranked:
             front[:ranked] = pareto_front(pareto_costs(pareto_figures, figures)[order[:ranked]])
@@ -185,12 +216,12 @@ class Ranking(CaseFigures, Inference, FreshScores):
             **_fields(inference),
             **_fields(fresh),
             case=case.case,
-            designs=tuple(results.designs[i] for i in order),
+            designs=designs,
             index=order,
             rank=rank,
             unmet=tuple(missed[i] for i in order),
             require=tuple(one.text for one in requirements),
-            baseline=None if reference is None else _position(order, reference),
+            baseline=position,
             pareto=front,
             pareto_figures=pareto_figures,
             D_y=D_y,
@@ -198,6 +229,8 @@ class Ranking(CaseFigures, Inference, FreshScores):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
+            given_up=given_up,
+            raced=raced,
         )
 
     def best_of_each_law(self) -> tuple[int, ...]:
@@ -253,6 +286,30 @@ def _about_requirements(requirements: Sequence[Requirement], ranked: int, d: int
             f"None of the {d} designs meets the requirements ({texts}): no design is ranked, and there is no winner. "
             "They are listed by mean S."
         )
+
+
+def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
+    """Finalists that were better by the search but miss a requirement on the fresh scenarios."""
+    if not ranked:
+        return
+    if fresh.winner is None:
+        texts = " or ".join(dict.fromkeys(text for texts in fresh.fresh_unmet for text in texts))
+        yield (
+            f"No finalist meets the requirements on the fresh scenarios (each misses {texts}): there is no winner. "
+            "Ask for more finalists, or leave a margin in the requirements."
+        )
+        return
+    for i, missed in enumerate(fresh.fresh_unmet[: fresh.winner]):
+        if missed:
+            yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
+
+
+def _not_raced(results: StudyResults, given_up: int) -> str:
+    return (
+        f"This case was not raced: {given_up} of {given_up + len(results.designs)} designs were given up by S of "
+        f"{results.cases[0].case.label}, and one of them may be the best here. Ranks, differences and the set of best "
+        "are of the survivors only, and there is no winner; run the study without a race to rank this case."
+    )
 
 
 def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str]:

@@ -8,7 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.ranking.bootstrap import bootstrap_deviations, check_confidence, row_means
-from studies.ranking.standard_error import degrees_of_freedom, error_parts, paired_errors, with_tails_of_t
+from studies.ranking.standard_error import (
+    degrees_of_freedom,
+    error_parts,
+    half_widths,
+    paired_errors,
+    spread_is_known,
+    with_tails_of_t,
+)
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -31,6 +38,8 @@ class Resampled:
         `studies.ranking.standard_error.error_parts`.
     df : int
         Degrees of freedom of a standard error.
+    known : bool
+        Whether there is a standard error: `studies.ranking.standard_error.spread_is_known`.
     """
 
     scores: FloatArray
@@ -38,6 +47,7 @@ class Resampled:
     deviations: FloatArray
     parts: FloatArray
     df: int
+    known: bool = True
 
     @classmethod
     def of(cls, scores: FloatArray, side: IntArray, *, seed: int, samples: int, stream: int = 0) -> Resampled:
@@ -65,6 +75,17 @@ class Resampled:
             deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream),
             parts=error_parts(scores, side),
             df=degrees_of_freedom(side),
+            known=spread_is_known(side),
+        )
+
+    def take(self, rows: IntArray) -> Resampled:
+        """Some of the designs, on the same resamples."""
+        return dataclasses.replace(
+            self,
+            scores=self.scores[rows],
+            mean=self.mean[rows],
+            deviations=self.deviations[:, rows],
+            parts=self.parts[rows],
         )
 
     def differences(self, reference: int) -> FloatArray:
@@ -74,8 +95,13 @@ class Resampled:
     def errors(self, reference: int | None = None) -> FloatArray:
         """Standard error of every mean, or of its paired difference to one design, (d,) [m s].
 
-        0 where scores do not spread, or move along with those of the reference.
+        0 where scores do not spread, or move along with those of the reference. Infinite where a side has one scenario
+        only, but for the difference of equal scores.
         """
+        if not self.known:
+            if reference is None:
+                return np.full(self.mean.size, np.inf)
+            return np.where((self.scores == self.scores[reference]).all(axis=1), 0.0, np.inf)
         if reference is None:
             return paired_errors(self.parts, np.zeros(self.parts.shape[1]), _largest(self.scores))
         return paired_errors(self.parts, self.parts[reference], _largest(self.scores[reference]))
@@ -86,7 +112,7 @@ class Resampled:
         Parameters
         ----------
         errors : (d,) [m s]
-            As from `errors`; a design with 0 is left out.
+            As from `errors`; a design with 0, or an infinite one, is left out.
         reference : int, optional
             Deviations of the difference to this design instead of the means.
         first : int, optional
@@ -192,4 +218,5 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     errors = resampled.errors(reference)
     critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.df)
     centre = resampled.mean if reference is None else resampled.differences(reference)
-    return Interval(centre, errors, centre - critical * errors, centre + critical * errors, critical)
+    width = half_widths(critical, errors)
+    return Interval(centre, errors, centre - width, centre + width, critical)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from studies.ranking.bootstrap import check_confidence
 from studies.ranking.resampled import Resampled, critical_value
+from studies.ranking.standard_error import half_widths
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -46,6 +47,8 @@ class Separation:
         Interval of the difference to the design `best`; all k hold at once, whichever design came out best.
     critical, critical_of_all : float
         Standard errors behind `low`, and behind the interval.
+    references, may_be_best : int
+        Designs that critical values were worked out for, and those that they stand for.
     """
 
     mean: FloatArray
@@ -57,6 +60,8 @@ class Separation:
     high_of_all: FloatArray
     critical: float
     critical_of_all: float
+    references: int
+    may_be_best: int
 
     @property
     def clear(self) -> BoolArray:
@@ -142,6 +147,7 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     best = int(np.argmin(resampled.mean[:k]))
     difference, error = resampled.differences(best), resampled.errors(best)
     may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    wanted = may.size
     most = max(2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // resampled.scores.size))
     if may.size > most:
         may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
@@ -158,7 +164,8 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     low = np.full(error.size, -np.inf)
     for r, row in zip(may.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
-        np.maximum(low, resampled.mean - resampled.mean[r] - critical * row, out=low, where=others)
+        np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
+    width = half_widths(of_all, error)
     low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
     return Separation(
         mean=resampled.mean,
@@ -166,10 +173,12 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
         difference=difference,
         error=error,
         low=low,
-        low_of_all=difference - of_all * error,
-        high_of_all=difference + of_all * error,
+        low_of_all=difference - width,
+        high_of_all=difference + width,
         critical=critical,
         critical_of_all=of_all,
+        references=int(may.size),
+        may_be_best=int(wanted),
     )
 
 

@@ -24,7 +24,7 @@ def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
     ----------
     values : (d, n)
     side : (n,) int
-        Stratum of each scenario. One that is alone in its stratum adds nothing.
+        Stratum of each scenario. One that is alone in its stratum adds nothing: see `spread_is_known`.
 
     Returns
     -------
@@ -79,6 +79,25 @@ def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> F
         errors[first : first + size] = np.sqrt(block.sum(axis=1))
     errors[errors <= _ROUNDING * largest] = 0.0
     return errors
+
+
+def spread_is_known(side: IntArray) -> bool:
+    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spread_is_known(np.array([1, 1, -1, -1])), spread_is_known(np.array([1, 1, -1]))
+    (True, False)
+    """
+    return bool((np.unique(side, return_counts=True)[1] > 1).all())
+
+
+def half_widths(critical: float, errors: FloatArray) -> FloatArray:
+    """Critical value times standard errors, (d,); infinite for an infinite error, whatever the critical value."""
+    result: FloatArray = np.full(errors.shape, np.inf)
+    np.multiply(critical, errors, out=result, where=np.isfinite(errors))
+    return result
 
 
 def degrees_of_freedom(side: IntArray) -> int:

@@ -62,16 +62,59 @@ def test_notes_of_the_set_the_baseline_and_the_front(study: StudyResults) -> Non
 
 def test_notes_of_fresh_scenarios(study: StudyResults) -> None:
     S = study.cases[0].S
-    fresh = results(S[1:3] + np.array([[0.010], [0.004]]), first=1)
+    fresh = results(S[:3] + np.array([[0.0], [0.010], [0.004]]))
     ranking = Ranking.of(dataclasses.replace(study, fresh=fresh), study.cases[0], bootstrap=500)
-    (note,) = [note for note in ranking_notes(ranking) if "fresh" in note]
-    winner = int(ranking.index[ranking.winner])
-    assert note.startswith(f"Winner on 200 fresh scenarios: # {ranking.rank[ranking.winner]}, ")
-    assert winner == 2
-    assert "0.0040 too low" in note
+    i = ranking.winner
+    assert i is not None
+    notes = list(ranking_notes(ranking))
+    (note,) = [note for note in notes if note.startswith("On 200 fresh scenarios the winner (# ")]
+    assert f"{100 * ranking.fresh_reduction[i]:.1f} % less than No control" in note
+    assert f"(difference {ranking.fresh_baseline_difference[i]:+.4f} m s, " in note
+    # the same difference on the search's scenarios is not told beside it
+    assert not [note for note in notes if note.startswith("Winner against")]
+    (note,) = [note for note in notes if note.startswith("The search had S ")]
+    assert note.endswith("within chance")
+    assert f"{ranking.optimism[i]:.4f} too low" in note
     table = printed(ranking)
     assert "fresh S" in table
-    assert f"{ranking.fresh_S[ranking.winner]:.4f}" in table
+    assert f"{ranking.fresh_S[i]:.4f}" in table
+
+
+def test_a_change_of_the_lead_and_a_real_loss_are_told(study: StudyResults) -> None:
+    S = study.cases[0].S
+    first, second = np.argsort(S.mean(axis=1))[:2].tolist()
+    again = S + 2.0
+    again[first] += 0.1
+    ranking = Ranking.of(dataclasses.replace(study, fresh=results(again)), study.cases[0], bootstrap=500)
+    assert ranking.index[ranking.winner] == second
+    notes = list(ranking_notes(ranking))
+    assert any(note.startswith("It was not the first of the search") for note in notes)
+    assert any(note.startswith("The search had S") and note.endswith("more than chance") for note in notes)
+
+
+def test_a_winner_that_was_no_finalist_has_no_number(study: StudyResults) -> None:
+    first = int(study.cases[0].S.mean(axis=1).argmin())
+    fresh = results(study.cases[0].S[[3]], first=3)
+    ranking = Ranking.of(dataclasses.replace(study, fresh=fresh), study.cases[0], bootstrap=500)
+    assert ranking.index[ranking.winner] == first
+    notes = list(ranking_notes(ranking))
+    assert "The winner of this case was no finalist; it has no fresh score" in notes
+    assert not [note for note in notes if "nan" in note]
+
+
+def test_what_a_race_gave_up_is_told(study: StudyResults) -> None:
+    ranking = Ranking.of(study, study.cases[0], bootstrap=500)
+    raced = dataclasses.replace(ranking, given_up=6)
+    assert "6 of 10 designs were given up in the race before" in list(ranking_notes(raced))
+    notes = list(ranking_notes(dataclasses.replace(raced, raced=False, winner=None)))
+    assert notes == ["=: not told apart from the best of the 4 survivors of another case's race; no winner here"]
+
+
+def test_a_side_of_one_scenario_has_no_interval(study: StudyResults) -> None:
+    ranking = Ranking.of(study, study.cases[0], bootstrap=500)
+    nothing = np.full(4, np.inf)
+    table = printed(dataclasses.replace(ranking, S_low=-nothing, S_high=nothing))
+    assert "inf" not in table
 
 
 def test_what_misses_is_counted_and_has_no_number(study: StudyResults) -> None:

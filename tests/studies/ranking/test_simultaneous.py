@@ -231,6 +231,8 @@ def test_few_references_stand_for_many(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.95 * every.critical < some.critical <= every.critical
     assert 0.9 * every.critical_of_all < some.critical_of_all <= every.critical_of_all
     assert not some.clear[some.best]
+    assert (some.references, some.may_be_best) == (10, every.may_be_best)
+    assert every.references == every.may_be_best > 10
 
 
 def test_solver_tolerance_is_no_difference() -> None:
@@ -257,11 +259,25 @@ def test_who_cannot_be_the_best_does_not_decide_who_is(scores: tuple[np.ndarray,
     assert (found.high_of_all[6:] < 0).all()
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_hardly_any_scenarios_give_numbers_and_no_warning(n: int) -> None:
-    values = np.arange(3.0 * n).reshape(3, n) ** 2
+@pytest.mark.parametrize("n", [1, 2, 3, 40])
+def test_a_side_of_one_scenario_has_no_interval_and_tells_nothing_apart(n: int) -> None:
+    values = np.arange(4.0 * n).reshape(4, n) ** 2
+    values[3] = values[1]
     side = np.where(np.arange(n) < 1, 1, -1)
-    found = infer(values, side, ranked=3, baseline=1, seed=0, samples=100, confidence=0.95)
+    found = infer(values, side, ranked=4, baseline=1, seed=0, samples=100, confidence=0.95)
+    assert found.set_of_best.all()
+    assert (found.S_low == -np.inf).all()
+    assert (found.S_high == np.inf).all()
+    assert found.difference_low.tolist() == [0.0, *[-np.inf] * 3]
+    assert found.difference_high.tolist() == [0.0, *[np.inf] * 3]
+    # the difference of equal scores is known
+    assert found.baseline_difference_low.tolist() == [-np.inf, 0.0, -np.inf, 0.0]
+    assert found.baseline_difference_high.tolist() == [np.inf, 0.0, np.inf, 0.0]
+
+
+def test_two_scenarios_of_each_side_have_intervals() -> None:
+    values = np.arange(12.0).reshape(3, 4) ** 2
+    found = infer(values, np.array([1, 1, -1, -1]), ranked=3, baseline=1, seed=0, samples=100, confidence=0.95)
     for field in dataclasses.fields(found):
         assert np.isfinite(getattr(found, field.name)).all(), field.name
     assert found.set_of_best[0]
