@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 from studies import Study, read_results, run_study
-from studies.results import StudyResults
+from studies.cli._race_table import print_race
+from studies.design import Design
+from studies.results import Dropped, Race, StudyResults
 
 STUDY: dict[str, Any] = {
     "name": "s",
@@ -170,6 +172,17 @@ def test_a_race_is_told_and_what_it_gave_up_is_listed(folders: Path, good: Good,
     for name in ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s"):
         assert set(column(others, name)) == {""}
     assert json.loads(good("raced", "--json").stdout)["race"]["dropped"] == len(behind)
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "1 design was"), (2, "2 designs were"), (0, "0 designs were")])
+def test_one_design_is_told_as_one(number: int, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    dropped = tuple(Dropped(Design("none", 0.1 * (i + 1), ()), 1, 100, 3.0, 0.5, 0.1) for i in range(number))
+    print_race(Race(rounds=(100, 200), alive=(1, 1), dropped=dropped, runs=300, full_runs=400))
+    lines = capsys.readouterr().out.splitlines()
+    before = f"{number + 1} designs" if number else "1 design"
+    assert lines[0] == f"round 1: 100 scenarios, {number} of {before} given up"
+    assert lines[1] == "round 2: 200 scenarios, 0 of 1 design given up"
+    assert f"75.0 % of the full study's; {words} separable from the best" in lines[2]
 
 
 def test_other_settings_of_a_raced_study(good: Good, race: StudyResults) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
@@ -21,6 +23,7 @@ from ldctoolkit.metrics import Companions
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from ldctoolkit.simulation.random_streams import RandomStream
 from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare, run_study
+from studies.cli._comparison_table import print_comparison
 from studies.comparison.comparable import FinishedStudy
 from studies.comparison.comparison_files import COLUMNS, comparison_content, write_comparison
 from studies.comparison.paired_verdicts import Verdict, paired_differences
@@ -483,6 +486,15 @@ def test_winners_of_the_raced_case_and_of_races_that_gave_nothing_up_are_compare
     assert [case.case for case in turned.cases] == [DEPARTURE, CONTROL]
     assert [case.winners is None for case in turned.cases] == [True, False]
     assert "against the old one: not compared." in turned.summary
+
+
+@pytest.mark.parametrize(("d", "title"), [(1, "1 design in both studies"), (2, "2 designs in both studies")])
+def test_one_design_is_told_as_one(scores: np.ndarray, d: int, title: str) -> None:
+    text = io.StringIO()
+    print_comparison(
+        compare(finished(scores[:d], source="old"), finished(scores[:d])), 10, Console(file=text, width=160)
+    )
+    assert f"{title}, 400 shared scenarios" in text.getvalue()
 
 
 def test_inputs_that_differ_come_as_old_and_new(scores: np.ndarray) -> None:
