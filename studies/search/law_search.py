@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -35,6 +35,8 @@ class LawSearch:
         The study's, and the number of the space.
     trials : int
         About so many designs will be proposed.
+    constrained : bool
+        Whether designs are told with margins.
 
     Raises
     ------
@@ -42,7 +44,15 @@ class LawSearch:
         If Optuna is not installed.
     """
 
-    def __init__(self, space: LawSpace, settings: SearchSettings, seed: tuple[int, int], trials: int) -> None:
+    def __init__(
+        self,
+        space: LawSpace,
+        settings: SearchSettings,
+        seed: tuple[int, int],
+        trials: int,
+        *,
+        constrained: bool = False,
+    ) -> None:
         try:
             import optuna
         except ImportError:
@@ -53,9 +63,16 @@ class LawSearch:
         self._every_gain = settings.sampler == "nsga2"
         self._repeats = 0
         self._found: set[str] = set()
+        self._margins: dict[int, tuple[float, ...]] = {}
         objectives = len(settings.objectives)
         with _quiet():
-            sampler = _sampler(settings, seed, trials, conditional=bool(space.conditions))
+            sampler = _sampler(
+                settings,
+                seed,
+                trials,
+                conditional=bool(space.conditions),
+                constraints=self._constraints if constrained else None,
+            )
             self._optuna = optuna.create_study(directions=["minimize"] * objectives, sampler=sampler)
 
     @property
@@ -72,7 +89,7 @@ class LawSearch:
         self._found.add(design.id)
         return trial, design
 
-    def tell(self, trial: Any, costs: tuple[float, ...] | None) -> None:
+    def tell(self, trial: Any, costs: tuple[float, ...] | None, margins: tuple[float, ...] = ()) -> None:
         """Tell a trial.
 
         Parameters
@@ -80,6 +97,8 @@ class LawSearch:
         trial : optuna.Trial
         costs : tuple of float or None
             One for each objective, smaller is better; None for a design that failed.
+        margins : tuple of float
+            One for each requirement, above 0 where it is missed; of no use to a random sampler.
         """
         from optuna.trial import TrialState
 
@@ -87,7 +106,16 @@ class LawSearch:
             if costs is None:
                 self._optuna.tell(trial, state=TrialState.FAIL)
             else:
+                if hasattr(trial, "set_constraint"):  # since Optuna 5
+                    for i, margin in enumerate(margins):
+                        trial.set_constraint(str(i), margin)
+                else:
+                    self._margins[trial.number] = margins
                 self._optuna.tell(trial, list(costs))
+
+    def _constraints(self, trial: Any) -> tuple[float, ...]:
+        """What Optuna before its version 5 asks for when a trial is told."""
+        return self._margins[trial.number]
 
     def _design(self, trial: Any) -> Design:
         space = self._space
@@ -128,15 +156,27 @@ def _suggest_number(trial: Any, name: str, span: Span) -> float:
     return min(max(value, span.low), span.high)
 
 
-def _sampler(settings: SearchSettings, seed: tuple[int, int], trials: int, *, conditional: bool) -> Any:
+def _sampler(
+    settings: SearchSettings,
+    seed: tuple[int, int],
+    trials: int,
+    *,
+    conditional: bool,
+    constraints: Callable[[Any], tuple[float, ...]] | None,
+) -> Any:
     from optuna import samplers
+    from optuna.trial import Trial
+
+    # later ones are told with the trial, and refuse this
+    before_5 = {"constraints_func": constraints} if constraints and not hasattr(Trial, "set_constraint") else {}
 
     short = int(np.random.SeedSequence([seed[0], _STREAM, seed[1]]).generate_state(1)[0])
     if settings.sampler == "random":
         return samplers.RandomSampler(seed=short)
     if settings.sampler == "nsga2":
         # ten generations or more; fifty is Optuna's own size
-        return samplers.NSGAIISampler(population_size=min(50, max(4, trials // 10)), seed=short)
+        size = min(50, max(4, trials // 10))
+        return samplers.NSGAIISampler(population_size=size, seed=short, **before_5)
     single = len(settings.objectives) == 1
     return samplers.TPESampler(
         n_startup_trials=min(10, max(4, trials // 4)),
@@ -144,6 +184,7 @@ def _sampler(settings: SearchSettings, seed: tuple[int, int], trials: int, *, co
         group=single and conditional,
         constant_liar=True,  # designs of one batch keep their distance
         seed=short,
+        **before_5,
     )
 
 

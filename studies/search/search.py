@@ -25,7 +25,8 @@ class Search:
 
     Designs of tables without any choice, such as ``law = "none"``, come first. Then each law is searched for itself:
     half of the proposals go to the laws in turn, the other half to the laws of the best designs so far. A design that
-    is proposed again is not asked for again: Optuna is told its value at once, and the proposal is no trial.
+    is proposed again is not asked for again: Optuna is told its value at once, and the proposal is no trial. A design
+    that misses a requirement of the ranking is worse than every one that meets all.
 
     Parameters
     ----------
@@ -59,10 +60,15 @@ class Search:
         self._given = [space.design({}) for space in spaces if not space.varying]
         varying = [space for space in spaces if space.varying]
         each = math.ceil(self._settings.trials / max(len(varying), 1))
-        self._laws = [LawSearch(space, self._settings, (study.seed, i), each) for i, space in enumerate(varying)]
+        self._requirements = len(study.ranking.require)
+        self._laws = [
+            LawSearch(space, self._settings, (study.seed, i), each, constrained=bool(self._requirements))
+            for i, space in enumerate(varying)
+        ]
         self._asked: dict[str, Design] = {}
         self._law_of: dict[str, int] = {}
         self._costs: dict[str, Values | None] = {}
+        self._margins: dict[str, Values] = {}
         self._open: list[tuple[int, Any, str]] = []
         self._untold: dict[str, None] = {}
         self._leading: list[int] = []
@@ -92,7 +98,7 @@ class Search:
                 break
         return tuple(self._asked[name] for name in self._untold)
 
-    def tell(self, values: Mapping[str, Values | None]) -> None:
+    def tell(self, values: Mapping[str, Values | None], margins: Mapping[str, Values] | None = None) -> None:
         """Say how good the designs of the last batch are.
 
         Parameters
@@ -100,12 +106,15 @@ class Search:
         values : mapping
             ``Design.id`` -> the objectives in the study's order; None for a design that failed. A design with an
             objective that is not a number has failed too.
+        margins : mapping, optional
+            ``Design.id`` -> one number for each requirement of the study, above 0 where the design misses it, and the
+            larger the farther it is off; designs that failed need none. Left out: all requirements are met.
 
         Raises
         ------
         InputError
-            If a design of the last batch is missing, another is told, or the number of objectives is wrong. Nothing
-            is told then.
+            If a design of the last batch is missing, another is told, the number of objectives or of margins is wrong,
+            or a margin is not a number. Nothing is told then.
         """
         for name in self._untold:
             if name not in values:
@@ -116,12 +125,28 @@ class Search:
             if told is not None and len(told) != len(self._signs):
                 allowed = f"allowed: {len(self._signs)}, one for each objective"
                 raise InputError(f"tell: design {name}: {len(told)} values; {allowed}")
+        missed = self._checked_margins(values, margins)
         self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
+        self._margins |= missed
         for law, trial, name in self._open:  # in the order asked, whatever the order told
-            self._laws[law].tell(trial, self._costs[name])
+            self._laws[law].tell(trial, self._costs[name], self._margins[name])
         self._open.clear()
         self._untold.clear()
         self._leading = self._best_laws()
+
+    def _checked_margins(
+        self, values: Mapping[str, Values | None], margins: Mapping[str, Values] | None
+    ) -> dict[str, Values]:
+        """The margins of every design of the last batch."""
+        met = (0.0,) * self._requirements
+        if margins is None:
+            return dict.fromkeys(self._untold, met)
+        found = {name: met if values[name] is None else margins.get(name, ()) for name in self._untold}
+        for name, told in found.items():
+            if len(told) != self._requirements or any(math.isnan(margin) for margin in told):
+                allowed = f"allowed: {self._requirements} numbers, one for each requirement"
+                raise InputError(f"tell: design {name}: margins {tuple(told)!r}; {allowed}")
+        return {name: tuple(float(margin) for margin in told) for name, told in found.items()}
 
     def _as_costs(self, values: Values | None) -> Values | None:
         if values is None or any(math.isnan(value) for value in values):
@@ -129,12 +154,21 @@ class Search:
         return tuple(sign * float(value) for sign, value in zip(self._signs, values, strict=True))
 
     def _best_laws(self) -> list[int]:
-        """The law of each design that no other dominates, in the order asked."""
-        found = [(law, costs) for name, law in self._law_of.items() if (costs := self._costs.get(name)) is not None]
+        """The law of each design that no other dominates, in the order asked.
+
+        Among the designs that meet all requirements; where none does, among those that miss them by the least.
+        """
+        found = [
+            (law, costs, sum(margin for margin in self._margins[name] if margin > 0))
+            for name, law in self._law_of.items()
+            if (costs := self._costs.get(name)) is not None
+        ]
         if not found:
             return []
-        front = pareto_front(np.array([costs for _, costs in found]))
-        return [law for (law, _), best in zip(found, front, strict=True) if best]
+        least = min(missed for _, _, missed in found)
+        found = [one for one in found if one[2] == least]
+        front = pareto_front(np.array([costs for _, costs, _ in found]))
+        return [law for (law, _, _), best in zip(found, front, strict=True) if best]
 
     def _next_law(self) -> int | None:
         """The law that proposes now; None when all are used up."""
@@ -153,7 +187,7 @@ class Search:
     def _propose(self, law: int) -> None:
         trial, design = self._laws[law].propose()
         if design.id in self._costs:
-            self._laws[law].tell(trial, self._costs[design.id])
+            self._laws[law].tell(trial, self._costs[design.id], self._margins[design.id])
         else:
             self._open.append((law, trial, design.id))
             self._law_of.setdefault(design.id, law)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.design import Design
-from studies.ranking.figures import figure_values
+from studies.ranking.figures import figure_values, parse_requirement
 from studies.ranking.ranking import Ranking
 from studies.running.campaign import Campaign
+from studies.search.requirement_margins import requirement_margins
 from studies.search.search import Search, Values
 
 
@@ -25,7 +26,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
         if stored[: len(search.asked)] != search.asked:
             store.write_designs(search.asked)
         campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
-        search.tell(_values(campaign, batch))
+        search.tell(*_values_and_margins(campaign, batch))
     return search.asked
 
 
@@ -33,17 +34,22 @@ _RESAMPLES = 100
 """Of an interval that nobody reads: figures do not depend on it."""
 
 
-def _values(campaign: Campaign, batch: Sequence[Design]) -> dict[str, Values | None]:
-    """The objectives of each design by its identifier; None for one that failed."""
+def _values_and_margins(
+    campaign: Campaign, batch: Sequence[Design]
+) -> tuple[dict[str, Values | None], dict[str, Values]]:
+    """The objectives of each design by its identifier, None for one that failed; and how far it misses requirements."""
     study, store = campaign.study, campaign.store
     values: dict[str, Values | None] = {design.id: None for design in batch}
+    margins: dict[str, Values] = {}
     conventions = study.simulation.convention
     ran = [design for design in batch if not any(campaign.table.missing((design.id, c)) for c in conventions)]
     if not ran:
-        return values
+        return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
     ranking = Ranking.of(results, results.cases[0], seed=study.seed, bootstrap=_RESAMPLES, D_y=study.report.D_y)
     columns = [figure_values(name, ranking) for name in study.search.objectives] if study.search else []
+    missed = requirement_margins([parse_requirement(text) for text in study.ranking.require], ranking)
     for i, design in enumerate(ranking.designs):
         values[design.id] = tuple(float(column[i]) for column in columns)
-    return values
+        margins[design.id] = tuple(missed[i].tolist())
+    return values, margins

@@ -97,7 +97,7 @@ def test_the_middle_is_no_winner_where_nothing_is_ranked(tmp_path: Path, capsys:
     assert main(["sensitivity", str(tmp_path / "out"), "--points", "0"]) == 0
     out = capsys.readouterr().out
     assert ", smallest mean S, not ranked, one at a time, departure window" in out
-    assert "winner" not in out
+    assert "the winner" not in out
 
 
 def test_a_design_without_neighbours_has_no_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,13 +11,14 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ldctoolkit.errors import InputError, StudyError
-from studies import Design, Study
+from studies import Design, Study, rank_study, run_study
 from studies.ranking.pareto import pareto_front
 from studies.search.search import Search
 
@@ -295,3 +296,115 @@ def test_optunas_own_settings_are_left_as_they_were() -> None:
         assert optuna.logging.get_verbosity() == optuna.logging.DEBUG
     finally:
         optuna.logging.set_verbosity(optuna.logging.INFO)
+
+
+# --- requirements -----------------------------------------------------------------------------------------------------
+
+
+def drive_within(search: Search, objective: Objective, margins: Callable[[Design], tuple[float, ...]]) -> None:
+    while batch := search.ask():
+        search.tell({d.id: objective(d) for d in batch}, {d.id: margins(d) for d in batch})
+
+
+def restricted(design: Any, require: list[str], seed: int = 0, **search: Any) -> Study:
+    content = {"name": "s", "seed": seed, "search": search, "design": design, "ranking": {"require": require}}
+    return Study.from_dict(content)
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
+@pytest.mark.parametrize("objectives", [["S"], ["S", "a_y_peak_mean"]])
+def test_a_search_keeps_to_what_the_ranking_requires(sampler: str, objectives: list[str]) -> None:
+    """The first cost falls towards y_s = 0, and only 0.6 to 1 is allowed; below 0.3 there is no figure for it."""
+
+    def costs(design: Design) -> tuple[float, ...]:
+        return (design.y_s, float(dict(design.gains)["q_psi"]))[: len(objectives)]
+
+    def margins(design: Design) -> tuple[float, ...]:
+        return (0.6 - design.y_s if design.y_s > 0.3 else math.inf, -1.0)
+
+    block = [ONE_LAW[0] | {"y_s": {"from": 0.0, "to": 1.0}}]
+    study = restricted(block, ["S <= 1", "deeper <= 0.5"], trials=120, batch=6, sampler=sampler, objectives=objectives)
+    search, free = Search(study), Search(study)
+    drive_within(search, costs, margins)
+    drive(free, costs)  # without margins, the old way, all count as met
+    met = [np.array([design.y_s for design in one.asked]) >= 0.6 for one in (search, free)]
+    # of six seeds the least is 0.47 of the second half, and the most 0.27 without; the best lie next to the limit
+    assert met[0][60:].mean() > 0.45
+    assert met[1][60:].mean() < 0.3
+    assert min(design.y_s for design in search.asked if design.y_s >= 0.6) < 0.65
+    # the same margins, the same designs, whatever the order in a batch
+    again = Search(study)
+    while batch := again.ask():
+        again.tell({d.id: costs(d) for d in reversed(batch)}, {d.id: margins(d) for d in reversed(batch)})
+    assert again.asked == search.asked
+
+
+def test_chance_is_not_led_by_requirements() -> None:
+    block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}]
+    free, bound = (Search(restricted(block, ["S <= 1"], trials=20, batch=4, sampler="random")) for _ in range(2))
+    drive(free, lambda design: (design.y_s,))
+    drive_within(bound, lambda design: (design.y_s,), lambda design: (0.6 - design.y_s,))
+    assert free.asked == bound.asked
+
+
+@pytest.mark.parametrize("distance", [-1.0, 2.0])
+def test_laws_that_meet_the_requirements_are_asked_more_often(distance: float) -> None:
+    """The LQR costs nothing and is farther from the limit; the MPC meets it, or comes nearer."""
+    search = Search(restricted(TWO_LAWS, ["S <= 1"], trials=61, batch=5, sampler="random"))
+    drive_within(
+        search,
+        lambda design: (0.0 if design.law == "lqr" else 1.0,),
+        lambda design: (5.0 if design.law == "lqr" else distance,),
+    )
+    laws = [design.law for design in search.asked]
+    # one without control, half of the others in turn, half by rank but for the first batch
+    assert laws.count("linear_mpc") >= 42
+
+
+def test_designs_that_fail_have_no_margins_and_wrong_ones_are_refused() -> None:
+    search = Search(restricted(ONE_LAW, ["S <= 1", "deeper <= 0.5"], trials=8, batch=2))
+    first, second = search.ask()
+    values: dict[str, Any] = {first.id: (1.0,), second.id: None}
+    for margins, words in (
+        ({}, r"margins \(\); allowed: 2 numbers, one for each requirement"),
+        ({first.id: (1.0,)}, r"margins \(1.0,\); allowed: 2 numbers"),
+        ({first.id: (1.0, math.nan)}, r"margins \(1.0, nan\); allowed: 2 numbers"),
+    ):
+        with pytest.raises(InputError, match=f"tell: design {first.id}: {words}"):
+            search.tell(values, margins)
+    search.tell(values, {first.id: (1.0, math.inf)})
+    assert len(search.ask()) == 2
+
+
+def test_a_run_tells_the_margins_of_its_own_requirements(
+    make_study: Callable[..., Study], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Above 0 for the designs that the ranking refuses, requirement by requirement, and for no others."""
+    told: dict[str, tuple[float, ...]] = {}
+    tell = Search.tell
+
+    def listen(self: Search, values: Any, margins: Any = None) -> None:
+        told.update(margins)
+        tell(self, values, margins)
+
+    monkeypatch.setattr(Search, "tell", listen)
+    study = make_study(
+        design=[{"law": "none"}, {"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": [10, 5000]}}],
+        search={"trials": 12, "batch": 4},
+        simulation={},
+        ranking={"bootstrap": 100, "finalists": 0, "require": ["S <= 0.3", "reduction > 0"]},
+    )
+    results = run_study(study, directory=tmp_path, workers=1)
+    ranking = rank_study(results, study)[0]
+    assert len(told) == len(ranking) == 12
+    missed = {
+        design.id: tuple(text for text, margin in zip(ranking.require, told[design.id], strict=True) if margin > 0)
+        for design in ranking.designs
+    }
+    assert missed == {design.id: unmet for design, unmet in zip(ranking.designs, ranking.unmet, strict=True)}
+    assert any(missed.values())
+    # in parts of the limit
+    S = {design.id: value for design, value in zip(ranking.designs, ranking.S.tolist(), strict=True)}
+    assert {name: margin[0] for name, margin in told.items()} == pytest.approx(
+        {name: (value - 0.3) / 0.3 for name, value in S.items()}, rel=1e-9
+    )
