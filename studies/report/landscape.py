@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +44,9 @@ def swept_axes(designs: Sequence[Design]) -> tuple[Axis, ...]:
     return tuple(axes)
 
 
-def landscapes(designs: Sequence[Design], S_mean: FloatArray, winner: int) -> Iterator[Landscape]:
+def landscapes(
+    designs: Sequence[Design], S_mean: FloatArray, winner: int, framed: Collection[int] = ()
+) -> Iterator[Landscape]:
     """The panels of every law: y_s against each swept gain, or a profile where one quantity is swept.
 
     Parameters
@@ -54,6 +56,8 @@ def landscapes(designs: Sequence[Design], S_mean: FloatArray, winner: int) -> It
     S_mean : (d,) [m s]
     winner : int
         Index of the best design.
+    framed : collection of int
+        Indices of the best designs of the other laws; of a law without one the least `S_mean` is taken.
 
     Yields
     ------
@@ -63,7 +67,7 @@ def landscapes(designs: Sequence[Design], S_mean: FloatArray, winner: int) -> It
     for law in dict.fromkeys(d.law for d in designs):
         members = [i for i, d in enumerate(designs) if d.law == law]
         axes = swept_axes([designs[i] for i in members])
-        best = winner if winner in members else min(members, key=lambda i: S_mean[i])
+        best = winner if winner in members else min(members, key=lambda i: (i not in framed, S_mean[i]))
         title = controller_class(law).title
         if not axes:
             continue

@@ -70,12 +70,12 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
     Returns
     -------
     LimitsTable
-        The best design of each law by rank, and the baseline last.
+        The winner, the best design of each other law by rank, and no control last.
     """
     rows = [row for row in table.best_of_each_law if not is_baseline(row)][:MOST_COLUMNS]
     baseline = next((row for row in table.rows if is_baseline(row)), None)
     rows += [baseline] if baseline is not None else []
-    places = [next(k for k, one in enumerate(table.rows) if one.index == row.index) for row in rows]
+    places = [row.place for row in rows]
     figures = ranking.release
 
     def line(name: str, show: Callable[[Row, int], str], limit: str = "", *, acts: bool = False) -> Line:
@@ -142,6 +142,7 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
                 ),
                 line("Departures with a failed solve", lambda r, _: f"{r.solver_failed:,}", acts=True),
                 line("Departures that diverged", lambda r, _: f"{r.diverged:,}", acts=True),
+                line("Departures that timed out or crashed", lambda r, _: f"{r.timed_out + r.crashed:,}", acts=True),
                 line("Time of the law per command [µs]", lambda _, k: _law_time(figures.law_time[k]), acts=True),
             ),
         ),
@@ -158,7 +159,7 @@ def _column(row: Row) -> Column:
         return Column(row.title, Markup(""))
     threshold = f"y_s\u00a0=\u00a0{compact(row.design.y_s)}\u00a0m"
     gains = (f"{name}\u00a0=\u00a0{value}{chr(0xA0) + unit if unit else ''}" for name, value, unit in row.gains)
-    return Column(row.title, symbols(", ".join([threshold, *gains])))
+    return Column(row.title, symbols(", ".join([threshold, *gains, *([] if row.rank else ["not ranked"])])))
 
 
 def _spread(figures: ReleaseFigures, quantity: str, k: int) -> str:
@@ -176,18 +177,21 @@ def _law_time(value: float) -> str:
 
 
 def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> Iterator[Markup]:
-    """The best design against the limits, a sentence or two."""
-    best, figures = table.winner, ranking.release
+    """The winner against the limits, a sentence or two."""
+    best, figures = table.best, ranking.release
+    k = best.place
     if is_baseline(best):
-        yield Markup("No control has the lowest mean S here, so there is no intervention of the best design to judge.")
+        yield Markup("No control is {} here, so there is no intervention to judge.").format(table.best_name)
         return
     said = Markup(
-        "<strong>{}</strong>, the best by mean S, keeps the front axle\u2019s edge within 0.3\u00a0m beyond the line "
+        "<strong>{}</strong>, {}{}, keeps the front axle\u2019s edge within 0.3\u00a0m beyond the line "
         "in <strong>{}</strong> of the departures{}; at worst the edge is {} it."
     )
-    none = next((k for k, row in enumerate(table.rows) if is_baseline(row)), None)
+    none = next((row.place for row in table.rows if is_baseline(row)), None)
     before = "" if none is None else f" ({percent(figures.within_dtle[none])} without control)"
-    yield said.format(design_text(best), percent(figures.within_dtle[0]), before, _beyond(figures.dtle_min[0]))
+    misses = "" if best.rank else f" (it misses {', '.join(best.unmet)})"
+    share, worst = percent(figures.within_dtle[k]), _beyond(figures.dtle_min[k])
+    yield said.format(design_text(best), table.best_name, symbols(misses), share, before, worst)
     if best.triggered == 0:
         yield Markup("It never took over, so there is no intervention to judge.")
         return
@@ -196,10 +200,10 @@ def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> I
         "{}\u00a0m/s², the largest lateral jerk {}\u00a0m/s³. {}"
     )
     yield said.format(
-        percent(figures.comfortable[0]),
-        number(figures.a_y_peak_max[0], 1),
-        number(figures.jerk_peak_max[0], 1),
-        _way_back(report, figures),
+        percent(figures.comfortable[k]),
+        number(figures.a_y_peak_max[k], 1),
+        number(figures.jerk_peak_max[k], 1),
+        _way_back(report, figures, k),
     )
     if best.diverged:
         yield Markup(
@@ -211,10 +215,10 @@ def _beyond(dtle: float) -> str:
     return f"{number(abs(dtle), 2)}\u00a0m {'beyond' if dtle < 0 else 'inside'}"
 
 
-def _way_back(report: ReportInput, figures: ReleaseFigures) -> str:
+def _way_back(report: ReportInput, figures: ReleaseFigures, k: int) -> str:
     horizon = f" within {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""
-    back = f"The edge is back inside after {percent(figures.back_inside[0])} of them{horizon}"
-    if not figures.overshoot_share[0] > 0:
+    back = f"The edge is back inside after {percent(figures.back_inside[k])} of them{horizon}"
+    if not figures.overshoot_share[k] > 0:
         return f"{back}, and the opposite edge never crosses the opposite line."
-    share, most = percent(figures.overshoot_share[0]), number(figures.overshoot_max[0], 2)
+    share, most = percent(figures.overshoot_share[k]), number(figures.overshoot_max[k], 2)
     return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m."

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from ldctoolkit.errors import InputError
 from studies.report import prose, text
+from studies.report.answer import answer
 from studies.report.inputs import ReportInput
 from studies.report.limits import against_limits, limits_table
 from studies.report.panels import Panels
@@ -43,19 +44,40 @@ class Tile:
 
 
 def _tiles(table: CaseTable) -> list[Tile]:
-    winner, shown = table.winner, text.number
-    interval = f"{text.percent(table.confidence, 0)} interval {prose.between(winner.S)}"
-    tiles = [Tile(shown(winner.S.value), "m·s", "mean score S of the best design", interval)]
-    if not is_baseline(winner):
-        change = winner.reduction
+    best, shown = table.best, text.number
+    interval = f"{text.percent(table.confidence, 0)} interval {prose.between(best.fresh or best.S)}"
+    if best.fresh is not None:
+        scenarios = f"mean score S of {table.best_name} on {table.fresh_scenarios:,} fresh departures"
+        tiles = [
+            Tile(
+                shown(best.fresh.value),
+                "m·s",
+                scenarios,
+                f"{interval}; {shown(best.S.value)} where designs were chosen",
+            )
+        ]
+    else:
+        tiles = [Tile(shown(best.S.value), "m·s", f"mean score S of {table.best_name}", interval)]
+    if not is_baseline(best):
+        change = best.reduction
         interval = f"interval {shown(-100 * change.high, 1)} to {shown(-100 * change.low, 1)}"
         tiles.append(Tile(text.signed(-100 * change.value, 1), "%", "against no control", interval))
         deep = f"of departures deeper than {text.compact(table.D_y)}\u00a0m"
         before = f"{text.percent(table.uncorrected_deeper)} without control"
-        tiles.append(Tile(shown(100 * winner.deeper, 1), "%", deep, before))
-    if len(table.rows) > 1:
-        detail = f"of {text.plural(len(table.rows) - 1, 'other design')}"
-        tiles.append(Tile(f"{table.tied:,}", "", "statistically tied with the best", detail))
+        tiles.append(Tile(shown(100 * best.deeper, 1), "%", deep, before))
+    if table.winner is None:
+        of = f"of {text.plural(len(table.rows), 'design')}"
+        ranked = f"{of}, {table.ranked:,} where designs were chosen"
+        what = (
+            "finalists meet the requirements on fresh departures" if table.ranked else "designs meet the requirements"
+        )
+        tiles.append(Tile("0", "", what, ranked if table.ranked else of))
+    elif len(table.rows) > 1:
+        others = len(table.set_of_best) - 1
+        holds = f"the truly best is in it with {text.percent(table.confidence, 0)} confidence"
+        tiles.append(
+            Tile(f"{others:,}", "", f"other {'design' if others == 1 else 'designs'} in the set of best", holds)
+        )
     return tiles
 
 
@@ -141,7 +163,8 @@ def render(report: ReportInput) -> str:
         warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
         tiles=_tiles(primary),
         every=every,
-        answer=prose.answer(report, primary),
+        raced=primary.race is not None and bool(primary.race.dropped),
+        answer=answer(report, primary),
         plant=prose.plant(report),
         limits=limits_table(report, primary, report.rankings[0]),
         against_limits=against_limits(report, primary, report.rankings[0]),

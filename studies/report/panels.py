@@ -23,6 +23,7 @@ from studies.report.figures_landscape import heat_map, profile
 from studies.report.figures_paths import path_figure, path_limits
 from studies.report.inputs import ReportInput
 from studies.report.landscape import color_range, landscapes
+from studies.report.prose import design_text, rank_text
 from studies.report.style import RECORDED, LineStyle, law_styles
 from studies.report.summary import CaseTable, Row, is_baseline
 from studies.report.svg import inline_svg, line_sample
@@ -68,6 +69,7 @@ class Panels:
     def __init__(self, report: ReportInput, table: CaseTable) -> None:
         self.report, self.table = report, table
         self.scenarios, self.case = report.results.scenarios, report.results.cases[0]
+        self.S = self.case.counted  # what is ranked: a failure is at least as bad as no control
         self.styles = law_styles(row.design.law for row in table.best_of_each_law)  # the winner's line is solid
         self._count = 0
 
@@ -79,19 +81,19 @@ class Panels:
         return self.styles[row.design.law]
 
     def shown(self) -> tuple[Row, ...]:
-        """The best design of each law that intervenes, by rank."""
+        """The best design of each law that intervenes, the winner first."""
         return tuple(row for row in self.table.best_of_each_law if not is_baseline(row))[:MOST_CURVES]
 
     def _curves(self, rows: Iterable[Row], mask: np.ndarray, *, recorded: bool = True) -> list[Curve]:
         curves = []
         if recorded:
-            S_0 = self.case.S_uncorrected[self.table.winner.index]
+            S_0 = self.case.S_uncorrected[self.table.best.index]
             curves.append(Curve("No control", RECORDED, S_0[mask]))
         paper = self.table.paper_design
         for row in rows:
-            S, S_0 = self.case.S[row.index][mask], self.case.S_uncorrected[row.index][mask]
+            S, S_0 = self.S[row.index][mask], self.case.S_uncorrected[row.index][mask]
             is_paper = paper is not None and row.index == paper.index
-            label = printable(row.title) + (" (Table I)" if is_paper else "")
+            label = printable(row.title) + (" (Table I)" if is_paper else "") + ("" if row.rank else " (not ranked)")
             saved = 1.0 - float(np.mean(S)) / float(np.mean(S_0)) if np.any(S_0 > 0) else 0.0
             curves.append(Curve(label, self._style(row), S, saved))
         return curves
@@ -99,8 +101,9 @@ class Panels:
     def landscape(self) -> list[Panel]:
         """S over (y_s, gains)."""
         designs = self.report.results.designs
-        S_mean = self.case.S.mean(axis=1)
-        every = list(landscapes(designs, S_mean, self.table.winner.index))
+        S_mean = self.S.mean(axis=1)
+        framed = [row.index for row in self.table.best_of_each_law]
+        every = list(landscapes(designs, S_mean, self.table.best.index, framed))
         low, high = color_range(every, self.table.uncorrected) if every else (0.0, 1.0)
         panels = []
         for one in every:
@@ -132,7 +135,7 @@ class Panels:
         shown = [(row.index, row.design, printable(row.title), self._style(row)) for row in self.shown()]
         if not shown:
             return Replay((), 0.0)
-        if self.table.winner.index != shown[0][0]:  # no control won: follow the best design that intervenes
+        if self.table.best.index != shown[0][0]:  # no control won: follow the best design that intervenes
             shown = sorted(shown, key=lambda one: one[0] != shown[0][0])
         return replay(self.report, self.case, shown)
 
@@ -150,8 +153,6 @@ class Panels:
 
     def legend(self) -> list[Legend]:
         """Lines of the path figures."""
-        from studies.report.prose import design_text
-
         entries = [Legend(line_sample(RECORDED.color, RECORDED.dash), Markup("uncorrected path, no control"))]
         for row in self.shown():
             style = self._style(row)
@@ -175,31 +176,31 @@ class Panels:
             return []
         order = interleaved(self.scenarios.side)
         everyone = np.ones(self.scenarios.n, dtype=bool)
-        rows = self.shown() or (self.table.winner,)
+        rows = self.shown() or (self.table.best,)
         curves = self._curves(rows, everyone, recorded=False)
         panels = [
             self._panel(
                 convergence_figure(curves, order, "Mean score", "Mean S [m·s]"), "Running mean of S with a 95 % band"
             )
         ]
-        S_best = self.case.S[self.table.winner.index]
-        others = [row for row in self.rivals() if row.index != self.table.winner.index]
+        S_best = self.S[self.table.best.index]
+        others = [row for row in self.rivals() if row.index != self.table.best.index]
         if others:
             named = [
-                Curve(f"{printable(row.title)}, rank {row.rank}", style, self.case.S[row.index] - S_best)
+                Curve(f"{printable(row.title)}, {rank_text(row)}", style, self.S[row.index] - S_best)
                 for row, style in zip(others, self._rival_styles(others), strict=True)
             ]
             figure = convergence_figure(
-                named, order, "Paired difference to the best", "Mean of S \u2212 S of the best [m·s]"
+                named, order, f"Paired difference to {self.table.best_name}", "Mean paired difference of S [m·s]"
             )
-            panels.append(self._panel(figure, "Running mean of the paired difference to the best design"))
+            panels.append(self._panel(figure, f"Running mean of the paired difference to {self.table.best_name}"))
         return panels
 
     def rivals(self) -> tuple[Row, ...]:
-        """Rank 2, and the best of each other law."""
-        second = self.table.rows[1:2]
+        """The first design of the ranking beside the best, and the best of each other law."""
+        second = [row for row in self.table.rows if row is not self.table.best][:1]
         chosen = {row.index: row for row in (*second, *self.shown()[1:]) if not is_baseline(row)}
-        return tuple(sorted(chosen.values(), key=lambda row: row.rank))[:MOST_CURVES]
+        return tuple(sorted(chosen.values(), key=lambda row: row.place))[:MOST_CURVES]
 
     def _rival_styles(self, rows: list[Row]) -> list[LineStyle]:
         """Each law's own style; a second design of a law gets another dash."""

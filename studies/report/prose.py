@@ -1,4 +1,4 @@
-"""The report's sentences: what won, by how much, how sure, and what the study cannot say."""
+"""The report's sentences on designs, the plant, and what the study cannot say."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from ldctoolkit.departures import LEFT
 from studies.report.inputs import ReportInput
-from studies.report.landscape import is_full_grid, on_the_edge
-from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline
+from studies.report.landscape import is_full_grid
+from studies.report.summary import CaseTable, Interval, Row, is_baseline, tried
 from studies.report.text import compact, number, percent, plural, symbols
 from studies.study_file.plant_table import differences
 
@@ -34,106 +33,9 @@ def between_percent(interval: Interval) -> str:
     return f"{percent(interval.low)} to {percent(interval.high)}"
 
 
-def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
-    """The answer in a few sentences, each a paragraph."""
-    winner = table.winner
-    sentences = [_lead(report, table)]
-    if is_baseline(winner):
-        sentences.append(Markup("No design of this study improves on leaving the departures alone."))
-    else:
-        sentences.append(_against_no_control(table))
-        rival, words = _rival(table)
-        if rival is not None:
-            sentences.append(_against(rival, words))
-    sentences.append(_tied(table))
-    if winner.triggered == 0 and not is_baseline(winner):
-        sentences.append(
-            Markup("No departure went deep enough to trigger it, so the score is that of the uncorrected paths.")
-        )
-    edge = () if is_baseline(winner) else on_the_edge(report.results.designs, winner.index)
-    if edge:
-        said = Markup("The best design sits at the end of what was tried for {}: a wider sweep may find a better one.")
-        sentences.append(said.format(symbols(", ".join(edge))))
-    return sentences
-
-
-def _lead(report: ReportInput, table: CaseTable) -> Markup:
-    winner, n = table.winner, report.results.scenarios.n
-    left = int((report.results.scenarios.side == LEFT).sum())
-    equal = sum(row.rank == winner.rank for row in table.rows) - 1
-    has = f"shares with {plural(equal, 'other')}" if equal else "has"
-    said = Markup(
-        "<strong>{}</strong> {} the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> "
-        "({} interval {}) over {} ({:,} left, {:,} right), the same for all designs."
-    )
-    return said.format(
-        design_text(winner),
-        has,
-        plural(len(table.rows), "design"),
-        number(winner.S.value),
-        percent(table.confidence, 0),
-        between(winner.S),
-        plural(n, "generated departure"),
-        left,
-        n - left,
-    )
-
-
-def _against_no_control(table: CaseTable) -> Markup:
-    winner = table.winner
-    saved = winner.reduction.value
-    word = "less" if saved >= 0 else "more"
-    shown = winner.reduction if saved >= 0 else Interval(-saved, -winner.reduction.high, -winner.reduction.low)
-    return Markup("Against no control ({} m·s) that is <strong>{} {}</strong> (interval {}).").format(
-        number(table.uncorrected), percent(shown.value), word, between_percent(shown)
-    )
-
-
-def _rival(table: CaseTable) -> tuple[Row | None, str]:
-    """The best design of the paper's law, or of another law where that law won."""
-    if table.winner.design.law != PAPER_LAW:
-        paper = table.best_of(PAPER_LAW)
-        if paper is not None:
-            return paper, "the best design of the paper\u2019s law"
-    others = [r for r in table.best_of_each_law if r.design.law != table.winner.design.law and not is_baseline(r)]
-    return (others[0], "the best design of any other law") if others else (None, "")
-
-
-def _against(rival: Row, words: str) -> Markup:
-    saved = rival.difference
-    share = saved.value / rival.S.value if rival.S.value > 0 else 0.0
-    said = Markup(
-        "Against {} ({}; rank {}, {} m·s) it is <strong>{} m·s or {} less</strong> (paired interval {} m·s).{}"
-    )
-    return said.format(
-        words,
-        design_text(rival),
-        rival.rank,
-        number(rival.S.value),
-        number(saved.value),
-        percent(share),
-        between(saved),
-        " The two cannot be told apart on these departures." if rival.tied else "",
-    )
-
-
-def _tied(table: CaseTable) -> Markup:
-    if len(table.rows) == 1:
-        return Markup("It is the only design of this study.")
-    if not table.tied:
-        return Markup(
-            "No other design is statistically tied with it: the interval of every paired difference lies above zero."
-        )
-    names = [row for row in table.rows[1:] if row.tied]
-    said = Markup(
-        "<strong>{}</strong> {} statistically tied with it, the interval of the paired difference holds zero: {}{}."
-    )
-    return said.format(
-        plural(table.tied, "other design"),
-        "is" if table.tied == 1 else "are",
-        Markup("; ").join(Markup("{} (rank {})").format(design_text(row), row.rank) for row in names[:3]),
-        f"; and {len(names) - 3:,} more" if len(names) > 3 else "",
-    )
+def rank_text(row: Row) -> str:
+    """``rank 3``, or that it has none."""
+    return f"rank {row.rank}" if row.rank else "not ranked"
 
 
 _LINEAR = "The plant is the linear single-track model: tyres do not saturate."
@@ -165,8 +67,15 @@ _CHANCE = (
     "not make that smaller."
 )
 _CHOSEN = (
-    "The best of {} is chosen on the departures that it is scored on, so its own mean is slightly optimistic, and "
-    "intervals are not corrected for the number of comparisons."
+    "The lowest mean S of {} is the lowest also by luck, so that mean is optimistic{}. Intervals of mean S hold for "
+    "all designs at once, and so do those of the differences to the best and to the baseline; the interval of the "
+    "reduction and the bands of convergence are those of one design by itself."
+)
+_CONFIRM = "; a study with finalists, or with another seed, tells by how much"
+_FRESH = "; the score on fresh departures, on which no design was chosen, is free of that"
+_RACED = (
+    "A race gives up designs on few departures: a failure that is rare, and that no design showed there, cannot be "
+    "known of. Requirements, the Pareto front and cases beside the primary one were not looked at for that."
 )
 _CONTROL_WINDOW = (
     "Over the control window S starts at the trigger: a later trigger scores less time, so such scores must not be "
@@ -180,14 +89,19 @@ _SYNTHETIC = (
 
 
 def limitations(report: ReportInput, table: CaseTable, peak_steering: float | None = None) -> list[Markup]:
-    """What the numbers of this study do not say; `peak_steering` [rad] is the best design's in the example paths."""
+    """What the numbers of this study do not say; `peak_steering` [rad] is that of the best in the example paths."""
     cases = [results.case for results in report.results.cases]
     said = [*_of_the_plant(report), Markup(_COMFORT), Markup(_CHANCE)]
     if peak_steering is not None:
-        share = Markup("In the example departures above the best design steers up to {}\u00b0 at the front wheels.")
+        share = Markup(
+            "In the example departures above the first design of the legend steers up to {}\u00b0 at the front wheels."
+        )
         said.append(share.format(number(math.degrees(peak_steering), 1)))
-    if len(table.rows) > 1:
-        said.append(Markup(_CHOSEN).format(plural(len(table.rows), "design")))
+    if table.tried > 1:
+        luck = _FRESH if table.fresh_scenarios else _CONFIRM
+        said.append(Markup(_CHOSEN).format(plural(table.tried, "design"), luck))
+    if table.race is not None and table.race.dropped:
+        said.append(Markup(_RACED))
     if any(case.window == "control" for case in cases):
         said.append(Markup(_CONTROL_WINDOW))
     if any(case.convention == "as_printed" for case in cases):
@@ -227,5 +141,5 @@ def plant(report: ReportInput) -> Markup:
 
 def partial_grids(report: ReportInput) -> bool:
     """Whether some law was not run on every combination of its swept values."""
-    designs = report.results.designs
+    designs = tried(report.results)
     return any(not is_full_grid([d for d in designs if d.law == law]) for law in {d.law for d in designs})

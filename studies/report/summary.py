@@ -15,7 +15,7 @@ from ldctoolkit.metrics import share_deeper
 from studies.design import Design
 from studies.report.landscape import swept_axes
 from studies.report.text import compact, unit_text
-from studies.results import Case, CaseResults, StudyResults
+from studies.results import Case, CaseResults, Race, StudyResults
 
 if TYPE_CHECKING:
     from studies.ranking.ranking import Ranking
@@ -53,7 +53,12 @@ class Row:
     ----------
     index : int
         Of the design in the study.
+    place : int
+        Position in the ranking, from 0.
     rank : int
+        0 for a design that misses a requirement.
+    unmet : tuple of str
+        The requirements that it misses.
     design : Design
     title : str
         The law's name for people.
@@ -66,19 +71,33 @@ class Row:
     left, right : Side or None
         None: the study has no such departures.
     difference : Interval [m s]
-        Paired difference of mean S to the best design.
-    tied : bool
-        Not told apart from the best.
+        Paired difference of mean S to the first design of the ranking.
+    to_baseline : Interval or None [m s]
+        The same to the baseline, where there is one.
+    in_set : bool
+        In the set of best.
+    pareto : bool
+        On the Pareto front.
+    fresh : Interval or None [m s]
+        Mean S on fresh scenarios, of a finalist.
+    fresh_difference, fresh_to_baseline : Interval or None [m s]
+        Paired differences there, to the first design of the ranking and to the baseline.
+    fresh_unmet : tuple of str
+        Requirements that it misses there.
+    optimism : Interval or None [m s]
+        How much better the score was on the scenarios that designs were chosen on.
     triggered, deeper : float
         Share of departures that were taken over, and share deeper than D_y.
-    solver_failed, diverged, timed_out, invalid : int
+    solver_failed, diverged, timed_out, crashed, invalid : int
         Departures with that status.
     failed_solves : int
         Commands that came from a law's fallback.
     """
 
     index: int
+    place: int
     rank: int
+    unmet: tuple[str, ...]
     design: Design
     title: str
     gains: tuple[tuple[str, str, str], ...]
@@ -87,34 +106,53 @@ class Row:
     left: Side | None
     right: Side | None
     difference: Interval
-    tied: bool
+    to_baseline: Interval | None
+    in_set: bool
+    pareto: bool
+    fresh: Interval | None
+    fresh_difference: Interval | None
+    fresh_to_baseline: Interval | None
+    fresh_unmet: tuple[str, ...]
+    optimism: Interval | None
     triggered: float
     deeper: float
     solver_failed: int
     diverged: int
     timed_out: int
+    crashed: int
     invalid: int
     failed_solves: int
 
     @property
     def failures(self) -> int:
         """Departures that did not run as designed."""
-        return self.solver_failed + self.diverged + self.timed_out + self.invalid
+        return self.solver_failed + self.diverged + self.timed_out + self.crashed + self.invalid
 
 
 @dataclasses.dataclass(frozen=True)
 class CaseTable:
-    """All designs of one case by rank.
+    """All designs of one case in the order of the ranking.
 
     Attributes
     ----------
     case : Case
     rows : tuple of Row
     uncorrected : float [m s]
-        Mean S without control, over the window of the best design.
+        Mean S without control, over the window of the first design.
     uncorrected_deeper : float
         Share of the departures deeper than D_y without control.
     D_y : float [m]
+    winner : Row or None
+        The design to take, if there is one.
+    baseline : Row or None
+    require, pareto_figures : tuple of str
+    fresh_scenarios : int
+        On which the finalists were scored again; 0 for none.
+    optimism_paired : bool
+        Whether optimism is that of the difference to the baseline, or of S.
+    tried : int
+        Designs of the study, with those that failed or were given up in a race.
+    race : Race or None
     confidence : float
         Of every interval.
     bootstrap : int
@@ -128,29 +166,56 @@ class CaseTable:
     uncorrected: float
     uncorrected_deeper: float
     D_y: float
+    winner: Row | None
+    baseline: Row | None
+    require: tuple[str, ...]
+    pareto_figures: tuple[str, ...]
+    fresh_scenarios: int
+    optimism_paired: bool
+    tried: int
+    race: Race | None
     confidence: float
     bootstrap: int
     warnings: tuple[str, ...]
 
     @property
-    def winner(self) -> Row:
-        """Rank 1."""
+    def first(self) -> Row:
+        """The first of the ranking; where nothing is ranked, the lowest mean S."""
         return self.rows[0]
 
     @property
-    def tied(self) -> int:
-        """How many other designs are not told apart from the best."""
-        return sum(row.tied for row in self.rows[1:])
+    def best(self) -> Row:
+        """What figures follow: the winner, and where there is none, the first."""
+        return self.first if self.winner is None else self.winner
+
+    @property
+    def best_name(self) -> str:
+        """What to call `best` in a sentence."""
+        if self.winner is not None:
+            return "the winner"
+        return "the first of the ranking" if self.ranked else "the design with the lowest mean S"
+
+    @property
+    def ranked(self) -> int:
+        """How many designs have a rank."""
+        return sum(row.rank > 0 for row in self.rows)
+
+    @property
+    def set_of_best(self) -> tuple[Row, ...]:
+        """By rank; empty where nothing is ranked."""
+        return tuple(row for row in self.rows if row.in_set)
 
     def best_of(self, law: str) -> Row | None:
-        """The best design of a law."""
+        """The winner if it is of this law, else the law's first design."""
+        if self.winner is not None and self.winner.design.law == law:
+            return self.winner
         return next((row for row in self.rows if row.design.law == law), None)
 
     @property
     def best_of_each_law(self) -> tuple[Row, ...]:
-        """By rank."""
-        return tuple({row.design.law: row for row in reversed(self.rows)}[law] for law in
-                     dict.fromkeys(row.design.law for row in self.rows))  # fmt: skip
+        """`best_of` every law: the winner, then the others in the order of the ranking."""
+        laws = dict.fromkeys(row.design.law for row in (self.best, *self.rows))
+        return tuple(row for law in laws if (row := self.best_of(law)) is not None)
 
     @property
     def paper_design(self) -> Row | None:
@@ -163,7 +228,7 @@ class CaseTable:
 
     @property
     def failed(self) -> tuple[Row, ...]:
-        """Designs with anything to report, by rank."""
+        """Designs with anything to report, in the order of the ranking."""
         return tuple(row for row in self.rows if row.failures or row.failed_solves)
 
 
@@ -226,7 +291,7 @@ def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTa
     """
     case = results.cases[position]
     members: dict[str, list[Design]] = {}
-    for design in results.designs:
+    for design in tried(results):
         members.setdefault(design.law, []).append(design)
     swept = {law: [axis.name for axis in swept_axes(designs)] for law, designs in members.items()}
     rows = tuple(_row(results, case, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs))
@@ -240,8 +305,22 @@ def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTa
         D_y=ranking.D_y,
         confidence=ranking.confidence,
         bootstrap=ranking.bootstrap,
+        winner=None if ranking.winner is None else rows[ranking.winner],
+        baseline=None if ranking.baseline is None else rows[ranking.baseline],
+        require=ranking.require,
+        pareto_figures=ranking.pareto_figures,
+        fresh_scenarios=ranking.fresh_scenarios,
+        optimism_paired=ranking.optimism_paired,
+        tried=len(tried(results)),
+        race=results.race,
         warnings=ranking.warnings,
     )
+
+
+def tried(results: StudyResults) -> tuple[Design, ...]:
+    """All designs of the study: those with results first, then those that a race gave up, then those that failed."""
+    given_up = () if results.race is None else tuple(one.design for one in results.race.dropped)
+    return (*results.designs, *given_up, *(one.design for one in results.failed))
 
 
 def gain_texts(design: Design, swept: list[str]) -> tuple[tuple[str, str, str], ...]:
@@ -260,27 +339,43 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
     def side(S: FloatArray, reduction: FloatArray) -> Side | None:
         return Side(float(S[place]), float(reduction[place])) if np.isfinite(S[place]) else None
 
+    def interval(name: str) -> Interval:
+        return Interval(*(float(getattr(ranking, f"{name}{end}")[place]) for end in ("", "_low", "_high")))
+
+    def known(name: str) -> Interval | None:
+        found = interval(name)
+        return found if math.isfinite(found.value) else None
+
+    fresh = Interval(*(float(v[place]) for v in (ranking.fresh_S, ranking.fresh_low, ranking.fresh_high)))
     return Row(
         index=index,
+        place=place,
         rank=int(ranking.rank[place]),
+        unmet=ranking.unmet[place],
         design=design,
         title=controller_class(design.law).title,
         gains=gain_texts(design, swept),
-        S=Interval(float(ranking.S[place]), float(ranking.S_low[place]), float(ranking.S_high[place])),
-        reduction=ratio_interval(case.S[index], case.S_uncorrected[index], results.scenarios.side, ranking.confidence),
+        S=interval("S"),
+        reduction=ratio_interval(
+            case.counted[index], case.S_uncorrected[index], results.scenarios.side, ranking.confidence
+        ),
         left=side(ranking.S_left, ranking.reduction_left),
         right=side(ranking.S_right, ranking.reduction_right),
-        difference=Interval(
-            float(ranking.difference[place]),
-            float(ranking.difference_low[place]),
-            float(ranking.difference_high[place]),
-        ),
-        tied=bool(ranking.tied_with_best[place]),
+        difference=interval("difference"),
+        to_baseline=known("baseline_difference"),
+        in_set=bool(ranking.set_of_best[place]),
+        pareto=bool(ranking.pareto[place]),
+        fresh=fresh if math.isfinite(fresh.value) else None,
+        fresh_difference=known("fresh_difference"),
+        fresh_to_baseline=known("fresh_baseline_difference"),
+        fresh_unmet=ranking.fresh_unmet[place],
+        optimism=known("optimism"),
         triggered=float(ranking.triggered[place]),
         deeper=float(ranking.deeper[place]),
         solver_failed=int(ranking.solver_failed[place]),
         diverged=int(ranking.diverged[place]),
         timed_out=int(ranking.timed_out[place]),
+        crashed=int(ranking.crashed[place]),
         invalid=int(ranking.invalid[place]),
         failed_solves=int(ranking.failed_solves[place]),
     )

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
-from ldctoolkit import Controller, RecordedPath, Scenarios, option, register
+from ldctoolkit import Controller, EventStatus, RecordedPath, Scenarios, option, register
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from studies.design import Design
@@ -122,7 +122,8 @@ def test_ranking_tables_show_the_ranking(report: ReportInput, drawn: tuple[str, 
             design = ranking.designs[k]
             assert row[0] == str(ranking.rank[k])
             assert design.law in row[1]
-            assert ("tied" in row[1]) == (k > 0 and bool(ranking.tied_with_best[k]))
+            assert ("winner" in row[1]) == (k == ranking.winner)
+            assert ("set of best" in row[1]) == (k != ranking.winner and bool(ranking.set_of_best[k]))
             if design.law != "none":
                 assert row[2] == f"{design.y_s:g}"
             assert row[4].startswith(number(ranking.S[k]))
@@ -133,9 +134,12 @@ def test_ranking_tables_show_the_ranking(report: ReportInput, drawn: tuple[str, 
             if k:
                 assert row[8].startswith(signed(ranking.difference[k]))
                 assert f"[{number(ranking.difference_low[k])} to {number(ranking.difference_high[k])}]" in row[8]
-            assert row[9] == ("–" if design.law == "none" else percent(ranking.triggered[k]))
-            assert row[10] == percent(ranking.deeper[k])
-            assert row[11] == "0"
+            assert table[0][9] == "Difference to baseline [m·s]"
+            if k != ranking.baseline:
+                assert row[9].startswith(signed(ranking.baseline_difference[k]))
+            assert row[10] == ("–" if design.law == "none" else percent(ranking.triggered[k]))
+            assert row[11] == percent(ranking.deeper[k])
+            assert row[12] == "0"
 
 
 def test_answer_names_winner_baseline_and_rival(
@@ -155,8 +159,9 @@ def test_answer_names_winner_baseline_and_rival(
     gap = case.S[rival].mean() - case.S[best].mean()
     assert "the best design of the paper’s law (Preview P" in said
     assert f"{gap:.3f} m·s or {100 * gap / case.S[rival].mean():.1f} % less" in said
-    tied = int(ranking.tied_with_best[1:].sum())
-    assert (f"{tied} other design" in said) if tied else ("No other design is statistically tied" in said)
+    others = int(ranking.set_of_best[1:].sum())
+    assert (f"{others} other design" in said) if others else ("No other design is in the set of best" in said)
+    assert "statistically" not in said
     assert "end of what was tried for ys (lowest tried)" in said
     assert "60 left, 40 right" in said
 
@@ -176,7 +181,7 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, dr
         for law in ("lqr", "preview_proportional", "none")
     ]
     lines = {row[0]: row[1:] for row in table[1:] if len(row) == 4}
-    assert len(lines) == 19
+    assert len(lines) == 20
 
     def line(start: str) -> list[str]:
         (found,) = (cells for name, cells in lines.items() if name.startswith(start))
@@ -393,7 +398,7 @@ def test_nothing_triggered(make: ModuleType) -> None:
     )
     assert "No departure went deep enough" in page.words("answer")
     assert "No design took over in any departure" in page.text["paths"]
-    assert "2 other designs are statistically tied" in page.words("answer")
+    assert "2 other designs are in the set of best with it" in page.words("answer")
 
 
 @pytest.mark.parametrize(("left", "right", "shown"), [(9, 0, "Left"), (0, 9, "Right")])
@@ -410,6 +415,41 @@ def test_one_side_only(make: ModuleType, left: int, right: int, shown: str) -> N
 def test_one_scenario(make: ModuleType) -> None:
     _, page = checked(only(make, Design.of(LQR(), 0.05), scenarios=make.invented_scenarios(1, 0)))
     assert "One departure only" in page.text["convergence"]
+
+
+def test_crashes_and_failures_count_as_they_are_ranked(make: ModuleType, results: StudyResults) -> None:
+    case = results.cases[0]
+    status, S = case.status.copy(), case.S.copy()
+    status[3, :7], S[3, :7] = EventStatus.CRASHED, 0.0  # a crash must not look good
+    crashed = dataclasses.replace(
+        results, cases=(dataclasses.replace(case, status=status, S=S),), fresh=None, race=None
+    )
+    report = make.report_input(crashed)
+    _, page = checked(report)
+    (table,) = (table for table in page.tables if "Crashed [departures]" in table[0])
+    assert [row[table[0].index("Crashed [departures]")] for row in table[1:]] == ["7"]
+    (ranking,) = report.rankings
+    k = int(np.flatnonzero(ranking.index == 3)[0])
+    row = ranking_tables(page)[0][1 + k]
+    assert row[-1] == "7"
+    assert row[5] == change(ranking.reduction[k])  # of the mean that is ranked
+    assert "law crashed" in page.words("failures")
+    assert "No failures" not in page.text["failures"]
+
+
+def test_nothing_ranked_is_no_best(make: ModuleType, results: StudyResults) -> None:
+    rankings = tuple(Ranking.of(results, case, bootstrap=100, require=["S <= 0"]) for case in results.cases)
+    _, page = checked(dataclasses.replace(make.report_input(results), rankings=rankings))
+    said = page.words("answer")
+    assert "No design meets the requirements (S <= 0)" in said
+    assert "None; lowest mean S: LQR" in said
+    for words in ("rank 0", "shares with", "is the winner", "set of best with it", "the best design of"):
+        assert words not in said
+    for table in ranking_tables(page):
+        assert all(row[0] == "–" and "misses S <= 0" in row[1] for row in table[1:])
+        assert not any("winner" in row[1] or "set of best" in row[1] for row in table[1:])
+    assert "(it misses S <= 0)" in page.words("limits")
+    assert "rank 0" not in page.words("convergence")
 
 
 def test_failures_are_listed(make: ModuleType, with_failures: StudyResults) -> None:
