@@ -78,4 +78,4 @@ def _design(ranking: Ranking, i: int) -> dict[str, Any]:
 
 def _number(value: float) -> float | None:
     """JSON has no word for what is not a number."""
-    return None if math.isnan(value) else float(value)
+    return float(value) if math.isfinite(value) else None

@@ -144,7 +144,8 @@ def test_a_dask_worker_that_is_killed_loses_nothing(
     assert stored_rows(tmp_path / "dask").equals(stored_rows(tmp_path / "serial"))
 
 
-def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
+def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_connection, "_CONNECT", "1s")
     with pytest.raises(
         InputError, match="executor: 'serial' with the address tcp://h:1; allowed with an address: 'dask'"
     ):

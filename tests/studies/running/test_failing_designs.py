@@ -103,6 +103,11 @@ def study_with(make_study: MakeStudy, *how: str) -> Study:
     return make_study(design=[GOOD[0], *({"law": f"broken_{name}", "y_s": 0.05} for name in how), GOOD[1]])
 
 
+def without_few(warnings: tuple[str, ...]) -> tuple[str, ...]:
+    """All but the one that a dozen scenarios are few."""
+    return tuple(warning for warning in warnings if not warning.startswith("Intervals are too short"))
+
+
 def assert_same_bits(one: StudyResults, other: StudyResults) -> None:
     assert one.designs == other.designs
     for a, b in zip(one.cases, other.cases, strict=True):
@@ -146,7 +151,7 @@ def test_commands_that_are_no_numbers_are_failed_solves(make_study: MakeStudy, t
     steered = case.status[results.designs.index(ranking.designs[place])] != EventStatus.NEVER_TRIGGERED
     assert steered.any()
     n = int(steered.sum())
-    assert ranking.warnings == (
+    assert without_few(ranking.warnings) == (
         "Commands that were not finite, of laws that declare no solver to fall back from: "
         f"Broken nan, y_s=0.05 m in {n} of {n} interventions.",
     )
@@ -396,7 +401,7 @@ def test_one_command_that_is_no_number_is_named_where_no_solver_is(make_study: M
 
     def warnings(failed_solves: Any) -> tuple[str, ...]:
         cases = tuple(dataclasses.replace(case, failed_solves=failed_solves) for case in results.cases)
-        return rank_study(dataclasses.replace(results, cases=cases), study)[0].warnings
+        return without_few(rank_study(dataclasses.replace(results, cases=cases), study)[0].warnings)
 
     start = "Commands that were not finite, of laws that declare no solver to fall back from: "
     assert warnings(once) == (
