@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 from typing import Any, Final
@@ -89,7 +90,7 @@ class Design:
     def _follows(name: str, value: GainValue) -> bool:
         return name == CONVENTION_GAIN and value == FOLLOWS_CASE
 
-    @property
+    @functools.cached_property  # asked for many times in a run
     def id(self) -> str:
         """Twelve hexadecimal digits that depend on the content only."""
         content = json.dumps([self.law, self.y_s, self.gains], separators=(",", ":"))

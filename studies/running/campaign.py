@@ -89,9 +89,8 @@ class Campaign:
         if not lanes:
             self._forget_failures(designs)
             return
-        for lane in lanes:
-            for design in lane.designs:
-                self._remember_faults((design.id, lane.convention))
+        for key in {(design.id, lane.convention): None for lane in lanes for design in lane.designs}:
+            self._remember_faults(key)
         self._progress.stage(stage, sum(len(lane.designs) * lane.piece.rows.size for lane in lanes))
         dispatcher = Dispatcher(
             self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size
@@ -106,6 +105,8 @@ class Campaign:
 
     def _remember_faults(self, key: RunKey) -> None:
         """Scenarios that ended a worker in an earlier run count as well, or a resume could save a design."""
+        if self.table.missing(key) == self.table.n:
+            return
         for fault, status in STATUS_OF.items():
             for row in self.table.rows_with(key, status):
                 self._faults.record(key, int(row), fault)
@@ -132,7 +133,6 @@ class Campaign:
 
     def _collect(self, done: Done) -> None:
         if done.result.keys:
-            self.table.put(done.result)
             self._waiting.append(done.result)
             self.kernel_seconds += done.result.kernel_seconds
             self.task_seconds += done.result.seconds
@@ -149,8 +149,14 @@ class Campaign:
             results, failed = self._waiting, self._failed
             self._waiting, self._failed = [], []
             if self._writer is not None:
-                self._writing = self._writer.submit(self.store.add, results, failed)
+                self._writing = self._writer.submit(self._keep, results, failed)
         self._stored = time.monotonic()
+
+    def _keep(self, results: list[TaskResult], failed: list[FailedRun]) -> None:
+        """Take results into memory and into the store; in a thread, since neither needs the interpreter for long."""
+        for result in results:
+            self.table.put(result)
+        self.store.add(results, failed)
 
     def _written(self) -> None:
         """Wait for the part that is being written."""
