@@ -70,6 +70,7 @@ class NonlinearMPC(Controller):
 
     name: ClassVar[str] = "nonlinear_mpc"
     title: ClassVar[str] = "Nonlinear MPC"
+    batch: ClassVar[int] = 20  # tens of milliseconds a scenario: about a second of work
 
     horizon: int = gain(20, unit="samples", lower=1, upper=100, description="prediction horizon N")
     q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")

@@ -105,11 +105,6 @@ class Ranking(CaseFigures, Inference, FreshScores):
         """Whether designs were given up by S of another case, which may have been the best of this one."""
         return self.given_up > 0 and not self.raced
 
-    @property
-    def tied_with_best(self) -> BoolArray:
-        """The set of best under its former name, (d,)."""
-        return self.set_of_best
-
     @classmethod
     def of(
         cls,

@@ -7,12 +7,13 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from ldctoolkit import Scenarios, controller_class, registry
-from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit import Scenarios, controller_class
+from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
 from studies.running.faults import Faults
+from studies.running.own_laws import laws_of_this_process
 from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
 from studies.running.tasks import Done, FailedRun, Job, RunKey, TaskResult
@@ -112,19 +113,17 @@ class Campaign:
                 self._faults.record(key, int(row), fault)
 
     def _lanes(self, designs: Sequence[Design], size: int) -> list[Lane]:
-        """What is missing, slow laws last to begin and thresholds together."""
+        """What is missing: convention by convention, law by law, piece by piece."""
         laws: dict[str, list[Design]] = {}
         for design in designs:
             laws.setdefault(design.law, []).append(design)
-        end = {batch: self.prefixes.pieces(batch) for batch in {controller_class(law).batch for law in laws}}
-        first = self.prefixes.rows(size).size
         lanes = []
         for convention in self.study.simulation.convention:
             for law, same in laws.items():
                 covered = 0
-                for piece in end[controller_class(law).batch]:
+                for piece in self.prefixes.pieces(controller_class(law).batch):
                     covered += piece.rows.size
-                    if covered > first:
+                    if covered > size:
                         break
                     todo = [d for d in same if not self.table.has((d.id, convention), piece.rows)]
                     if todo:
@@ -188,31 +187,6 @@ def _job(study: Study, store: Store, executor: Executor, time_limit: float) -> J
         options=study.plant,
         settle=study.simulation.settle,
         seed=study.seed,
-        laws=_laws_of_this_process() if executor.isolated else b"",
+        laws=laws_of_this_process() if executor.isolated else b"",
         time_limit=time_limit if executor.isolated else 0.0,
     )
-
-
-def _laws_of_this_process() -> bytes:
-    """Controller classes that other processes cannot find by their names."""
-    classes = registry.registered()
-    if not classes:
-        return b""
-    import sys
-
-    import cloudpickle
-
-    modules = [sys.modules[module] for module in dict.fromkeys(kind.__module__ for kind in classes)]
-    by_value = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]
-    for module in by_value:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        return bytes(cloudpickle.dumps(classes))
-    except Exception as error:  # a class may hold anything
-        names = ", ".join(kind.__name__ for kind in classes)
-        raise LdcError(
-            f"registered controllers ({names}) cannot be sent to worker processes ({error}); use one worker"
-        ) from None
-    finally:
-        for module in by_value:
-            cloudpickle.unregister_pickle_by_value(module)

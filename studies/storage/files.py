@@ -46,6 +46,20 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
         table.write_parquet(stream)
 
 
+def read_bytes(path: Path) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
 def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
     """Read a Parquet file and check it as `parse_parquet` does.
 
@@ -54,11 +68,7 @@ def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> 
     StoreError
         Naming the file and what is wrong with it.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return parse_parquet(path, data, schema, finite=finite)
+    return parse_parquet(path, read_bytes(path), schema, finite=finite)
 
 
 def parse_parquet(path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:

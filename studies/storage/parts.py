@@ -20,7 +20,7 @@ from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS
 from ldctoolkit.simulation import Window
 from studies.running.tasks import TaskResult
-from studies.storage.files import parse_parquet, stored_file
+from studies.storage.files import parse_parquet, read_bytes, stored_file
 
 if TYPE_CHECKING:
     import polars as pl
@@ -112,10 +112,7 @@ def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskRes
     StoreError
         Naming the file and what is wrong with it.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+    data = read_bytes(path)
     if not path.stem.endswith(f"-{_checksum(data)}"):
         raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
     types = schema(windows)

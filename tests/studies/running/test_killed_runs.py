@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import random
 import signal
@@ -59,6 +60,15 @@ def kill(process: subprocess.Popen[bytes]) -> None:
     process.wait(60)
 
 
+def ranking(folder: Path) -> list[dict[str, str]]:
+    """All of ``ranking.csv`` but how long the laws took, which no second run gives again."""
+    with (folder / "ranking.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    for row in rows:
+        del row["law_time_us"]
+    return rows
+
+
 @pytest.mark.slow
 def test_twenty_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
@@ -79,11 +89,8 @@ def test_twenty_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, store
     assert last.returncode == 0, error
     for parts in ((), ("finalists",)):
         assert stored_rows(tmp_path / "killed", *parts).equals(stored_rows(tmp_path / "whole", *parts))
-    without_time = [
-        [line.rsplit(b",", 12)[0] for line in (tmp_path / name / "ranking.csv").read_bytes().splitlines()]
-        for name in ("killed", "whole")
-    ]
-    assert without_time[0] == without_time[1]
+    killed, uninterrupted = (ranking(tmp_path / name) for name in ("killed", "whole"))
+    assert killed == uninterrupted
     # they were killed at different stages, not all of them before or after the work
     assert len(set(kept)) > 1
     assert not list((tmp_path / "killed").rglob(".*.part"))
