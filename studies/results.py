@@ -83,6 +83,12 @@ class CaseResults:
             return self.S
         return np.where(failed, np.maximum(self.S, self.S_uncorrected), self.S)
 
+    def counted_of(self, design: int) -> FloatArray:
+        """`counted` of one design, (n,) [m s]; looks at no other."""
+        S: FloatArray = self.S[design]
+        failed = np.isin(self.status[design], FAILED_STATUSES)
+        return np.where(failed, np.maximum(S, self.S_uncorrected[design]), S) if failed.any() else S
+
     @property
     def drivable(self) -> BoolArray:
         """Scenarios that every design could be driven on, (n,)."""

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from studies.ranking.bootstrap import bootstrap_means, check_confidence, row_means
+from studies.ranking.bootstrap import bootstrap_means, check_confidence
+from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME
 from studies.ranking.standard_error import error_parts, lengths
 

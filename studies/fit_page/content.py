@@ -8,7 +8,7 @@ from ldctoolkit.diagnostics import Calibration, Comparison, Component, ModelDiag
 from ldctoolkit.diagnostics.thresholds import COMPARISON_STANDARD_ERRORS
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from studies.fit_page.style import TITLES
-from studies.report import text
+from studies.report.words import text
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 from ldctoolkit.diagnostics import Calibration, Marginal, Strip
 from ldctoolkit.scenario_model import SideSummary
 from studies.fit_page.style import COLORS, DASHES, MODEL, TITLES, axis_label
-from studies.report.figures import new_panel
-from studies.report.style import figure_settings
+from studies.report.figures.scores import new_panel
+from studies.report.look.style import figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from ldctoolkit.diagnostics import PairDensity, SideDiagnostics
 from studies.fit_page.figures import draw_marginal
 from studies.fit_page.style import MODEL, axis_label, color_map
-from studies.report.figures import new_panel
-from studies.report.style import figure_settings
+from studies.report.figures.scores import new_panel
+from studies.report.look.style import figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

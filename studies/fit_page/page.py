@@ -20,8 +20,8 @@ from ldctoolkit.version import __version__
 from studies.fit_page import content, figures, figures_pairs
 from studies.fit_page.picture import picture
 from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS
-from studies.report import text
-from studies.report.svg import inline_svg, line_sample
+from studies.report.look.svg import inline_svg, line_sample
+from studies.report.words import text
 from studies.storage.files import stored_file, write_text
 from studies.storage.model_notes import WARNING, model_notes
 

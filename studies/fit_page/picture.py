@@ -10,7 +10,7 @@ from studies.fit_page.content import Side
 from studies.fit_page.figures import draw_marginal, draw_strips
 from studies.fit_page.figures_pairs import draw_density
 from studies.fit_page.style import COLORS, axis_label
-from studies.report.style import figure_settings
+from studies.report.look.style import figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
-from studies.report.text import unit_text
+from studies.report.words.text import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
 from studies.racing.race_rounds import prefix_rows, schedule
-from studies.ranking.bootstrap import row_means
+from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME, separable
 
 FloatArray = npt.NDArray[np.float64]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
+from studies.ranking.row_blocks import row_blocks, row_means
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -17,6 +18,9 @@ _STREAM = 0x626F6F74
 
 _BLOCK_ENTRIES = 2_000_000
 """Weights held at once (16 MB)."""
+
+_GRID_ENTRIES = 2_500_000
+"""Scores that are resampled at once (20 MB, and as much again for what is worked out on the way)."""
 
 _MANTISSA = 53
 """Bits of a double precision number."""
@@ -63,18 +67,42 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
     return bootstrap_deviations(values, side, samples=samples, seed=seed, stream=stream) + row_means(values)
 
 
-def bootstrap_deviations(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
-    """What `bootstrap_means` gives minus the designs' means, (B, d); parameters and errors are the same."""
-    d, n = values.shape
-    # centred: a spread that is small against the mean keeps its digits
-    grid, unit = exact_grid(values - row_means(values)[:, None], n)
+def bootstrap_deviations(
+    values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0, rows: IntArray | None = None
+) -> FloatArray:
+    """What `bootstrap_means` gives minus the designs' means, (B, d); parameters and errors are the same.
+
+    With `rows`, (d,) int, of these rows of the values, in the order given.
+    """
+    n = values.shape[1]
+    d = values.shape[0] if rows is None else rows.size
+    mean = row_means(values, rows)
     deviations = np.empty((max(samples, 0), d))
-    first = 0
-    for weights in weight_blocks(side, samples=samples, seed=seed, stream=stream):
-        np.matmul(weights, grid.T, out=deviations[first : first + len(weights)])
-        first += len(weights)
-    deviations *= unit / n
+    # weights take a byte each: below this number of designs the numbers themselves take less
+    entries = max(_GRID_ENTRIES, samples // 8 * n)
+    blocks: Iterable[FloatArray] = weight_blocks(side, samples=samples, seed=seed, stream=stream)
+    if d * n > entries:
+        blocks = _Kept(blocks)
+    for places, block in row_blocks(values, rows, entries=entries):
+        # centred: a spread that is small against the mean keeps its digits
+        grid, unit = exact_grid(block - mean[places, None], n)
+        first = 0
+        for weights in blocks:
+            result = deviations[first : first + len(weights), places]
+            np.matmul(weights, grid.T, out=result)
+            result *= unit / n
+            first += len(weights)
     return deviations
+
+
+class _Kept:
+    """Blocks of weights that are needed more than once, in the smallest whole numbers that hold them."""
+
+    def __init__(self, blocks: Iterable[FloatArray]) -> None:
+        self._blocks = [block.astype(np.min_scalar_type(int(block.max()))) for block in blocks]
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        return (block.astype(np.float64) for block in self._blocks)
 
 
 def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:
@@ -133,12 +161,6 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
     unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
     grid: FloatArray = np.rint(values / unit[:, None])
     return grid, unit
-
-
-def row_means(values: FloatArray) -> FloatArray:
-    """Mean of every row, (d,): a sum that does not depend on the rows beside it."""
-    result: FloatArray = np.ascontiguousarray(values).mean(axis=1)
-    return result
 
 
 def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.design import Design
-from studies.ranking.bootstrap import row_means
+from studies.ranking.row_blocks import row_means
 from studies.ranking.release import ReleaseFigures
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults

@@ -12,10 +12,10 @@ import pytest
 
 from studies.ranking.ranking import Ranking
 from studies.report import ReportInput
-from studies.report.answer import answer
-from studies.report.page import render
-from studies.report.prose import design_text, limitations
-from studies.report.summary import case_table
+from studies.report.page import make_page
+from studies.report.tables.tabulate import case_table
+from studies.report.words.answer import answer
+from studies.report.words.prose import design_text, limitations
 from studies.results import Dropped, Race, StudyResults
 
 
@@ -69,7 +69,7 @@ def test_the_winner_need_not_be_the_first(make: ModuleType, results: StudyResult
     within = with_fresh(plain, winner=1, optimism_low=np.full(len(plain), -0.1))
     assert "no more than chance explains" in said(input_of(make, results, within))
     # figures, limits and the table follow the winner too
-    page = render(report)
+    page = make_page(report).html
     assert page.count('<tr class="best">') == 1
     assert page.index('<span class="tag strong">winner') > page.index('<span class="tag">set of best')
     assert "the winner, keeps the front" in page
@@ -89,7 +89,7 @@ def test_ranked_designs_without_a_winner(make: ModuleType, results: StudyResults
     text = said(report)
     assert text.startswith("There is no winner: no finalist meets the requirements (deeper <= 0.9)")
     assert "is the winner" not in text
-    page = render(report)
+    page = make_page(report).html
     assert "tag strong" not in page
     assert "finalists meet the requirements on fresh departures" in page
 
@@ -117,7 +117,7 @@ def test_pareto_front_and_baseline(make: ModuleType, results: StudyResults) -> N
     low = f"{ranking.baseline_difference_low[0]:.3f}".replace("-", "−")
     assert "difference to the baseline, Preview P, ys = 0.2 m" in text
     assert f"(interval {low} to" in text
-    page = render(input_of(make, results, ranking))
+    page = make_page(input_of(make, results, ranking)).html
     assert page.count('<span class="tag">Pareto</span>') == ranking.pareto.sum()
     assert page.count('<span class="tag">baseline</span>') == 1
 
@@ -149,7 +149,7 @@ def test_a_race_is_told_and_counts_what_it_gave_up(make: ModuleType, results: St
     assert "at least 90 % for race and ranking together" in text
     assert "ys (highest tried)" in text
     assert "ys = 0.2 m, rδ = 300" in text  # swept in the study, if not among those left
-    page = render(report)
+    page = make_page(report).html
     assert f"· {d} designs ·" in page
     assert f"{len(gone)} designs given up in a race" in page
     assert "The race left one design of each law at most" in page
@@ -159,7 +159,7 @@ def test_a_race_is_told_and_counts_what_it_gave_up(make: ModuleType, results: St
 
 
 def test_chance_is_told_as_it_is(make: ModuleType, results: StudyResults, plain: Ranking) -> None:
-    page = render(input_of(make, results, plain))
+    page = make_page(input_of(make, results, plain)).html
     assert "not corrected" not in page
     assert "holds zero" not in page
     assert "They are simultaneous" in page

@@ -17,8 +17,11 @@ from matplotlib.figure import Figure
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.departures import lateral
 from studies.design import Design
-from studies.report.examples import choose, replay
-from studies.report.figures import (
+from studies.report.figures.examples import choose, replay
+from studies.report.figures.landscape import color_range, landscapes, on_the_edge, swept_axes
+from studies.report.figures.landscape_figures import heat_map, profile
+from studies.report.figures.path_figures import ControlledPath, Example, path_figure
+from studies.report.figures.scores import (
     Curve,
     convergence_figure,
     distribution_figure,
@@ -26,12 +29,9 @@ from studies.report.figures import (
     running_mean,
     sides_figure,
 )
-from studies.report.figures_landscape import heat_map, profile
-from studies.report.figures_paths import ControlledPath, Example, path_figure
-from studies.report.landscape import color_range, landscapes, on_the_edge, swept_axes
-from studies.report.style import RECORDED, law_styles
-from studies.report.svg import inline_svg
-from studies.report.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
+from studies.report.look.style import RECORDED, law_styles
+from studies.report.look.svg import inline_svg
+from studies.report.words.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
 from studies.results import Case
 
 RNG = np.random.default_rng(0)

@@ -9,11 +9,13 @@ from markupsafe import Markup
 
 from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
+from studies.report.figures.landscape import on_the_edge
 from studies.report.inputs import ReportInput
-from studies.report.landscape import on_the_edge
-from studies.report.prose import between, between_percent, design_text, rank_text
-from studies.report.summary import PAPER_LAW, CaseTable, Interval, Row, is_baseline, tried
-from studies.report.text import number, percent, plural, signed, symbols
+from studies.report.tables.case_table import PAPER_LAW, CaseTable
+from studies.report.tables.row import Interval, Row, is_baseline
+from studies.report.tables.tabulate import tried
+from studies.report.words.prose import between, between_percent, design_text, rank_text
+from studies.report.words.text import number, percent, plural, signed, symbols
 
 _NAMED = 3
 

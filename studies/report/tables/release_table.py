@@ -11,9 +11,10 @@ from markupsafe import Markup
 from studies.ranking.ranking import Ranking
 from studies.ranking.release import ReleaseFigures
 from studies.report.inputs import ReportInput
-from studies.report.prose import design_text
-from studies.report.summary import CaseTable, Row, is_baseline
-from studies.report.text import compact, number, percent, plural, symbols
+from studies.report.tables.case_table import CaseTable
+from studies.report.tables.row import Row, is_baseline
+from studies.report.words.prose import design_text
+from studies.report.words.text import compact, number, percent, plural, symbols
 
 MOST_COLUMNS = 6
 """Designs side by side; more do not fit a screen."""

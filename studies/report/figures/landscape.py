@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.report.figures_landscape import Axis, Landscape
+from studies.report.figures.landscape_figures import Axis, Landscape
 
 FloatArray = npt.NDArray[np.float64]
 

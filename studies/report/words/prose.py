@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 from markupsafe import Markup
 
+from studies.report.figures.landscape import is_full_grid
 from studies.report.inputs import ReportInput
-from studies.report.landscape import is_full_grid
-from studies.report.summary import CaseTable, Interval, Row, is_baseline, tried
-from studies.report.text import compact, number, percent, plural, symbols
+from studies.report.tables.case_table import CaseTable
+from studies.report.tables.row import Interval, Row, is_baseline
+from studies.report.tables.tabulate import tried
+from studies.report.words.text import compact, number, percent, plural, symbols
 from studies.study_file.plant_table import differences
 
 _NB = "\u00a0"
@@ -88,15 +89,10 @@ _SYNTHETIC = (
 )
 
 
-def limitations(report: ReportInput, table: CaseTable, peak_steering: float | None = None) -> list[Markup]:
-    """What the numbers of this study do not say; `peak_steering` [rad] is that of the best in the example paths."""
+def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
+    """What the numbers of this study do not say."""
     cases = [results.case for results in report.results.cases]
     said = [*_of_the_plant(report), Markup(_COMFORT), Markup(_CHANCE)]
-    if peak_steering is not None:
-        share = Markup(
-            "In the example departures above the first design of the legend steers up to {}\u00b0 at the front wheels."
-        )
-        said.append(share.format(number(math.degrees(peak_steering), 1)))
     if table.tried > 1:
         luck = _FRESH if table.fresh_scenarios else _CONFIRM
         said.append(Markup(_CHOSEN).format(plural(table.tried, "design"), luck))

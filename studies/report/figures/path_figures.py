@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from studies.report.style import PANEL, RECORDED, LineStyle, figure_settings
+from studies.report.look.style import PANEL, RECORDED, LineStyle, figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from studies.report.style import PANEL, LineStyle, figure_settings
-from studies.report.text import change, number
+from studies.report.look.style import PANEL, LineStyle, figure_settings
+from studies.report.words.text import change, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,10 +13,10 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.design import Design
-from studies.report.figures_paths import ControlledPath, Example
+from studies.report.figures.path_figures import ControlledPath, Example
 from studies.report.inputs import ReportInput
-from studies.report.style import LineStyle
-from studies.report.text import number
+from studies.report.look.style import LineStyle
+from studies.report.words.text import number
 from studies.results import CaseResults
 
 IntArray = npt.NDArray[np.int64]
@@ -34,13 +34,10 @@ class Replay:
     examples : tuple of Example
     mismatch : float
         Largest relative difference between a score from the replay and the stored one.
-    peak_steering : float [rad] or None
-        Largest steering angle of the first design in the examples; None where it drives none.
     """
 
     examples: tuple[Example, ...]
     mismatch: float
-    peak_steering: float | None = None
 
 
 def choose(reduction: npt.NDArray[np.float64], candidates: IntArray) -> list[tuple[int, str]]:
@@ -92,7 +89,7 @@ def replay(report: ReportInput, results: CaseResults, shown: Sequence[tuple[int,
     model = BicycleModel(report.vehicle, convention=results.case.convention)
     paths: list[list[ControlledPath]] = [[] for _ in picks]
     recorded = UncorrectedPath.of(chosen, report.options.residuals, report.seed)
-    mismatch, peak = 0.0, None
+    mismatch = 0.0
     for index, design, label, style in shown:
         if design.is_baseline:
             continue
@@ -110,8 +107,6 @@ def replay(report: ReportInput, results: CaseResults, shown: Sequence[tuple[int,
         outcome = run.outcome(results.case.window)
         stored = results.S[index][[row for row, _, _ in picks]]
         mismatch = max(mismatch, float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9))))
-        if index == shown[0][0] and outcome.trajectories is not None:
-            peak = float(np.nanmax(np.abs(outcome.trajectories.delta)))
         for k in range(len(picks)):
             paths[k].append(_path(outcome, k, label, style, edge_offset))
     examples = []
@@ -135,7 +130,7 @@ def replay(report: ReportInput, results: CaseResults, shown: Sequence[tuple[int,
                 tuple(paths[k]),
             )
         )
-    return Replay(tuple(examples), mismatch, peak)
+    return Replay(tuple(examples), mismatch)
 
 
 def _path(outcome: Outcome, k: int, label: str, style: LineStyle, edge_offset: float) -> ControlledPath:

@@ -9,8 +9,8 @@ import warnings
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
-from studies.report.style import figure_settings
-from studies.report.text import SYMBOL, printable, symbol_parts
+from studies.report.look.style import figure_settings
+from studies.report.words.text import SYMBOL, printable, symbol_parts
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -40,13 +40,7 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
     """
     from markupsafe import Markup
 
-    buffer = io.StringIO()
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with figure_settings(), warnings.catch_warnings():
-        # measured in another font than the reader's: a glyph that is missing here is not missing there
-        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
-        figure.savefig(buffer, format="svg", metadata=nothing)
-    root = ET.fromstring(printable(buffer.getvalue()))
+    root = ET.fromstring(file_svg(figure))
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
         for key in list(element.attrib):
@@ -72,6 +66,26 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
     heading.text = title
     root.insert(0, heading)
     return Markup(re.sub(r">\s+<", "><", ET.tostring(root, encoding="unicode")))
+
+
+def file_svg(figure: Figure) -> str:
+    """A figure as an SVG document: no date, no name of a program, identifiers that do not change.
+
+    Parameters
+    ----------
+    figure : Figure
+
+    Returns
+    -------
+    str
+    """
+    buffer = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with figure_settings(), warnings.catch_warnings():
+        # measured in another font than the reader's: a glyph that is missing here is not missing there
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(buffer, format="svg", metadata=nothing)
+    return printable(buffer.getvalue())
 
 
 def _drop(root: ET.Element, tags: tuple[str, ...]) -> None:

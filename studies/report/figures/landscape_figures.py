@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.gains import GainValue
-from studies.report.figures import new_panel
-from studies.report.style import LineStyle, figure_settings
-from studies.report.text import compact, number, shorten, unit_text
+from studies.report.figures.scores import new_panel
+from studies.report.look.style import LineStyle, figure_settings
+from studies.report.words.text import compact, number, shorten, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

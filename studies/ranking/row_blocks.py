@@ -1,0 +1,55 @@
+"""Rows of large tables in blocks: what is worked out row by row needs no second table of the same size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+_BLOCK_ENTRIES = 250_000
+"""Numbers in a block (2 MB)."""
+
+
+def row_blocks(
+    values: FloatArray, rows: IntArray | None = None, *, entries: int = _BLOCK_ENTRIES
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Some rows of a table, in blocks of about so many entries.
+
+    Parameters
+    ----------
+    values : (d, n)
+    rows : (k,) int, optional
+        Which rows, in the order wanted; all by default.
+    entries : int
+        Of a block at most, where that is a row or more.
+
+    Yields
+    ------
+    places : slice
+        Where the block stands among the k rows.
+    block : (b, n)
+        A view of the table where it holds all rows in their own order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> [(places, block.tolist()) for places, block in row_blocks(np.eye(2), np.array([1, 0]), entries=2)]
+    [(slice(0, 1, None), [[0.0, 1.0]]), (slice(1, 2, None), [[1.0, 0.0]])]
+    """
+    size = max(1, entries // max(1, values.shape[1]))
+    count = values.shape[0] if rows is None else rows.size
+    for first in range(0, count, size):
+        places = slice(first, min(first + size, count))
+        yield places, values[places] if rows is None else values[rows[places]]
+
+
+def row_means(values: FloatArray, rows: IntArray | None = None) -> FloatArray:
+    """Mean of every row, or of some, (d,): a sum that does not depend on the rows beside it."""
+    result = np.empty(values.shape[0] if rows is None else rows.size)
+    for places, block in row_blocks(values, rows):
+        result[places] = np.ascontiguousarray(block).mean(axis=1)
+    return result

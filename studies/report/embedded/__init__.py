@@ -1,0 +1,1 @@
+"""Data in the page for its script."""

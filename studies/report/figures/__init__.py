@@ -1,0 +1,1 @@
+"""Figures of the report: plain functions of arrays that return a figure."""

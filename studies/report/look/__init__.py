@@ -1,0 +1,1 @@
+"""How the report looks: colours, lines, inline SVG."""

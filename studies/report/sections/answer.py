@@ -1,0 +1,79 @@
+"""Answer: which design wins, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from studies.report.context import Context
+from studies.report.rendering import render
+from studies.report.section import Section
+from studies.report.tables.case_table import CaseTable
+from studies.report.tables.row import is_baseline
+from studies.report.words import prose, text
+from studies.report.words.answer import answer
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """One large number at the top of the page."""
+
+    value: str
+    unit: str
+    text: str
+    detail: str
+
+
+def _tiles(table: CaseTable) -> list[Tile]:
+    best, shown = table.best, text.number
+    interval = f"{text.percent(table.confidence, 0)} interval {prose.between(best.fresh or best.S)}"
+    if best.fresh is not None:
+        scenarios = f"mean score S of {table.best_name} on {table.fresh_scenarios:,} fresh departures"
+        tiles = [
+            Tile(
+                shown(best.fresh.value),
+                "m·s",
+                scenarios,
+                f"{interval}; {shown(best.S.value)} where designs were chosen",
+            )
+        ]
+    else:
+        tiles = [Tile(shown(best.S.value), "m·s", f"mean score S of {table.best_name}", interval)]
+    if not is_baseline(best):
+        change = best.reduction
+        interval = f"interval {shown(-100 * change.high, 1)} to {shown(-100 * change.low, 1)}"
+        tiles.append(Tile(text.signed(-100 * change.value, 1), "%", "against no control", interval))
+        deep = f"of departures deeper than {text.compact(table.D_y)}\u00a0m"
+        before = f"{text.percent(table.uncorrected_deeper)} without control"
+        tiles.append(Tile(shown(100 * best.deeper, 1), "%", deep, before))
+    if table.winner is None:
+        of = f"of {text.plural(len(table.rows), 'design')}"
+        ranked = f"{of}, {table.ranked:,} where designs were chosen"
+        what = (
+            "finalists meet the requirements on fresh departures" if table.ranked else "designs meet the requirements"
+        )
+        tiles.append(Tile("0", "", what, ranked if table.ranked else of))
+    elif len(table.rows) > 1:
+        others = len(table.set_of_best) - 1
+        holds = f"the truly best is in it with {text.percent(table.confidence, 0)} confidence"
+        tiles.append(
+            Tile(f"{others:,}", "", f"other {'design' if others == 1 else 'designs'} in the set of best", holds)
+        )
+    return tiles
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    report, primary = context.report, context.primary
+    elsewhere = {warning for table in context.tables[1:] for warning in table.warnings}  # told beside their own tables
+    warnings = dict.fromkeys((*report.warnings, *primary.warnings))
+    body = render(
+        "sections/answer.html",
+        report=report,
+        tables=context.tables,
+        primary=primary,
+        warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
+        tiles=_tiles(primary),
+        answer=answer(report, primary),
+        plant=prose.plant(report),
+    )
+    return Section("answer", "Answer", body)

@@ -1,0 +1,1 @@
+"""Designs and cases as the report shows them."""

@@ -1,0 +1,1 @@
+"""The report in words: numbers, names, sentences."""
