@@ -102,7 +102,8 @@ class Context:
 
     def S(self, row: Row) -> npt.NDArray[np.float64]:
         """Scores of a design as they count, (n,) [m s]."""
-        return self.case.counted_of(row.index)
+        result: npt.NDArray[np.float64] = self.case.counted[row.index]
+        return result
 
     def S_uncorrected(self, row: Row) -> npt.NDArray[np.float64]:
         """Scores without control over the same window, (n,) [m s]."""

@@ -107,7 +107,7 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
         gains=gain_texts(design, swept),
         S=interval("S"),
         reduction=ratio_interval(
-            case.counted_of(index), case.S_uncorrected[index], results.scenarios.side, ranking.confidence
+            case.counted[index], case.S_uncorrected[index], results.scenarios.side, ranking.confidence
         ),
         left=side(ranking.S_left, ranking.reduction_left),
         right=side(ranking.S_right, ranking.reduction_right),

@@ -262,9 +262,9 @@ def test_a_plant_that_is_not_ideal_is_told_and_driven_again(make: ModuleType, dr
         assert words in drawn[1].words("failures")
     assert "not ideal" not in drawn[0]
     # drawn numbers too are those of the study: scenarios keep their numbers when some are chosen
-    assert "Their scores equal the stored ones." in page.text["paths"]
+    assert "Their scores equal the stored ones." in page.text["departures"]
     _, other = checked(make.report_input(results, **(settings | {"seed": 8})))
-    assert "differ from the stored ones" in other.text["paths"]
+    assert "differ from the stored ones" in other.text["departures"]
 
 
 def test_scenarios_that_cannot_be_driven_are_left_out_and_told(make: ModuleType) -> None:
@@ -280,7 +280,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_and_told(make: ModuleType)
     assert "5 left, 5 right" in page.words("answer")
     (table,) = (table for table in page.tables if "Not drivable [departures]" in table[0])
     assert [row[table[0].index("Not drivable [departures]")] for row in table[1:]] == ["2", "2"]
-    assert "Their scores equal the stored ones." in page.text["paths"]
+    assert "Their scores equal the stored ones." in page.text["departures"]
 
 
 def test_reduction_interval_agrees_with_a_bootstrap(results: StudyResults) -> None:
@@ -390,7 +390,7 @@ def test_one_design(make: ModuleType) -> None:
 def test_only_no_control(make: ModuleType) -> None:
     _, page = checked(only(make, Design.of(NoControl(), 0.2)))
     assert "No design of this study improves" in page.text["answer"]
-    assert "No design took over in any departure" in page.text["paths"]
+    assert "No design took over in any departure" in page.text["departures"]
 
 
 def test_nothing_triggered(make: ModuleType) -> None:
@@ -398,7 +398,7 @@ def test_nothing_triggered(make: ModuleType) -> None:
         only(make, Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0))
     )
     assert "No departure went deep enough" in page.words("answer")
-    assert "No design took over in any departure" in page.text["paths"]
+    assert "No design took over in any departure" in page.text["departures"]
     assert "2 other designs are in the set of best with it" in page.words("answer")
 
 
@@ -407,15 +407,15 @@ def test_one_side_only(make: ModuleType, left: int, right: int, shown: str) -> N
     scenarios = make.invented_scenarios(left, right)
     _, page = checked(only(make, Design.of(LQR(), 0.05), Design.of(NoControl(), 0.05), scenarios=scenarios))
     other = {"Left": "Right", "Right": "Left"}[shown]
-    assert f"{shown} departures (9)" in page.text["sides"]
-    assert f"{other} departures" not in page.text["sides"]
+    assert f"{shown} departures (9)" in page.text["distributions"]
+    assert f"{other} departures" not in page.text["distributions"]
     column = {"Left": 7, "Right": 6}[shown]
     assert all(row[column] == "–" for row in ranking_tables(page)[0][1:])
 
 
 def test_one_scenario(make: ModuleType) -> None:
     _, page = checked(only(make, Design.of(LQR(), 0.05), scenarios=make.invented_scenarios(1, 0)))
-    assert "One departure only" in page.text["convergence"]
+    assert "One departure only" in page.text["confidence"]
 
 
 def test_crashes_and_failures_count_as_they_are_ranked(make: ModuleType, results: StudyResults) -> None:
@@ -488,14 +488,14 @@ def test_control_window_and_printed_convention(make: ModuleType) -> None:
     assert "misprints" in page.words("failures")
     for case in cases:
         assert case.label in page.text["answer"]
-    assert "Their scores equal the stored ones." in page.text["paths"]
+    assert "Their scores equal the stored ones." in page.text["departures"]
 
 
 def test_replay_with_another_vehicle_is_told(make: ModuleType, results: StudyResults) -> None:
     from ldctoolkit import VehicleParameters
 
     _, page = checked(make.report_input(results, vehicle=VehicleParameters(m=1800.0)))
-    assert "differ from the stored ones" in page.text["paths"]
+    assert "differ from the stored ones" in page.text["departures"]
 
 
 def test_many_designs_stay_small(report: ReportInput, results: StudyResults) -> None:
