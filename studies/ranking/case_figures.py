@@ -13,8 +13,8 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.design import Design
-from studies.ranking.row_blocks import row_means
 from studies.ranking.release import ReleaseFigures
+from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults
 
@@ -176,7 +176,12 @@ def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
     if not rows.any():
         return np.full(values.shape[0], np.nan)
-    return row_means(values if rows.all() else values[:, rows])
+    if rows.all():
+        return row_means(values)
+    result = np.empty(values.shape[0])
+    for places, block in row_blocks(values):
+        result[places] = row_means(block[:, rows])
+    return result
 
 
 def _reduction(S: FloatArray, before: FloatArray) -> FloatArray:

@@ -90,7 +90,9 @@ class SearchScores:
     Attributes
     ----------
     scores : (d, n) [m s]
-        Counted S.
+        Counted S, in the study's order.
+    order : (d,) int
+        Where the designs of the ranking stand in it.
     side : (n,) int
     set_of_best : (d,) bool
     ranked : int
@@ -102,6 +104,7 @@ class SearchScores:
     """
 
     scores: FloatArray
+    order: IntArray
     side: npt.NDArray[np.signedinteger]
     set_of_best: BoolArray
     ranked: int
@@ -139,7 +142,9 @@ def fresh_scores(
     d = len(search.scores)
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
-    every = Resampled.of(drivable.counted[order], drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM)
+    every = Resampled.of(
+        drivable.counted, drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
+    )
     rows = np.flatnonzero(
         (positions < search.ranked)
         & (search.set_of_best[positions] | (positions != (-1 if search.baseline is None else search.baseline)))
@@ -171,7 +176,7 @@ def fresh_scores(
     if finalists.size:
         among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
         fresh = every.take(np.searchsorted(positions, among))
-        before = Resampled.of(search.scores[among], search.side, seed=seed, samples=samples)
+        before = Resampled.of(search.scores, search.side, seed=seed, samples=samples, rows=search.order[among])
         found = lost(before, fresh, confidence, among.size - 1 if paired else None)
         optimism = ends(found, among)
         if paired:  # the baseline's own difference is 0 by definition

@@ -65,13 +65,13 @@ def infer(
     seed: int,
     samples: int,
     confidence: float,
+    rows: IntArray | None = None,
 ) -> Inference:
     """Compare designs.
 
     Parameters
     ----------
     scores : (d, n) [m s]
-        Best mean first among the ranked ones.
     side : (n,) int
         Stratum of each scenario.
     ranked : int
@@ -82,18 +82,21 @@ def infer(
         Resamples.
     confidence : float
         Between 0 and 1.
+    rows : (d,) int, optional
+        Where the designs stand in `scores`, best mean first among the ranked ones; in this order by default.
 
     Raises
     ------
     InputError
         For settings outside what is allowed.
     """
-    resampled = Resampled.of(scores, side, seed=seed, samples=samples)
-    contenders = ranked or len(scores)
+    resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
+    d = resampled.mean.size
+    contenders = ranked or d
     means = simultaneous_interval(resampled, confidence)
     best = compare_with_best(resampled, confidence, contenders)
-    among = np.arange(len(scores)) < ranked
-    nothing = np.full(len(scores), np.nan)
+    among = np.arange(d) < ranked
+    nothing = np.full(d, np.nan)
     to_baseline = None if baseline is None else simultaneous_interval(resampled, confidence, baseline)
     return Inference(
         S_low=means.low,

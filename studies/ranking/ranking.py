@@ -165,10 +165,11 @@ class Ranking(CaseFigures, Inference, FreshScores):
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
         inference = infer(
-            drivable.counted[order],
+            drivable.counted,
             drivable.scenarios.side,
             ranked=ranked,
             baseline=position,
+            rows=order,
             **chance,
         )
         warnings = list(_warnings(drivable, results.designs))
@@ -178,7 +179,8 @@ class Ranking(CaseFigures, Inference, FreshScores):
         if results.fresh is not None and results.fresh.designs:
             again, place = fresh_case(results.fresh, case.case), {design.id: k for k, design in enumerate(designs)}
             search = SearchScores(
-                drivable.counted[order],
+                drivable.counted,
+                order,
                 drivable.scenarios.side,
                 inference.set_of_best,
                 ranked,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus, metrics
 from studies.design import Design
 from studies.ranking.masked import masked_max, masked_mean, masked_quantile
-from studies.results import CaseResults
+from studies.results import CaseResults, status_among
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -103,9 +103,10 @@ class ReleaseFigures:
         D_y : float [m]
             Depth below which a departure needs no intervention.
         """
-        acted = ~np.isin(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+        acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
         acted[[design.is_baseline for design in designs]] = False
-        size = max(1, _BLOCK_ENTRIES // max(1, d_y.size))
+        in_memory = isinstance(case.companions.deepest, np.ndarray)
+        size = max(1, (_BLOCK_ENTRIES if in_memory else _STORED_ENTRIES) // max(1, d_y.size))
         blocks = [
             _figures(case, acted, np.asarray(order[first : first + size], dtype=np.int64), d_y, D_y)
             for first in range(0, len(order), size)
@@ -150,6 +151,9 @@ COLUMNS: Final = {
 _BLOCK_ENTRIES: Final = 500_000
 """Runs whose companions are looked at at once (4 MB each); no figure depends on it."""
 
+_STORED_ENTRIES: Final = 2_500_000
+"""The same where companions are read from a study's folder (20 MB each): a file is opened for many designs at once."""
+
 
 def _figures(
     case: CaseResults, acted: BoolArray, rows: npt.NDArray[np.int64], d_y: FloatArray, D_y: float
@@ -158,7 +162,7 @@ def _figures(
     acted = acted[rows]
 
     def value(name: str) -> FloatArray:
-        result: FloatArray = getattr(case.companions, name)[rows].astype(np.float64)
+        result: FloatArray = getattr(case.companions, name)[rows].astype(np.float64, copy=False)
         return result
 
     deepest, dtle, overshoot, t_back = (value(name) for name in ("deepest", "dtle", "overshoot", "t_back"))

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from studies.ranking.bootstrap import bootstrap_deviations, check_confidence, row_means
+from studies.ranking.bootstrap import bootstrap_deviations, check_confidence
+from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.standard_error import (
     degrees_of_freedom,
     error_parts,
@@ -23,6 +24,9 @@ IntArray = npt.NDArray[np.int64]
 _BLOCK_ENTRIES = 32_000
 """Resampled differences held at once; they stay in the cache."""
 
+_KEPT_ENTRIES = 20_000_000
+"""Error parts that are kept (160 MB). More are made again for each of the few references."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Resampled:
@@ -30,32 +34,48 @@ class Resampled:
 
     Attributes
     ----------
-    scores : (d, n) [m s]
+    table : (D, n) [m s]
+        Scores of these designs, and perhaps of others, in any order: a table may be too large for a second one.
+    rows : (d,) int
+        Where the designs stand in it.
+    side : (n,) int
+        Stratum of each scenario.
     mean : (d,) [m s]
     deviations : (B, d) [m s]
         Mean on a resample minus `mean`.
-    parts : (d, n) [m s]
-        `studies.ranking.standard_error.error_parts`.
+    parts : (d, n) [m s] or None
+        `studies.ranking.standard_error.error_parts`, where they are few enough to be kept.
     df : int
         Degrees of freedom of a standard error.
     known : bool
         Whether there is a standard error: `studies.ranking.standard_error.spread_is_known`.
     """
 
-    scores: FloatArray
+    table: FloatArray
+    rows: IntArray
+    side: IntArray
     mean: FloatArray
     deviations: FloatArray
-    parts: FloatArray
+    parts: FloatArray | None
     df: int
     known: bool = True
 
     @classmethod
-    def of(cls, scores: FloatArray, side: IntArray, *, seed: int, samples: int, stream: int = 0) -> Resampled:
+    def of(
+        cls,
+        scores: FloatArray,
+        side: IntArray,
+        *,
+        seed: int,
+        samples: int,
+        stream: int = 0,
+        rows: IntArray | None = None,
+    ) -> Resampled:
         """Resample scenarios within each side.
 
         Parameters
         ----------
-        scores : (d, n) [m s]
+        scores : (D, n) [m s]
         side : (n,) int
             Stratum of each scenario.
         seed : int
@@ -63,17 +83,23 @@ class Resampled:
             Number of resamples B.
         stream : int
             Another stream gives other resamples from the same seed.
+        rows : (d,) int, optional
+            Which designs, in the order wanted; all by default.
 
         Raises
         ------
         InputError
             If samples is not positive, or there are no scenarios.
         """
+        rows = np.arange(len(scores)) if rows is None else rows
+        few = rows.size * side.size <= _KEPT_ENTRIES
         return cls(
-            scores=scores,
-            mean=row_means(scores),
-            deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream),
-            parts=error_parts(scores, side),
+            table=scores,
+            rows=rows,
+            side=side,
+            mean=row_means(scores, rows),
+            deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows),
+            parts=error_parts(scores[rows], side) if few else None,
             df=degrees_of_freedom(side),
             known=spread_is_known(side),
         )
@@ -82,15 +108,23 @@ class Resampled:
         """Some of the designs, on the same resamples."""
         return dataclasses.replace(
             self,
-            scores=self.scores[rows],
+            rows=self.rows[rows],
             mean=self.mean[rows],
             deviations=self.deviations[:, rows],
-            parts=self.parts[rows],
+            parts=None if self.parts is None else self.parts[rows],
         )
+
+    def scores(self, design: int) -> FloatArray:
+        """Scores of one of the designs, (n,) [m s]."""
+        result: FloatArray = self.table[self.rows[design]]
+        return result
 
     def differences(self, reference: int) -> FloatArray:
         """Mean paired difference of every design to one of them, (d,) [m s]; exactly 0 for equal scores."""
-        return row_means(self.scores - self.scores[reference])
+        result, other = np.empty(self.mean.size), self.scores(reference)
+        for places, block in row_blocks(self.table, self.rows):
+            result[places] = row_means(block - other)
+        return result
 
     def errors(self, reference: int | None = None) -> FloatArray:
         """Standard error of every mean, or of its paired difference to one design, (d,) [m s].
@@ -99,12 +133,27 @@ class Resampled:
         only, but for the difference of equal scores.
         """
         if not self.known:
-            if reference is None:
-                return np.full(self.mean.size, np.inf)
-            return np.where((self.scores == self.scores[reference]).all(axis=1), 0.0, np.inf)
+            result = np.full(self.mean.size, np.inf)
+            if reference is not None:
+                for places, block in row_blocks(self.table, self.rows):
+                    result[places][(block == self.scores(reference)).all(axis=1)] = 0.0
+            return result
         if reference is None:
-            return paired_errors(self.parts, np.zeros(self.parts.shape[1]), _largest(self.scores))
-        return paired_errors(self.parts, self.parts[reference], _largest(self.scores[reference]))
+            other = np.zeros(self.side.size)
+            largest = max((_largest(block) for _, block in row_blocks(self.table, self.rows)), default=0.0)
+        else:
+            other, largest = self._parts_of(reference), _largest(self.scores(reference))
+        if self.parts is not None:
+            return paired_errors(self.parts, other, largest)
+        result = np.empty(self.mean.size)
+        for places, block in row_blocks(self.table, self.rows):
+            result[places] = paired_errors(error_parts(block, self.side), other, largest)
+        return result
+
+    def _parts_of(self, design: int) -> FloatArray:
+        parts = error_parts(self.scores(design)[None], self.side) if self.parts is None else self.parts[[design]]
+        result: FloatArray = parts[0]
+        return result
 
     def extremes(self, errors: FloatArray, reference: int | None = None, first: int | None = None) -> FloatArray:
         """Largest absolute studentised deviation in each resample: among the first designs, and among all.

@@ -148,7 +148,9 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     difference, error = resampled.differences(best), resampled.errors(best)
     may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
     wanted = may.size
-    most = max(2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // resampled.scores.size))
+    most = max(
+        2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // (resampled.mean.size * resampled.side.size))
+    )
     if may.size > most:
         may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
 
