@@ -18,6 +18,7 @@ from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
 from studies.study_file.plant_table import plant_settings
 from studies.study_file.spec import Study
+from studies.study_file.toml_text import toml_text
 
 _TOP_OF_OTHER_CASES = 3
 _MOST_FAILED = 20
@@ -60,7 +61,7 @@ def write_ranking(folder: Path, rankings: Sequence[Ranking], race: Race | None) 
 def write_study_report(
     folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...]
 ) -> Path:
-    """Write DIR/report.html."""
+    """Write DIR/report.html and DIR/figures/."""
     report = ReportInput(
         title=study.title or study.name,
         study_name=study.name,
@@ -78,10 +79,11 @@ def write_study_report(
         warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
+        study_file=toml_text(study),
     )
     path = folder / "report.html"
     try:
-        return write_report(report, path)
+        return write_report(report, path, figures=folder / "figures")
     except OSError as error:
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 

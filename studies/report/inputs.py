@@ -52,6 +52,8 @@ class ReportInput:
         Whether the scenario model was fitted to invented and not to recorded driving.
     command : str
         What makes the study again.
+    study_file : str
+        Text of a study file that does, with every default written out.
     """
 
     title: str
@@ -70,3 +72,4 @@ class ReportInput:
     warnings: tuple[str, ...] = ()
     synthetic: bool = False
     command: str = ""
+    study_file: str = ""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from typing import Final
 
 from studies.report.context import Context
+from studies.report.figures.law_intervals import Line, law_intervals_figure
 from studies.report.rendering import render
-from studies.report.section import Section
+from studies.report.section import Drawing, Section
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import is_baseline
 from studies.report.words import prose, text
 from studies.report.words.answer import answer
+
+_MOST_LAWS: Final = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,8 +66,35 @@ def _tiles(table: CaseTable) -> list[Tile]:
     return tiles
 
 
+def _laws(context: Context) -> Iterator[Drawing]:
+    """The best design of each law, and the paper's controller."""
+    table = context.primary
+    rows = [row for row in table.best_of_each_law if not is_baseline(row)][:_MOST_LAWS]
+    paper = table.paper_design
+    if paper is not None and paper not in rows:
+        rows.append(paper)
+    if not rows:
+        return
+    lines = [
+        Line(
+            text.printable(row.title) + (" (Table I)" if row is paper else ""),
+            context.styles[row.design.law],
+            row.S,
+            row.fresh,
+            row.reduction.value,
+            row is table.winner,
+        )
+        for row in sorted(rows, key=lambda row: row.place)
+    ]
+    yield Drawing(
+        "best-of-each-law", "Mean S of the best design of each law, with intervals, against no control",
+        law_intervals_figure(lines, table.uncorrected),
+    )  # fmt: skip
+
+
 def section(context: Context) -> Section:
     """The section."""
+    laws = tuple(_laws(context))
     report, primary = context.report, context.primary
     elsewhere = {warning for table in context.tables[1:] for warning in table.warnings}  # told beside their own tables
     warnings = dict.fromkeys((*report.warnings, *primary.warnings))
@@ -73,7 +105,8 @@ def section(context: Context) -> Section:
         primary=primary,
         warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
         tiles=_tiles(primary),
-        answer=answer(report, primary),
+        answer=answer(context),
         plant=prose.plant(report),
+        laws=laws,
     )
-    return Section("answer", "Answer", body)
+    return Section("answer", "Answer", body, laws)

@@ -9,9 +9,11 @@ from markupsafe import Markup
 
 from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
+from studies.report.context import Context
 from studies.report.figures.landscape import on_the_edge
 from studies.report.inputs import ReportInput
-from studies.report.tables.case_table import PAPER_LAW, CaseTable
+from studies.report.tables.case_table import CaseTable
+from studies.report.tables.reduction import ratio_interval
 from studies.report.tables.row import Interval, Row, is_baseline
 from studies.report.tables.tabulate import tried
 from studies.report.words.prose import between, between_percent, design_text, rank_text
@@ -20,26 +22,27 @@ from studies.report.words.text import number, percent, plural, signed, symbols
 _NAMED = 3
 
 
-def answer(report: ReportInput, table: CaseTable) -> list[Markup]:
+def answer(context: Context) -> list[Markup]:
     """The answer in a few sentences, each a paragraph.
 
     Parameters
     ----------
-    report : ReportInput
-    table : CaseTable
-        Of the primary case.
+    context : Context
 
     Returns
     -------
     list of Markup
+        Of the primary case: what wins, its gain over no control, over the paper's controller and over the
+        baseline, what else may be the best, and what limits the choice.
     """
+    report, table = context.report, context.primary
     best = table.best
     sentences = list(_lead(report, table))
     if is_baseline(best):
         sentences.append(_no_improvement(table))
     else:
         sentences.append(_against_no_control(table))
-        sentences += _against_others(table)
+        sentences += _against_others(context)
         if best.triggered == 0:
             sentences.append(
                 Markup("No departure went deep enough to trigger it, so the score is that of the uncorrected paths.")
@@ -149,12 +152,12 @@ def _against_no_control(table: CaseTable) -> Markup:
     )
 
 
-def _against_others(table: CaseTable) -> Iterator[Markup]:
+def _against_others(context: Context) -> Iterator[Markup]:
+    table = context.primary
     if not table.ranked:
         return
-    rival, words = _rival(table)
-    if rival is not None:
-        yield _against(table, rival, words)
+    for rival, words in _rivals(table):
+        yield _against(context, rival, words)
     best, baseline = table.best, table.baseline
     difference = best.fresh_to_baseline or best.to_baseline
     if baseline is None or baseline is best or difference is None:
@@ -169,33 +172,32 @@ def _against_others(table: CaseTable) -> Iterator[Markup]:
     )  # fmt: skip
 
 
-def _rival(table: CaseTable) -> tuple[Row | None, str]:
-    """The best design of the paper's law, or of another law where that law won."""
-    if table.best.design.law != PAPER_LAW:
-        paper = table.best_of(PAPER_LAW)
-        if paper is not None:
-            return paper, "the best design of the paper\u2019s law"
-    others = [r for r in table.best_of_each_law if r.design.law != table.best.design.law and not is_baseline(r)]
-    return (others[0], "the best design of any other law") if others else (None, "")
+def _rivals(table: CaseTable) -> Iterator[tuple[Row, str]]:
+    """The paper's own controller and the best design of its law; of another law where the study has none, or it won."""
+    best, paper, tuned = table.best, table.paper_design, table.best_of(PAPER_LAW)
+    if paper is not None and paper is not best:
+        yield paper, "the paper\u2019s controller, Table I"
+    if tuned is not None and tuned is not paper and best.design.law != PAPER_LAW:
+        yield tuned, "the best design of the paper\u2019s law"
+    if tuned is None or best.design.law == PAPER_LAW:
+        others = [r for r in table.best_of_each_law if r.design.law != best.design.law and not is_baseline(r)]
+        if others:
+            yield others[0], "the best design of any other law"
 
 
-def _against(table: CaseTable, rival: Row, words: str) -> Markup:
-    saved = rival.S.value - table.best.S.value
-    share = saved / rival.S.value if rival.S.value > 0 else 0.0
-    # intervals are those of differences to the first of the ranking, which the winner need not be
-    interval = f" (interval {between(rival.difference)} m·s)" if table.best.place == 0 and rival.rank else ""
-    said = Markup("Against {} ({}; {}, {} m·s) it is <strong>{} m·s or {} {}</strong>{}.{}")
+def _against(context: Context, rival: Row, words: str) -> Markup:
+    best = context.primary.best
+    change = ratio_interval(context.S(best), context.S(rival), context.scenarios.side, context.primary.confidence)
+    worse = change.value < 0
+    shown = Interval(-change.value, -change.high, -change.low) if worse else change
+    where = " on the same departures" if best.fresh is not None else ""
+    # one comparison that was named beforehand; those of the ranking hold for all designs at once
+    said = Markup("Against {} ({}; {}, {} m·s){} it is <strong>{} m·s or {} {}</strong> (interval {}).{}")
     return said.format(
-        words,
-        design_text(rival),
-        rank_text(rival),
-        number(rival.S.value),
-        number(abs(saved)),
-        percent(abs(share)),
-        "less" if saved >= 0 else "more",
-        interval,
-        " The two cannot be told apart on these departures." if rival.in_set else "",
-    )
+        words, design_text(rival), rank_text(rival), number(rival.S.value), where,
+        number(abs(rival.S.value - best.S.value)), percent(shown.value), "more" if worse else "less",
+        between_percent(shown), " The two cannot be told apart on these departures." if rival.in_set else "",
+    )  # fmt: skip
 
 
 def _set_of_best(table: CaseTable) -> Markup:

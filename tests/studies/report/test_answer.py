@@ -12,6 +12,7 @@ import pytest
 
 from studies.ranking.ranking import Ranking
 from studies.report import ReportInput
+from studies.report.context import Context
 from studies.report.page import make_page
 from studies.report.tables.tabulate import case_table
 from studies.report.words.answer import answer
@@ -26,8 +27,7 @@ def plain(results: StudyResults) -> Ranking:
 
 def said(report: ReportInput) -> str:
     """The answer as one text, with plain spaces."""
-    table = case_table(report.results, 0, report.rankings[0])
-    return " ".join(" ".join(one.striptags() for one in answer(report, table)).split())
+    return " ".join(" ".join(one.striptags() for one in answer(Context.of(report))).split())
 
 
 def input_of(make: ModuleType, results: StudyResults, ranking: Ranking) -> ReportInput:
@@ -73,6 +73,24 @@ def test_the_winner_need_not_be_the_first(make: ModuleType, results: StudyResult
     assert page.count('<tr class="best">') == 1
     assert page.index('<span class="tag strong">winner') > page.index('<span class="tag">set of best')
     assert "the winner, keeps the front" in page
+
+
+def test_the_gain_over_the_papers_controller_has_an_interval(
+    make: ModuleType, results: StudyResults, plain: Ranking
+) -> None:
+    """The interval against a direct computation: a ratio of paired means, by the delta method."""
+    S, side = results.cases[0].counted, results.scenarios.side
+    paper = next(i for i, d in enumerate(results.designs) if d.law == "preview_proportional" and d.y_s == 0.2
+                 and dict(d.gains)["K_y"] == -0.005 and dict(d.gains)["K_psi"] == -0.2)  # fmt: skip
+    best = S[int(plain.index[0])]
+    ratio = best.mean() / S[paper].mean()
+    residual = best - ratio * S[paper]
+    variance = sum(part.size * part.var(ddof=1) for part in (residual[side == 1], residual[side == -1]))
+    error = 1.959964 * np.sqrt(variance) / side.size / S[paper].mean()
+    low, high = (f"{100 * (1 - ratio + sign * error):.1f}" for sign in (-1, 1))
+    text = said(input_of(make, results, plain)).replace("\u00a0", " ")
+    assert "Against the paper’s controller, Table I (Preview P, ys = 0.2 m" in text
+    assert f"or {100 * (1 - ratio):.1f} % less (interval {low} % to {high} %)" in text
 
 
 def test_a_first_that_misses_a_requirement_on_fresh_departures(

@@ -212,7 +212,7 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, dr
     assert line("Departures taken over") == of_interventions(ranking.triggered, percent)
     assert line("Needless") == of_interventions(figures.needless, percent)
     assert line("Time of the law") == ["linear", "linear", "–"]
-    said = page.words("limits")
+    said = page.words("trade-offs")
     assert f"{percent(figures.within_dtle[0])} of the departures".replace("\u00a0", " ") in said
     assert f"({percent(figures.within_dtle[places[2]])} without control)".replace("\u00a0", " ") in said
     assert (
@@ -449,8 +449,8 @@ def test_nothing_ranked_is_no_best(make: ModuleType, results: StudyResults) -> N
     for table in ranking_tables(page):
         assert all(row[0] == "–" and "misses S <= 0" in row[1] for row in table[1:])
         assert not any("winner" in row[1] or "set of best" in row[1] for row in table[1:])
-    assert "(it misses S <= 0)" in page.words("limits")
-    assert "rank 0" not in page.words("convergence")
+    assert "(it misses S <= 0)" in page.words("trade-offs")
+    assert "rank 0" not in page.words("confidence")
 
 
 def test_failures_are_listed(make: ModuleType, with_failures: StudyResults) -> None:
@@ -463,7 +463,7 @@ def test_failures_are_listed(make: ModuleType, with_failures: StudyResults) -> N
             assert [int(cell) for cell in row[2:6:2]] == [50, 50]
         assert sum(int(row[3]) for row in table[1:]) == case.failed_solves.sum()
     assert "did not run as designed" in page.words("answer")
-    assert "In 50 departures its path left ±20 m" in page.words("limits")
+    assert "In 50 departures its path left ±20 m" in page.words("trade-offs")
     assert "more (interval" in page.words("answer")  # S is worse than no control here
     assert "No failures" not in page.text["failures"]
 
