@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
+from studies.paper_design import is_paper_design
 from studies.report.tables.row import Row
 from studies.results import Case, Race
-
-PAPER_LAW = "preview_proportional"
-_PAPER_DESIGN = {"y_s": 0.2, "K_y": -0.005, "K_psi": -0.2, "T_lp": 2.0}
-"""Table I of the paper."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,11 +100,7 @@ class CaseTable:
     @property
     def paper_design(self) -> Row | None:
         """The design of the paper's Table I, if the study holds it."""
-        for row in self.rows:
-            values = {"y_s": row.design.y_s, **dict(row.design.gains)}
-            if row.design.law == PAPER_LAW and all(values.get(k) == v for k, v in _PAPER_DESIGN.items()):
-                return row
-        return None
+        return next((row for row in self.rows if is_paper_design(row.design)), None)
 
     @property
     def failed(self) -> tuple[Row, ...]:
