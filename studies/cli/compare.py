@@ -20,7 +20,14 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("old", metavar="OLD", help="folder that ldc run wrote")
     parser.add_argument("new", metavar="NEW", help="folder that ldc run wrote")
-    parser.add_argument("-o", "--output", metavar="FILE.csv", help="write every comparison as CSV")
+    parser.add_argument(
+        "-o",
+        "--output",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="write every comparison as FILE.csv, or a page to read as FILE.html; repeatable",
+    )
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     parser.add_argument("--json", action="store_true", help="print JSON for scripts instead of tables")
     parser.add_argument(
@@ -36,17 +43,19 @@ def run(chosen: argparse.Namespace) -> int:
     import json
 
     from studies.cli._comparison_table import print_comparison
+    from studies.compare_page import write_compare_page
     from studies.comparison.compare_studies import compare
     from studies.comparison.comparison_files import comparison_content, write_comparison
 
-    target = None if chosen.output is None else output_file(chosen.output, ".csv")
+    targets = [output_file(path, ".csv", ".html") for path in chosen.output]
     comparison = compare(chosen.old, chosen.new)
-    if target is not None:
-        write_comparison(comparison, target)
+    for target in targets:
+        write = write_compare_page if target.suffix.lower() == ".html" else write_comparison
+        write(comparison, target)
     if chosen.json:
         print(json.dumps(comparison_content(comparison), indent=2, allow_nan=False))
     else:
         print_comparison(comparison, chosen.top, console())
-        if target is not None:
+        for target in targets:
             print(f"comparison: {target}")
     return SOME_WORSE if chosen.fail_if_worse and comparison.any_worse else 0

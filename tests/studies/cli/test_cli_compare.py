@@ -89,6 +89,15 @@ def test_tables_and_csv(folders: Path, tmp_path: Path) -> None:
     assert rows[2]["difference_m_s"] == "0.0"
 
 
+def test_the_page_and_the_csv_file_at_once(folders: Path, tmp_path: Path) -> None:
+    targets = [tmp_path / "c.csv", tmp_path / "c.html"]
+    done = ldc("compare", "old", "new", "-o", targets[0], "-o", targets[1], cwd=folders)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-2:] == [f"comparison: {target}" for target in targets]
+    assert targets[1].read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert "plant.actuator.lag" in targets[1].read_text(encoding="utf-8")
+
+
 def test_fewer_rows_on_request(folders: Path) -> None:
     done = ldc("compare", "old", "new", "--top", 1, cwd=folders)
     assert done.returncode == 0
@@ -119,7 +128,7 @@ def test_refusals(bad: Callable[..., str], folders: Path, tmp_path: Path) -> Non
     assert "the same folder twice" in bad("old", "./old")
     assert "no scenario in both (seed: 2 -> 3)" in bad("old", "seed")
     assert "holds no study" in bad("old", "nowhere")
-    assert "must end in .csv" in bad("old", "new", "-o", "c.txt")
+    assert "must end in .csv or .html" in bad("old", "new", "-o", "c.txt")
     assert "the folder nowhere does not exist" in bad("old", "new", "-o", "nowhere/c.csv")
     broken = tmp_path / "broken"
     shutil.copytree(folders / "new", broken)
