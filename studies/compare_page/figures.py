@@ -107,7 +107,7 @@ def scatter_figure(case: CaseComparison) -> Figure | None:
         for law, style in styles.items():
             rows = [i for i, one in enumerate(laws) if one == law]
             marker = "*" if style.marker == "|" else style.marker  # a stroke is too thin for a point
-            look: dict[str, Any] = {"marker": marker, "markersize": 5.5, "markeredgecolor": "#ffffff", "markeredgewidth": 0.4}
+            look: dict[str, Any] = {"marker": marker, "markersize": 5.5, "markeredgecolor": "#ffffff"}
             axes.plot(S.S_old[rows], S.S_new[rows], ls="none", color=style.color, label=shorten(law, 28), **look)
         axes.set_xlim(low - margin, high + margin)
         axes.set_ylim(low - margin, high + margin)
