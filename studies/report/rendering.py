@@ -23,6 +23,7 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters |= {
         "number": text.number,
+        "figure": text.figure,
         "signed": text.signed,
         "percent": text.percent,
         "change": text.change,

@@ -73,7 +73,8 @@ def law_intervals_figure(lines: Sequence[Line], uncorrected: float) -> Figure:
         axes.axvline(uncorrected, color=RECORDED.color, linestyle=(0, (5, 3)), linewidth=1.2)
         axes.annotate(
             f"no control {number(uncorrected)}", (uncorrected, 1.0), (0, 4), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="right" if uncorrected > 0.6 * limit else "left", fontsize=8.5, color="#444444",
+            textcoords="offset points", ha="right" if uncorrected > 0.6 * limit else "left", fontsize=8.5,
+            color="#444444",
         )  # fmt: skip
         axes.set_yticks(range(len(lines)), [wrap(one.label, 30) for one in lines])
         for tick, one in zip(axes.get_yticklabels(), lines, strict=True):

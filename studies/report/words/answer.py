@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
+from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
 from studies.report.figures.landscape import on_the_edge
 from studies.report.inputs import ReportInput

@@ -83,6 +83,23 @@ def number(value: float, digits: int = 3) -> str:
     return shown.replace("-", MINUS)
 
 
+def figure(value: float, digits: int = 3) -> str:
+    """A number with that many significant digits, for quantities of any size; powers of ten where they help.
+
+    Examples
+    --------
+    >>> figure(28.46), figure(-0.00031256), figure(0.0)
+    ('28.5', '−3.13e−4', '0')
+    """
+    if not math.isfinite(value):
+        return number(value)
+    shown = f"{value:.{digits}g}"
+    mantissa, e, exponent = shown.partition("e")
+    if value and abs(value) < 1e-3:
+        mantissa, e, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return (f"{mantissa}e{int(exponent)}" if e else mantissa).replace("-", MINUS)
+
+
 def signed(value: float, digits: int = 3) -> str:
     """Like `number`, with a plus sign for what is greater than zero."""
     shown = number(value, digits)
