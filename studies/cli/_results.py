@@ -14,6 +14,7 @@ from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
 from studies.report import ReportInput, write_report
 from studies.results import Race, StudyResults
+from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
 from studies.study_file.plant_table import plant_settings
@@ -79,6 +80,7 @@ def write_study_report(
         warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
+        sensitivity=sensitivity(results, study),
         study_file=toml_text(study),
     )
     path = folder / "report.html"

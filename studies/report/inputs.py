@@ -12,6 +12,7 @@ from studies.results import StudyResults
 
 if TYPE_CHECKING:
     from studies.ranking.ranking import Ranking
+    from studies.sensitivity.sensitivity import BlockSensitivity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,12 @@ class ReportInput:
         What makes the study again.
     study_file : str
         Text of a study file that does, with every default written out.
+    departures : tuple of int
+        Numbers of departures that the explorer shows beside those of its own rule.
+    shown_designs : tuple of str
+        Identifiers of designs that it shows likewise, or how they begin.
+    sensitivity : tuple of BlockSensitivity
+        Which gain matters, of the primary case; none leaves that part out.
     """
 
     title: str
@@ -73,3 +80,6 @@ class ReportInput:
     synthetic: bool = False
     command: str = ""
     study_file: str = ""
+    departures: tuple[int, ...] = ()
+    shown_designs: tuple[str, ...] = ()
+    sensitivity: tuple[BlockSensitivity, ...] = ()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.report.figures.landscape_figures import Axis, Landscape
+from studies.report.figures.sample_figure import Sample
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,13 +36,14 @@ def swept_axes(designs: Sequence[Design]) -> tuple[Axis, ...]:
     -------
     tuple of Axis
     """
-    declared = {g.name: g.unit for g in controller_class(designs[0].law).gains()}
+    declared = {g.name: (g.unit, g.scale) for g in controller_class(designs[0].law).gains()}
+    every = [values_of(design) for design in designs]
     axes = []
-    for name, unit in {"y_s": "m", **declared}.items():
-        seen: list[GainValue] = list(dict.fromkeys(values_of(d)[name] for d in designs))
+    for name, (unit, scale) in {"y_s": ("m", "linear"), **declared}.items():
+        seen: list[GainValue] = list(dict.fromkeys(values[name] for values in every))
         if len(seen) > 1:
             numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in seen)
-            axes.append(Axis(name, unit, tuple(sorted(seen, key=float) if numeric else seen)))
+            axes.append(Axis(name, unit, tuple(sorted(seen, key=float) if numeric else seen), scale == "log"))
     return tuple(axes)
 
 
@@ -65,27 +68,80 @@ def landscapes(
         Each cell is the least mean S over everything that the panel does not show.
     """
     for law in dict.fromkeys(d.law for d in designs):
+        members = LawDesigns.of(designs, S_mean, winner, law, framed)
+        for x, y in members.pairs:
+            yield members.landscape(x, y)
+
+
+@dataclasses.dataclass(frozen=True)
+class LawDesigns:
+    """The m designs of one law, with their scores.
+
+    Attributes
+    ----------
+    law, title : str
+        Registry name and name for people.
+    axes : tuple of Axis
+        What they differ in.
+    values : tuple of mappings
+        Threshold and gains of each.
+    S : (m,) [m s]
+        Mean S.
+    best : int
+        Position of the law's best design.
+    winner : bool
+        Whether that is the best of the whole study.
+    """
+
+    law: str
+    title: str
+    axes: tuple[Axis, ...]
+    values: tuple[dict[str, GainValue], ...]
+    S: FloatArray
+    best: int
+    winner: bool
+
+    @classmethod
+    def of(
+        cls, designs: Sequence[Design], S_mean: FloatArray, winner: int, law: str, framed: Collection[int] = ()
+    ) -> Self:
+        """Those of one law; the other parameters are those of `landscapes`."""
         members = [i for i, d in enumerate(designs) if d.law == law]
-        axes = swept_axes([designs[i] for i in members])
         best = winner if winner in members else min(members, key=lambda i: (i not in framed, S_mean[i]))
-        title = controller_class(law).title
-        if not axes:
-            continue
-        pairs: list[tuple[Axis, Axis | None]] = [(axes[0], None)]
-        if len(axes) > 1:
-            pairs = [(axes[0], other) for other in axes[1:]]
-        for x, y in pairs:
-            grid = np.full((len(y.values) if y else 1, len(x.values)), np.inf)
-            for i in members:
-                row, column = _place(designs[i], x, y)
-                grid[row, column] = min(grid[row, column], S_mean[i])
-            grid[~np.isfinite(grid)] = np.nan
-            yield Landscape(law, title, x, y, grid, _place(designs[best], x, y), best == winner)
+        own = [designs[i] for i in members]
+        return cls(
+            law,
+            controller_class(law).title,
+            swept_axes(own),
+            tuple(values_of(design) for design in own),
+            S_mean[members],
+            members.index(best),
+            best == winner,
+        )
 
+    @property
+    def pairs(self) -> list[tuple[Axis, Axis | None]]:
+        """The first axis with each of the others, or alone."""
+        if len(self.axes) < 2:
+            return [(axis, None) for axis in self.axes]
+        return [(self.axes[0], other) for other in self.axes[1:]]
 
-def _place(design: Design, x: Axis, y: Axis | None) -> tuple[int, int]:
-    values = values_of(design)
-    return (y.values.index(values[y.name]) if y else 0), x.values.index(values[x.name])
+    def landscape(self, x: Axis, y: Axis | None) -> Landscape:
+        """Cells over two axes, or one."""
+        rows, columns = self.places(y), self.places(x)
+        grid = np.full((len(y.values) if y else 1, len(x.values)), np.inf)
+        np.minimum.at(grid, (rows, columns), self.S)
+        grid[~np.isfinite(grid)] = np.nan
+        best = int(rows[self.best]), int(columns[self.best])
+        return Landscape(self.law, self.title, x, y, grid, best, self.winner)
+
+    def places(self, axis: Axis | None) -> npt.NDArray[np.int64]:
+        """Where each design stands on an axis, (m,)."""
+        if axis is None:
+            return np.zeros(len(self.values), dtype=np.int64)
+        # True equals 1 as a key, but one axis holds switches or numbers and never both
+        place = {value: i for i, value in enumerate(axis.values)}
+        return np.array([place[values[axis.name]] for values in self.values], dtype=np.int64)
 
 
 def on_the_edge(designs: Sequence[Design], chosen: int) -> tuple[str, ...]:
@@ -104,7 +160,7 @@ def on_the_edge(designs: Sequence[Design], chosen: int) -> tuple[str, ...]:
     return tuple(found)
 
 
-def color_range(panels: Sequence[Landscape], uncorrected: float) -> tuple[float, float]:
+def color_range(panels: Iterable[Landscape | Sample], uncorrected: float) -> tuple[float, float]:
     """Ends of one colour scale for all panels [m s]: from the best to the worst that is no worse than no control."""
     values = np.concatenate([panel.S.ravel() for panel in panels])
     values = values[np.isfinite(values)]
@@ -116,5 +172,5 @@ def color_range(panels: Sequence[Landscape], uncorrected: float) -> tuple[float,
 def is_full_grid(designs: Sequence[Design]) -> bool:
     """Whether every combination of the swept values of a law was run."""
     axes = swept_axes(designs)
-    combinations = set(itertools.product(*(axis.values for axis in axes)))
-    return combinations == {tuple(values_of(d)[axis.name] for axis in axes) for d in designs}
+    found = {tuple(values[axis.name] for axis in axes) for values in map(values_of, designs)}
+    return len(found) == math.prod(len(axis.values) for axis in axes)  # a sample has too many combinations to list

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.gains import GainValue
-from studies.report.figures.scores import new_panel
+from studies.report.figures.scores import new_panel, plain_decades
 from studies.report.look.style import LineStyle, figure_settings
 from studies.report.words.text import compact, number, shorten, unit_text
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 _ANNOTATED_CELLS = 48
+_MARKED_POINTS = 40
 _WORSE = "#d4d4d4"
 
 
@@ -31,11 +33,14 @@ class Axis:
     name, unit : str
     values : tuple
         In rising order; words in the order of the study.
+    log : bool
+        Whether the law declares the quantity's logarithm as what is even.
     """
 
     name: str
     unit: str
     values: tuple[GainValue, ...]
+    log: bool = False
 
     @property
     def label(self) -> str:
@@ -47,6 +52,17 @@ class Axis:
     def numeric(self) -> bool:
         """Whether the values are numbers (then a profile may be drawn to scale)."""
         return all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.values)
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is to be drawn on a logarithmic scale: so declared, and over a decade or more."""
+        return self.log and self.numeric and 0 < 10 * float(self.values[0]) <= float(self.values[-1])
+
+    def positions(self, values: Sequence[GainValue]) -> FloatArray:
+        """Where values are drawn: numbers at themselves, words at 0, 1, ..."""
+        if self.numeric:
+            return np.array([float(value) for value in values])
+        return np.array([float(self.values.index(value)) for value in values])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,11 +224,12 @@ def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figur
     x, S = landscape.x, landscape.S[0]
     with figure_settings():
         figure, axes = new_panel()
-        places = np.asarray(x.values, dtype=float) if x.numeric else np.arange(len(x.values), dtype=float)
+        places = x.positions(x.values)
         axes.axhline(uncorrected, color="#595959", linewidth=1.2, linestyle=(0, (1.2, 1.4)))
         axes.annotate("no control", (1.0, uncorrected), xycoords=("axes fraction", "data"), xytext=(-2, -3),
                       textcoords="offset points", ha="right", va="top", color="#595959", fontsize=8.5)  # fmt: skip
-        axes.plot(places, S, marker=style.marker, markersize=5, **style.line())
+        markers = {"marker": style.marker, "markersize": 5} if len(x.values) <= _MARKED_POINTS else {}
+        axes.plot(places, S, **markers, **style.line())
         best = landscape.best[1]
         axes.plot(places[best], S[best], marker="*" if landscape.winner else "o",
                   markersize=15 if landscape.winner else 10, markerfacecolor="#ffffff" if landscape.winner else "none",
@@ -220,7 +237,10 @@ def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figur
         axes.annotate(number(float(S[best])), (places[best], S[best]), xytext=(0, 10), textcoords="offset points",
                       ha="center", fontsize=8.5, fontweight="bold")  # fmt: skip
         axes.margins(x=0.08, y=0.18)
-        if not x.numeric or len(x.values) <= 8:
+        if x.wide:
+            axes.set_xscale("log")
+            plain_decades(axes.xaxis)
+        elif not x.numeric or len(x.values) <= 8:
             axes.set_xticks(places, tick_labels(x))
         axes.set_xlabel(x.label)
         axes.set_ylabel("Mean S [m·s]")

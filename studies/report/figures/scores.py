@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.report.look.style import PANEL, LineStyle, figure_settings
-from studies.report.words.text import change, number
+from studies.report.words.text import change, compact, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
@@ -202,6 +203,16 @@ def plain_log(axes: Axes, n: int) -> None:
     axes.xaxis.set_major_locator(FixedLocator(ticks))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+
+
+def plain_decades(axis: Axis) -> None:
+    """A logarithmic axis whose numbers are written out where there is room: 1, 2, 5, 10 or whole decades."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    low, high = axis.get_data_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 200 * low else (1.0,)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: compact(float(f"{value:.6g}")))
 
 
 def wrap(label: str, width: int) -> str:
