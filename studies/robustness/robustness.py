@@ -1,0 +1,284 @@
+"""What other plants do to a ranking: scores, ranks, failures and paired changes, and margins over speed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus
+from ldctoolkit.departures import LEFT
+from studies.comparison.paired_verdicts import paired_differences
+from studies.ranking.row_blocks import row_means
+from studies.results import FAILED_STATUSES, status_among
+from studies.robustness.chosen_designs import ChosenDesigns, chosen_designs
+from studies.robustness.content_key import content_key
+from studies.robustness.drives import Drives, drive_on_plants, first_of_each_side
+from studies.robustness.loop_margins import LoopMargins, loop_margins, trigger_speeds
+from studies.robustness.plants import OtherPlant, impossible, other_plants
+from studies.robustness.setting import Setting
+
+if TYPE_CHECKING:
+    from ldctoolkit import Scenarios
+    from studies.ranking.ranking import Ranking
+    from studies.results import StudyResults
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+PER_SIDE: Final = 100
+"""Scenarios of each side; changes are paired, so that a few hundred tell them well."""
+
+CONFIDENCE: Final = 0.95
+
+_BOOTSTRAP: Final = 2000
+
+
+@dataclasses.dataclass(frozen=True)
+class Robustness:
+    """Designs on p plants; the first plant is the study's own, the first of d designs the reference.
+
+    Attributes
+    ----------
+    key : str
+        What it was worked out from; see `studies.robustness.content_key.content_key`.
+    designs : tuple of str
+        Identifiers, d.
+    contends : (d,) bool
+        Whether the design is ranked here; see `ChosenDesigns`.
+    slow : tuple of str
+        Laws that were left out because they take too long.
+    unsafe : tuple of str
+        Labels of designs that were left out because their law ended or held up its process.
+    more : int
+        Further designs that were left out.
+    plants, titles, differences : tuple of str
+        Name, a few words, and what differs from the study's plant, p each.
+    left_out : tuple of (title, reason)
+        Plants that cannot be driven on.
+    left, right : int
+        Scenarios of each side.
+    S, S_uncorrected : (p, d) [m s]
+        Means; NaN where the law raised.
+    rank : (p, d) int
+        By mean S among the designs that contend; 0 for the others.
+    failures, diverged : (p, d) int
+        Scenarios that failed, and those of them whose path was lost.
+    change, low, high : (p, d) [m s]
+        Paired change of mean S to the study's plant, and its interval; all intervals hold at once. The interval is NaN
+        where too few scenarios changed, the change too where the law raised.
+    rival : (p,) int
+        The best of the other designs that contend; -1 where there is none.
+    lead, lead_low, lead_high : (p,) [m s]
+        Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval; these
+        hold at once too. NaN without a rival.
+    raised : tuple of (plant, design, reason)
+        By position: laws that raised.
+    v : (k,) [m/s]
+        Speeds of the margins.
+    margins : tuple of LoopMargins
+        One a design, on the study's plant.
+    """
+
+    key: str
+    designs: tuple[str, ...]
+    contends: npt.NDArray[np.bool_]
+    slow: tuple[str, ...]
+    unsafe: tuple[str, ...]
+    more: int
+    plants: tuple[str, ...]
+    titles: tuple[str, ...]
+    differences: tuple[str, ...]
+    left_out: tuple[tuple[str, str], ...]
+    left: int
+    right: int
+    S: FloatArray
+    S_uncorrected: FloatArray
+    rank: IntArray
+    failures: IntArray
+    diverged: IntArray
+    change: FloatArray
+    low: FloatArray
+    high: FloatArray
+    rival: IntArray
+    lead: FloatArray
+    lead_low: FloatArray
+    lead_high: FloatArray
+    raised: tuple[tuple[int, int, str], ...]
+    v: FloatArray
+    margins: tuple[LoopMargins, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return self.left + self.right
+
+
+@dataclasses.dataclass(frozen=True)
+class RobustnessTask:
+    """Everything that the numbers follow from.
+
+    Attributes
+    ----------
+    chosen : ChosenDesigns
+    plants : tuple of OtherPlant
+        The study's own first.
+    left_out : tuple of (title, reason)
+    scenarios : Scenarios
+    setting : Setting
+    """
+
+    chosen: ChosenDesigns
+    plants: tuple[OtherPlant, ...]
+    left_out: tuple[tuple[str, str], ...]
+    scenarios: Scenarios
+    setting: Setting
+
+    @classmethod
+    def of(cls, results: StudyResults, ranking: Ranking, setting: Setting, per_side: int = PER_SIDE) -> RobustnessTask:
+        """The task that a study sets.
+
+        Parameters
+        ----------
+        results : StudyResults
+        ranking : Ranking
+            Of one of its cases.
+        setting : Setting
+            Of the same case.
+        per_side : int
+            Scenarios of each side, at most.
+        """
+        scenarios = first_of_each_side(results.drivable().scenarios, per_side)
+        has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
+        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setting.options)
+        plants, left_out = [own], []
+        for plant in other_plants(setting.options, setting.dt):
+            reason = impossible(plant, setting.case.convention, has_residuals)
+            if reason:
+                left_out.append((plant.title, reason))
+            else:
+                plants.append(plant)
+        return cls(chosen_designs(ranking), tuple(plants), tuple(left_out), scenarios, setting)
+
+    @property
+    def key(self) -> str:
+        """Sixteen hexadecimal digits that stand for all of it."""
+        return content_key(self.chosen, self.plants, self.scenarios, self.setting)
+
+
+def work_out(task: RobustnessTask) -> Robustness:
+    """Drive the designs of a task on its plants, and look at their loops.
+
+    Parameters
+    ----------
+    task : RobustnessTask
+
+    Returns
+    -------
+    Robustness
+    """
+    chosen, setting = task.chosen, task.setting
+    drives = drive_on_plants(chosen.designs, [plant.options for plant in task.plants], task.scenarios, setting)
+    # every plant and design on the same scenarios, or their means could not be compared
+    known = np.isfinite(drives.S)
+    ran = np.any(known, axis=2)
+    rows = np.all(known[ran], axis=0)
+    drives = Drives(drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows], drives.raised)
+    side = task.scenarios.side[rows]
+    takeovers = [setting.takeover(task.scenarios, y_s, setting.options) for y_s in _thresholds(chosen)]
+    v = trigger_speeds(takeovers)
+    margins = tuple(loop_margins(design.controller(setting.case.convention), setting, v) for design in chosen.designs)
+    contends = np.array(chosen.contends, dtype=np.bool_)
+    S = _means(drives.S)
+    failed = status_among(drives.status, FAILED_STATUSES)
+    change, low, high = _changes(drives.S, side, setting.seed)
+    rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side, setting.seed)
+    return Robustness(
+        key=task.key,
+        designs=tuple(design.id for design in chosen.designs),
+        contends=contends,
+        slow=chosen.slow,
+        unsafe=chosen.unsafe,
+        more=chosen.more,
+        plants=tuple(plant.name for plant in task.plants),
+        titles=tuple(plant.title for plant in task.plants),
+        differences=tuple(plant.what for plant in task.plants),
+        left_out=task.left_out,
+        left=int((side == LEFT).sum()),
+        right=int((side != LEFT).sum()),
+        S=S,
+        S_uncorrected=_means(drives.S_uncorrected),
+        rank=np.stack([ranks(row, contends) for row in S]),
+        failures=failed.sum(axis=2, dtype=np.int64),
+        diverged=(drives.status == EventStatus.DIVERGED).sum(axis=2, dtype=np.int64),
+        change=change,
+        low=low,
+        high=high,
+        rival=rival,
+        lead=lead,
+        lead_low=lead_low,
+        lead_high=lead_high,
+        raised=drives.raised,
+        v=v,
+        margins=margins,
+    )
+
+
+def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:
+    """Rank of each design by mean S among those that contend; equal ones share it, 0 for the others.
+
+    Examples
+    --------
+    >>> ranks(np.array([2.0, 1.0, 2.0, 0.5]), np.array([True, True, True, False]))
+    array([2, 1, 2, 0])
+    """
+    among = contends & ~np.isnan(S)
+    better = (S[None, among] < S[:, None]).sum(axis=1)
+    return np.where(among, 1 + better, 0).astype(np.int64)
+
+
+def _thresholds(chosen: ChosenDesigns) -> list[float]:
+    return list(dict.fromkeys(design.y_s for design in chosen.designs if not design.is_baseline))
+
+
+def _means(values: FloatArray) -> FloatArray:
+    """Means over the scenarios; NaN without any."""
+    if not values.shape[2]:
+        return np.full(values.shape[:2], np.nan)
+    return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
+
+
+def _changes(S: FloatArray, side: IntArray, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Change to the first plant and its interval, (p, d) each."""
+    p, d, n = S.shape
+    ends = [np.full((p, d), np.nan) for _ in range(3)]
+    known = np.all(np.isfinite(S), axis=2)
+    for end in ends:
+        end[0, known[0]] = 0.0
+    k, i = np.nonzero(known[1:] & known[0])
+    if k.size and n:
+        found = paired_differences(S[0, i], S[k + 1, i], side, seed=seed, bootstrap=_BOOTSTRAP, confidence=CONFIDENCE)
+        for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
+            end[k + 1, i] = values
+    return ends[0], ends[1], ends[2]
+
+
+def _leads(
+    S: FloatArray, mean: FloatArray, contends: npt.NDArray[np.bool_], side: IntArray, seed: int
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """The best other design on each plant, and the difference of the first design to it with its interval."""
+    p, d, n = S.shape
+    rival = np.full(p, -1, dtype=np.int64)
+    ends = [np.full(p, np.nan) for _ in range(3)]
+    if d > 1 and n:
+        others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
+        rival = np.where(np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]), 1 + others.argmin(axis=1), -1)
+        plants = np.flatnonzero(rival >= 0)
+        if plants.size:
+            found = paired_differences(S[plants, rival[plants]], S[plants, 0], side,
+                                       seed=seed, bootstrap=_BOOTSTRAP, confidence=CONFIDENCE)  # fmt: skip
+            for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
+                end[plants] = values
+    return rival.astype(np.int64), ends[0], ends[1], ends[2]
