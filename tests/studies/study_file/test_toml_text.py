@@ -1,0 +1,38 @@
+"""A study written as TOML is the same study when it is read again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from studies.study_file.ready import catalog_names, load_study
+from studies.study_file.toml_text import toml_text
+
+
+@pytest.mark.parametrize("name", catalog_names())
+def test_the_same_study_comes_back(name: str, tmp_path: Path) -> None:
+    study = load_study(name)
+    path = tmp_path / f"{name}.toml"
+    path.write_text(toml_text(study), encoding="utf-8")
+    again = load_study(str(path))
+    assert again.hash == study.hash
+    assert again.content() == study.content()
+
+
+def test_hard_text_comes_back(tmp_path: Path) -> None:
+    title = 'a "quoted"  title, with [brackets],\n\\ and </script> ü'
+    path = tmp_path / "first.toml"
+    path.write_text(toml_text(load_study("paper").model_copy(update={"title": title})), encoding="utf-8")
+    assert load_study(str(path)).title == title
+
+
+def test_lists_stand_on_a_line_and_texts_keep_their_spaces(tmp_path: Path) -> None:
+    study = load_study("paper")
+    ranking = study.ranking.model_copy(update={"require": ("deeper <= 0.5",), "pareto": ("S", "deeper")})
+    text = toml_text(study.model_copy(update={"ranking": ranking}))
+    assert 'require = ["deeper <= 0.5"]' in text
+    path = tmp_path / "second.toml"
+    path.write_text(text, encoding="utf-8")
+    again = load_study(str(path))
+    assert (again.ranking.require, tuple(again.ranking.pareto)) == (("deeper <= 0.5",), ("S", "deeper"))
