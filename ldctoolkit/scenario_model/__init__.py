@@ -8,6 +8,7 @@ from ldctoolkit.scenario_model.library import bundled_models, load_model
 from ldctoolkit.scenario_model.merged import merged_provenance, read_all_departures
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
+from ldctoolkit.scenario_model.source_summary import SourceSummary, summarize
 
 __all__ = [
     "PHYSICAL_BOUNDS",
@@ -18,6 +19,7 @@ __all__ = [
     "ScenarioModel",
     "SideModel",
     "SideSummary",
+    "SourceSummary",
     "bundled_models",
     "conditions",
     "fit_scenario_model",
@@ -25,5 +27,6 @@ __all__ = [
     "merged_provenance",
     "open_departures",
     "read_all_departures",
+    "summarize",
     "table_rows",
 ]

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Mapping
 from typing import Any
 
+from ldctoolkit.scenario_model.source_summary import SourceSummary
 from ldctoolkit.version import __version__
 
 
@@ -50,6 +51,8 @@ class SideSummary:
     bounds_from : tuple of (str, str, str)
         Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``,
         ``"physical"`` or ``"auto"``.
+    source_summary : SourceSummary, optional
+        How the departures spread; None in files of versions 1 and 2, and where weights rest on too few departures.
     """
 
     events: int
@@ -70,6 +73,7 @@ class SideSummary:
     stop_reason: str = ""
     weight: float | None = None
     bounds_from: tuple[tuple[str, str, str], ...] = ()
+    source_summary: SourceSummary | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any, Final
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.scenario_model._reader import Reader, is_number, is_whole, short
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
+from ldctoolkit.scenario_model.source_summary_json import source_summary_from_json, source_summary_to_json
 
 PATH: Final = "provenance"
 
@@ -19,7 +20,11 @@ def _names(kind: type) -> list[str]:
 
 def card_to_json(provenance: ModelProvenance) -> dict[str, Any]:
     """The card as JSON values."""
-    return dataclasses.asdict(provenance)
+    out = dataclasses.asdict(provenance)
+    for label, summary in (("left", provenance.left), ("right", provenance.right)):
+        if summary is not None:
+            out[label]["source_summary"] = source_summary_to_json(summary.source_summary)
+    return out
 
 
 def card_from_json(reader: Reader, data: Mapping[str, Any]) -> ModelProvenance:
@@ -109,6 +114,7 @@ def _summary(reader: Reader, data: object, path: str) -> SideSummary | None:
         stop_reason=reader.member(data, "stop_reason", path, str, "a string"),
         weight=None if weight is None else float(weight),
         bounds_from=origins,
+        source_summary=source_summary_from_json(reader, data.get("source_summary"), f"{path}.source_summary"),
     )
 
 

@@ -15,6 +15,7 @@ from ldctoolkit.scenario_model.card import SideSummary
 from ldctoolkit.scenario_model.parts import SideModel, check_usable
 from ldctoolkit.scenario_model.settings import SideSettings
 from ldctoolkit.scenario_model.side_events import SideEvents
+from ldctoolkit.scenario_model.source_summary import summarize_source
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -76,6 +77,7 @@ def fit_side(
         stop_reason=best.stop_reason_,
         weight=events.weight,
         bounds_from=events.box.origins,
+        source_summary=summarize_source(events.source, n, events.names),
     )
     return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
 

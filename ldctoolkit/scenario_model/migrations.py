@@ -44,7 +44,19 @@ def _from_1(data: Mapping[str, Any]) -> Json:
     return {**_change(_change(data, "sides", sides), "provenance", provenance), "version": 2}
 
 
-STEPS: Final[tuple[Callable[[Mapping[str, Any]], Json], ...]] = (_from_1,)
+def _from_2(data: Mapping[str, Any]) -> Json:
+    """Version 3 may hold how the departures of a side spread."""
+
+    def summary(old: Json) -> Json:
+        return {"source_summary": None, **old}
+
+    def provenance(old: Json) -> Json:
+        return _change(_change(old, "left", summary), "right", summary)
+
+    return {**_change(data, "provenance", provenance), "version": 3}
+
+
+STEPS: Final[tuple[Callable[[Mapping[str, Any]], Json], ...]] = (_from_1, _from_2)
 """From version `FIRST` on, one step a version."""
 
 NEWEST: Final = FIRST + len(STEPS)
@@ -56,7 +68,7 @@ def to_newest(data: Mapping[str, Any], version: int) -> Mapping[str, Any]:
     Examples
     --------
     >>> to_newest({"version": 1, "sides": {"left": {"parameters": ["T"]}}}, 1)
-    {'version': 2, 'sides': {'left': {'transform': ['none'], 'parameters': ['T']}}}
+    {'version': 3, 'sides': {'left': {'transform': ['none'], 'parameters': ['T']}}}
     """
     for step in STEPS[version - FIRST :]:
         data = step(data)

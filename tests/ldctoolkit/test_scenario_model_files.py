@@ -124,7 +124,7 @@ def test_a_file_of_version_1_loads_and_keeps_its_hash(tmp_path):
     assert set(model.left_side.transform()) == {"none"}
     model.save(tmp_path / "new.json")
     written = json.loads((tmp_path / "new.json").read_text())
-    assert written["version"] == VERSION == 2
+    assert written["version"] == VERSION == 3
     again = load_model(tmp_path / "new.json")
     assert again.content_hash == OLD_HASH
     assert again.provenance == model.provenance
@@ -197,12 +197,12 @@ LEFT_SIDE = ("sides", "left")
     ("path", "value", "message"),
     [
         (("format",), "other", r"format: 'other'; allowed: 'ldctoolkit-scenario-model'"),
-        (("version",), 3, r"version: 3; .* reads versions 1 to 2: the file is newer, update ldctoolkit"),
-        (("version",), 0, r"version: 0; this program reads versions 1 to 2"),
-        (("version",), "2", r"version: '2'; this program reads versions 1 to 2"),
-        (("version",), True, r"version: True; this program reads versions 1 to 2"),
-        (("version",), 1.5, r"version: 1\.5; this program reads versions 1 to 2"),
-        (("version",), KeyError, r"version: None; this program reads versions 1 to 2"),
+        (("version",), 4, r"version: 4; .* reads versions 1 to 3: the file is newer, update ldctoolkit"),
+        (("version",), 0, r"version: 0; this program reads versions 1 to 3"),
+        (("version",), "2", r"version: '2'; this program reads versions 1 to 3"),
+        (("version",), True, r"version: True; this program reads versions 1 to 3"),
+        (("version",), 1.5, r"version: 1\.5; this program reads versions 1 to 3"),
+        (("version",), KeyError, r"version: None; this program reads versions 1 to 3"),
         (
             (*LEFT_SIDE, "transform"),
             ["none"],
