@@ -110,7 +110,7 @@ def distribution_figure(curves: Sequence[Curve], title: str) -> Figure:
         The axis ends where 99.5 % of the recorded (first) curve's scores are reached.
     """
     with figure_settings():
-        figure, axes = new_panel()
+        figure, axes = new_panel(height=PANEL[1] + 0.2 * (len(curves) // 2))
         limit = max(float(np.quantile(curves[0].S, 0.995)), 1e-3)
         for curve in curves:
             share = np.linspace(0.0, 1.0, min(curve.S.size, 200) + 1)
@@ -120,7 +120,7 @@ def distribution_figure(curves: Sequence[Curve], title: str) -> Figure:
         axes.set_xlabel("Score S [m·s]")
         axes.set_ylabel("Share of departures with less")
         axes.set_title(title)
-        axes.legend(loc="lower right")
+        figure.legend(loc="outside lower center", ncols=1 if len(curves) < 3 else 2)
         return figure
 
 
