@@ -12,8 +12,9 @@ from studies.cli._ranking_notes import ranking_notes
 from studies.cli._ranking_table import ranking_table
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
+from studies.ranking.ranking_markdown import StudyHead, write_markdown
 from studies.report import ReportInput, write_report
-from studies.results import Race, StudyResults
+from studies.results import StudyResults
 from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
@@ -52,11 +53,27 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def write_ranking(folder: Path, rankings: Sequence[Ranking], race: Race | None) -> Path:
-    """Write DIR/ranking.csv."""
+def write_ranking(
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: Sequence[Ranking]
+) -> Path:
+    """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
-    write_csv(rankings, path, race)
+    write_csv(rankings, path, results.race)
+    write_markdown(rankings, folder / "ranking.md", study_head(study, manifest))
     return path
+
+
+def study_head(study: Study, manifest: Manifest) -> StudyHead:
+    """What stands above a ranking that is read by itself."""
+    return StudyHead(
+        title=study.title or study.name,
+        name=study.name,
+        model=f"{manifest.model} (content {manifest.model_hash[:12]})",
+        synthetic=manifest.model_synthetic,
+        left=study.scenarios.left,
+        right=study.scenarios.right,
+        seed=study.seed,
+    )
 
 
 def write_study_report(

@@ -20,8 +20,9 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "rank",
         help="print the ranking of a study that was run",
-        description="Rank the stored results of a study, print the table and write DIR/ranking.csv again. Nothing is "
-        "driven. With settings other than the study's own, DIR/ranking.csv stays as it is; -o writes the other one.",
+        description="Rank the stored results of a study, print the table and write DIR/ranking.csv and "
+        "DIR/ranking.md again. Nothing is driven. With settings other than the study's own, these stay as they are; -o "
+        "writes the other ranking.",
     )
     parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
     parser.add_argument(
@@ -43,7 +44,7 @@ def add_parser(commands: Subparsers) -> None:
         help="figure of the Pareto front, instead of the study's; repeatable; '' for no front",
     )
     parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
-    parser.add_argument("-o", "--output", metavar="FILE.csv", help="write the ranking here, not to DIR/ranking.csv")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the ranking here, as .csv or .md, not to DIR")
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     parser.add_argument("--quiet", action="store_true", help="no table")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
@@ -53,13 +54,14 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from studies.cli._race_table import print_race
-    from studies.cli._results import print_rankings, write_ranking
+    from studies.cli._results import print_rankings, study_head, write_ranking
     from studies.cli._summary import rank_summary
     from studies.ranking.ranking import rank_study
     from studies.ranking.ranking_csv import write_csv
+    from studies.ranking.ranking_markdown import write_markdown
     from studies.storage.store import Store
 
-    target = None if chosen.output is None else output_file(chosen.output, ".csv")
+    target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
     store = Store.open(chosen.folder)
     own = store.manifest.read_study()
     study = _with_settings(own, chosen)
@@ -77,10 +79,12 @@ def run(chosen: argparse.Namespace) -> None:
         if results.race is not None:
             print_race(results.race)
         print_rankings(rankings, chosen.top)
-    if target is not None:
+    if target is not None and target.suffix.lower() == ".md":
+        write_markdown(rankings, target, study_head(study, store.manifest))
+    elif target is not None:
         write_csv(rankings, target, results.race)
     elif study.ranking == own.ranking:
-        target = write_ranking(Path(chosen.folder), rankings, results.race)
+        target = write_ranking(Path(chosen.folder), study, store.manifest, results, rankings)
     if chosen.json:
         print(rank_summary(results, rankings[0], store.manifest, target))
     elif target is not None:

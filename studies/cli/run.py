@@ -88,7 +88,7 @@ def run(chosen: argparse.Namespace) -> int:
             f"{manifest.wall_time_s:.1f} s, model {manifest.model} ({manifest.model_hash[:12]})"
         )
     # files last: what they are called is the last thing on the screen
-    ranking_path = write_ranking(folder, rankings, results.race)
+    ranking_path = write_ranking(folder, study, manifest, results, rankings)
     report_path = write_study_report(folder, study, manifest, results, rankings)
     if chosen.json:
         print(json_summary(results, rankings[0], manifest, ranking_path, report_path))
