@@ -1,19 +1,21 @@
-"""Ranking: all designs of every case, with intervals, requirements and failures."""
+"""Ranking: the designs of every case, with intervals, requirements and failures."""
 
 from __future__ import annotations
 
+from typing import Final
+
 from studies.report.context import Context
+from studies.report.embedded.designs import designs_data
 from studies.report.rendering import render
 from studies.report.section import Section
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row
 
+MOST_ROWS: Final = 100
+"""First designs of a table that stands without script, and at most as many of a set of designs beside them."""
 
-def _bar(row: Row, table: CaseTable) -> str:
-    """Width of the bar of S in per cent; full is 1.2 times no control."""
-    full = 1.2 * table.uncorrected
-    share = row.S.value / full if full > 0 else 0.0
-    return f"{100.0 * min(share, 1.0):.1f}"
+_FULL: Final = 1.2
+"""Right end of the bars, times mean S without control."""
 
 
 def section(context: Context) -> Section:
@@ -23,6 +25,43 @@ def section(context: Context) -> Section:
         report=context.report,
         tables=context.tables,
         primary=context.primary,
+        listed={table.case: listed_rows(table) for table in context.tables},
         bar=_bar,
+        full=_FULL,
     )
-    return Section("ranking", "Ranking", body, scripts=("ranking.js",))
+    return Section(
+        "ranking",
+        "Ranking",
+        body,
+        data=designs_data(context),
+        scripts=("designs.js", "table-columns.js", "table-filters.js", "ranking.js", "sorting.js", "details.js"),
+        styles=("ranking.css", "details.css"),
+    )
+
+
+def listed_rows(table: CaseTable, most: int = MOST_ROWS) -> tuple[Row, ...]:
+    """The first designs of the ranking and every one with a tag.
+
+    Parameters
+    ----------
+    table : CaseTable
+    most : int
+        How many of the first, of the set of best, and of the Pareto front.
+
+    Returns
+    -------
+    tuple of Row
+        In the order of the ranking.
+    """
+    tagged = (table.winner, table.baseline, table.paper_design, *table.best_of_each_law)
+    front = [row for row in table.rows if row.pareto]
+    rows = (*table.rows[:most], *(row for row in tagged if row is not None), *table.set_of_best[:most], *front[:most])
+    return tuple(sorted({row.place: row for row in rows}.values(), key=lambda row: row.place))
+
+
+def _bar(row: Row, table: CaseTable) -> str:
+    """Widths of the bar of S and ends of its whisker in per cent."""
+    full = _FULL * table.uncorrected
+    ends = (row.S.value, row.S.low, row.S.high)
+    shares = [100.0 * min(max(end / full, 0.0), 1.0) if full > 0 else 0.0 for end in ends]
+    return ";".join(f"--{name}:{share:.1f}%" for name, share in zip("wlh", shares, strict=True))
