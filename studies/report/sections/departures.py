@@ -1,4 +1,4 @@
-"""Departures: example paths with and without control."""
+"""Departures: an explorer of paths with and without control, and examples without script."""
 
 from __future__ import annotations
 
@@ -7,15 +7,22 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
+from ldctoolkit import EventStatus
 from studies.report.context import Context
-from studies.report.figures.examples import Replay, replay
-from studies.report.figures.path_figures import path_figure, path_limits
-from studies.report.look.style import RECORDED
+from studies.report.embedded.departures import BUDGET, embedded_departures, grids, trimmed, weight
+from studies.report.figures.examples import examples
+from studies.report.figures.path_figures import Example, path_figure, path_limits
+from studies.report.look.style import RECORDED, LineStyle
 from studies.report.look.svg import line_sample
 from studies.report.rendering import render
+from studies.report.replay.paths import Replay, most_departures, replay
+from studies.report.replay.picks import PAPER, Chosen, chosen_designs, picked_departures
 from studies.report.section import Drawing, Section
 from studies.report.words.prose import design_text
 from studies.report.words.text import percent, printable, symbols
+
+_ALIKE: tuple[tuple[float, ...], ...] = ((1.0, 1.2), (8.0, 1.5, 1.0, 1.5, 1.0, 1.5), (3.0, 3.0), (10.0, 4.0))
+"""Dashes of further designs of one law."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,26 +33,104 @@ class Legend:
     text: Markup
 
 
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """One design that the explorer offers."""
+
+    sample: Markup
+    text: Markup
+    why: str
+    checked: bool
+
+
 def section(context: Context) -> Section:
     """The section."""
-    replayed = _replay(context)
-    drawings = tuple(_paths(replayed))
+    designs = chosen_designs(context)
+    took_over = [one for one in designs if (context.case.status[one.row.index] != EventStatus.NEVER_TRIGGERED).any()]
+    if not took_over:
+        body = render("sections/departures.html", report=context.report, replayed=None)
+        return Section("departures", "Departures", body)
+    every, replayed = _replayed(context, designs)
+    styles = _styles(context, designs)
+    found = examples(context, replayed)
+    drawings = tuple(_drawings(found))
     body = render(
-        "sections/departures.html", report=context.report, replayed=replayed, paths=drawings, legend=_legend(context)
+        "sections/departures.html",
+        report=context.report,
+        replayed=replayed,
+        paths=drawings,
+        legend=_legend(context),
+        choices=_choices(designs, styles),
+        recorded=line_sample(RECORDED.color, RECORDED.dash),
+        every=every,
+        total=context.scenarios.n,
+        low=int(context.scenarios.index.min()),
+        high=int(context.scenarios.index.max()),
+        few=[(one.row.title, most) for one in designs if (most := most_departures(one)) and most < len(replayed.picks)],
+        reference=printable(designs[0].why),
     )
-    return Section("departures", "Departures", body, drawings)
+    data = embedded_departures(context, replayed, every)
+    data["designs"] = [_design(one, style) for one, style in zip(designs, styles, strict=True)]
+    data["line"] = {"color": RECORDED.color, "dash": list(RECORDED.dash)}
+    return Section(
+        "departures",
+        "Departures",
+        body,
+        drawings,
+        data=data,
+        scripts=("departure-paths.js", "departure-plot.js", "departures.js"),
+        styles=("departures.css",),
+    )
 
 
-def _replay(context: Context) -> Replay:
-    """The example departures, driven again."""
-    shown = [(row.index, row.design, printable(row.title), context.styles[row.design.law]) for row in context.shown]
-    # where no control won, context.shown begins with the best design that intervenes
-    return replay(context.report, context.case, shown) if shown else Replay((), 0.0)
+def _replayed(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Replay]:
+    """The departures that fit into the page, driven again, and the step."""
+    every, picks = 1, picked_departures(context, designs, 0)
+    for grid in grids(context.report.dt):
+        every, picks = grid.every, picked_departures(context, designs, grid.count)
+        if weight(context, picks, designs, every) <= BUDGET:
+            break
+    else:
+        picks = trimmed(context, picks, designs, every)
+    return every, replay(context, picks, designs)
 
 
-def _paths(replayed: Replay) -> Iterator[Drawing]:
-    limits = path_limits(replayed.examples) if replayed.examples else None
-    for example in replayed.examples:
+def _styles(context: Context, designs: tuple[Chosen, ...]) -> list[LineStyle]:
+    """Each law's own; further designs of a law have its colour and another dash."""
+    seen: dict[str, int] = {}
+    styles = []
+    for one in designs:
+        style, again = context.styles[one.row.design.law], seen.get(one.row.design.law, 0)
+        styles.append(dataclasses.replace(style, dash=_ALIKE[(again - 1) % len(_ALIKE)]) if again else style)
+        seen[one.row.design.law] = again + 1
+    return styles
+
+
+def _choices(designs: tuple[Chosen, ...], styles: list[LineStyle]) -> list[Choice]:
+    """The first one is drawn from the start, beside it the baseline, else the paper's design, else the next."""
+    beside = [k for why in ("baseline", PAPER) for k, one in enumerate(designs) if one.why == why]
+    shown = {0, *(beside or [1])[:1]}
+    return [
+        Choice(line_sample(style.color, style.dash), design_text(one.row), one.why, k in shown)
+        for k, (one, style) in enumerate(zip(designs, styles, strict=True))
+    ]
+
+
+def _design(one: Chosen, style: LineStyle) -> dict[str, object]:
+    """What the script knows of a design: its place in the ranking, its name and its line."""
+    return {
+        "place": one.row.place,
+        "title": printable(one.row.title),
+        "id": one.row.design.id,
+        "y_s": one.row.design.y_s,
+        "color": style.color,
+        "dash": list(style.dash),
+    }
+
+
+def _drawings(found: tuple[Example, ...]) -> Iterator[Drawing]:
+    limits = path_limits(found) if found else None
+    for example in found:
         yield Drawing(
             f"departure-{example.side}-{example.role}".lower().replace(" ", "-"),
             f"{example.side} departure, {example.role}: lateral position and steering angle over time",

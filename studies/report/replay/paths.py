@@ -1,0 +1,143 @@
+"""Chosen designs driven again on chosen departures, and how well that met the stored scores."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios
+from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation.uncorrected import UncorrectedPath
+from studies.report.context import Context
+from studies.report.replay.acceleration import path_acceleration
+from studies.report.replay.picks import Chosen, Pick
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+_NOT_AGAIN = (EventStatus.TIMED_OUT, EventStatus.CRASHED)
+"""What became of a departure that is not driven once more."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignPaths:
+    """One design on the p picked departures: NaN after the end, and throughout where there is no path.
+
+    Attributes
+    ----------
+    chosen : Chosen
+    tried : (p,) bool
+        Departures that were driven again; a law that takes long is driven on the first ones only.
+    t : (p, k) [s]
+        Time since the crossing: the controller's samples from the trigger on, T, and the end.
+    y : (p, k) [m]
+        Edge beyond the line, outward.
+    delta : (p, k) [rad]
+        Steering angle of the wheel just after that time.
+    a_before, a_y : (p, k) [m/s^2]
+        Lateral acceleration just before and just after it.
+    """
+
+    chosen: Chosen
+    tried: BoolArray
+    t: FloatArray
+    y: FloatArray
+    delta: FloatArray
+    a_before: FloatArray
+    a_y: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """Departures that were driven again.
+
+    Attributes
+    ----------
+    picks : tuple of Pick
+        p departures.
+    scenarios : Scenarios
+        Of them.
+    recorded : UncorrectedPath
+        Their paths without control.
+    designs : tuple of DesignPaths
+    mismatch : float
+        Largest relative difference between a score from the replay and the stored one.
+    """
+
+    picks: tuple[Pick, ...]
+    scenarios: Scenarios
+    recorded: UncorrectedPath
+    designs: tuple[DesignPaths, ...]
+    mismatch: float
+
+    def place(self, row: int) -> int:
+        """Position of a scenario among the picks."""
+        return next(i for i, pick in enumerate(self.picks) if pick.row == row)
+
+
+def most_departures(chosen: Chosen) -> int | None:
+    """On how many departures a law is driven again; None for all: those that take long say so by a small batch."""
+    return chosen.row.design.batch if chosen.row.design.batch < Controller.batch else None
+
+
+def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:
+    """Drive designs again, with the vehicle, plant, seed and clock of the study.
+
+    Parameters
+    ----------
+    context : Context
+    picks : tuple of Pick
+        p departures, the most important ones first.
+    designs : tuple of Chosen
+
+    Returns
+    -------
+    Replay
+    """
+    report = context.report
+    scenarios = context.scenarios.take([pick.row for pick in picks])
+    recorded = UncorrectedPath.of(scenarios, report.options.residuals, report.seed)
+    driven = [_driven(context, picks, scenarios, chosen) for chosen in designs]
+    mismatch = max((off for _, off in driven), default=0.0)
+    return Replay(picks, scenarios, recorded, tuple(paths for paths, _ in driven), mismatch)
+
+
+def _driven(
+    context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, chosen: Chosen
+) -> tuple[DesignPaths, float]:
+    report, case, design = context.report, context.case, chosen.row.design
+    rows = np.array([pick.row for pick in picks], dtype=np.int64)
+    tried = ~np.isin(case.status[chosen.row.index][rows], _NOT_AGAIN)
+    most = most_departures(chosen)
+    if most is not None:
+        tried[most:] = False
+    some = np.flatnonzero(tried)
+    nothing = np.full((len(picks), 0), np.nan)
+    if not some.size:
+        return DesignPaths(chosen, tried, nothing, nothing, nothing, nothing, nothing), 0.0
+    over = Takeover.build(
+        scenarios.take(some),
+        BicycleModel(report.vehicle, convention=case.case.convention),
+        y_s=design.y_s,
+        dt=report.dt,
+        initial_yaw_rate=report.initial_yaw_rate,
+        options=report.options,
+        settle=report.settle,
+        seed=report.seed,
+    )
+    outcome = drive(design.controller(case.case.convention), over, trajectories=True).outcome(case.case.window)
+    stored = case.S[chosen.row.index][rows[some]]
+    off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
+    kept = outcome.trajectories
+    if kept is None:  # the law never intervenes
+        return DesignPaths(chosen, tried, nothing, nothing, nothing, nothing, nothing), off
+    shape = (len(picks), kept.t.shape[1])
+    t, y, delta, a_before, a_y = (np.full(shape, np.nan) for _ in range(5))
+    t[some], delta[some] = kept.t, kept.delta
+    y[some] = kept.x[:, :, 0] - report.vehicle.edge_offset
+    a_before[some[over.rows]], a_y[some[over.rows]] = path_acceleration(
+        over, np.arange(over.m), kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
+    )
+    return DesignPaths(chosen, tried, t, y, delta, a_before, a_y), off
