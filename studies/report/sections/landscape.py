@@ -130,9 +130,7 @@ def _bars(blocks: tuple[BlockSensitivity, ...]) -> Iterator[Drawing]:
     found = [block for block in blocks if block.indices is not None]
     for i, block in enumerate(found[:MOST_BAR_FIGURES], 1):
         title = law_of(block, blocks)
-        rows = [
-            IndexBar(row.name, np.array(row.first), np.array(row.total)) for row in _table((block,))
-        ]
+        rows = [IndexBar(row.name, np.array(row.first), np.array(row.total)) for row in _table((block,))]
         yield Drawing(f"sensitivity-{i}", f"Sobol indices of mean S, {title}", sensitivity_figure(rows, title))
 
 

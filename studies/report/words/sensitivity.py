@@ -55,7 +55,9 @@ def sensitivity_sentence(block: BlockSensitivity, title: str) -> Markup:
     apart = bool(low[first] > high[second])
     said += f", {'then' if apart else 'not clearly before'} {block.names[second]} ({number(float(index[second]), 2)})"
     if total and found.total[first] - found.first[first] > 0.1:
-        said += f"; what {block.names[first]} does depends on other gains (alone {number(float(found.first[first]), 2)})"
+        said += (
+            f"; what {block.names[first]} does depends on other gains (alone {number(float(found.first[first]), 2)})"
+        )
     least = [block.names[i] for i in order[2:] if index[i] < 0.02 and high[i] < 0.05]
     if least:
         said += f"; {', '.join(least)} hardly matter{'s' if len(least) == 1 else ''}"
