@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+AXE_CORE := 4.14.1
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -21,6 +22,12 @@ $(VENV)/.dev: $(VENV)/.runtime
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@touch $@
 
+# the rules that the report is checked with, beside Python's packages; without npm their tests say that they are skipped
+$(VENV)/.axe-core-$(AXE_CORE): $(VENV)/.runtime
+	@if command -v npm >/dev/null 2>&1; then \
+	  npm install --silent --no-save --no-package-lock --no-audit --no-fund --ignore-scripts --prefix $(VENV) axe-core@$(AXE_CORE) && touch $@; \
+	else echo "npm is not on PATH: tests with axe-core are skipped"; fi
+
 $(VENV)/.bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	@touch $@
@@ -33,7 +40,7 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint  ## lint, types and all tests, slow ones too
+test: lint $(VENV)/.axe-core-$(AXE_CORE)  ## lint, types and all tests, slow ones too
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
 
 test-fast: lint  ## the same without the slow tests

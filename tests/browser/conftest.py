@@ -1,32 +1,127 @@
-"""A report to open, and the browser to open it in."""
+"""A browser that must stay silent, the rules of axe-core, and the pages to open."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any, NoReturn
 
 import pytest
+
+TESTS = Path(__file__).resolve().parents[1]
+
+
+def load(name: str, path: Path) -> ModuleType:
+    """A file of functions; test modules cannot import each other."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+def missing(what: str) -> NoReturn:
+    """Skip on a desk, fail where everything must be tested."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(what)
+    pytest.skip(what)
 
 
 @pytest.fixture(scope="session")
 def chromium() -> str:
-    """Path of a Chromium; skips where there is none."""
+    """Path of a Chromium."""
     for name in ("chromium", "chromium-browser", "google-chrome"):
-        found = shutil.which(name)
-        if found:
+        if found := shutil.which(name):
             return found
-    pytest.skip("no Chromium on PATH (chromium, chromium-browser, google-chrome)")
+    missing("no Chromium on PATH (chromium, chromium-browser, google-chrome)")
+
+
+@pytest.fixture(scope="session")
+def axe() -> str:
+    """The script of axe-core."""
+    path = Path(sys.prefix) / "node_modules" / "axe-core" / "axe.min.js"
+    if not path.is_file():
+        missing(f"no axe-core in {path.parent}; `make test` installs it where npm is on PATH")
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def browser(chromium: str) -> Iterator[Any]:
+    """One Chromium a module: its event loop must be gone when tests with loops of their own run."""
+    playwright = pytest.importorskip("playwright.sync_api") if os.environ.get("CI") != "true" else None
+    if playwright is None:
+        import playwright.sync_api as playwright
+    with playwright.sync_playwright() as session:
+        started = session.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open a file: ``open_page(path, width=1366, height=768, dark=False, script=True)``.
+
+    The test fails on any word of the console, on any error or dialog, and on any request but the one for the file.
+    """
+    contexts, heard = [], []
+
+    def opened(
+        path: Path, *, width: int = 1366, height: int = 768, dark: bool = False, script: bool = True, at: str = ""
+    ) -> Any:
+        context = browser.new_context(
+            viewport={"width": width, "height": height},
+            color_scheme="dark" if dark else "light",
+            java_script_enabled=script,
+            reduced_motion="reduce",
+        )
+        context.set_default_timeout(10_000)
+        contexts.append(context)
+        address = path.resolve().as_uri()
+
+        def asked(request: Any) -> None:
+            if request.url.split("#")[0] != address:
+                heard.append(f"request: {request.url[:200]}")
+
+        def dialog(one: Any) -> None:
+            heard.append(f"dialog: {one.message}")
+            one.dismiss()
+
+        page = context.new_page()
+        context.on("request", asked)
+        context.on("page", lambda other: heard.append(f"another page: {other.url}") if other != page else None)
+        page.on("console", lambda message: heard.append(f"console: {message.type}: {message.text}"))
+        page.on("pageerror", lambda error: heard.append(f"error: {error}"))
+        page.on("dialog", dialog)
+        page.goto(address + at)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert heard == []
 
 
 @pytest.fixture(scope="session")
 def make() -> ModuleType:
     """Functions that invent small studies, shared with the tests of the report."""
-    path = Path(__file__).resolve().parents[1] / "studies" / "report" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("report_making", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("report_making", TESTS / "studies" / "report" / "conftest.py")
+
+
+@pytest.fixture(scope="session")
+def look() -> ModuleType:
+    """What a reader's eye would see, measured: overlaps, cut text, sideways scrolling."""
+    return load("looking", TESTS / "browser" / "looking.py")
+
+
+@pytest.fixture(scope="session")
+def made(make: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Pages by name, each made when it is first asked for: see `made_pages.py`."""
+    module = load("made_pages", TESTS / "browser" / "made_pages.py")
+    return module.Made(make, tmp_path_factory.mktemp("pages"))

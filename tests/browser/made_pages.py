@@ -1,0 +1,234 @@
+"""The pages that are opened: an ordinary study as `ldc run` leaves it, and studies with something odd about them."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import io
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
+from studies.cli import main
+from studies.design import Design
+from studies.ranking.ranking import Ranking
+from studies.report import write_report
+from studies.results import Case, per_scenario
+
+ORDINARY = """
+name = "ordinary"
+title = "Trigger and gains of two laws"
+seed = 3
+
+[scenarios]
+left = 40
+right = 40
+
+[simulation]
+window = ["departure", "control"]
+
+[ranking]
+bootstrap = 200
+require = ["a_y_peak_p95 <= 14.0"]
+finalists = 4
+
+[[design]]
+law = "none"
+
+[[design]]
+law = "preview_proportional"
+y_s = [0.05, 0.2, 0.3]
+[design.gains]
+K_y = [-0.04, -0.02, -0.005]
+K_psi = [-0.5, -0.2]
+
+[[design]]
+law = "lqr"
+y_s = [0.05, 0.1, 0.3]
+[design.gains]
+r_delta = [10.0, 100.0, 1000.0]
+"""
+
+EVIL = "<script>alert(1)</script>"
+"""A name that must stay text."""
+
+HEBREW = "\u05d0\u05d1\u05d2"
+"""Text that is read from the right to the left."""
+
+HOSTILE = f"""
+name = "hostile"
+title = "</script>{EVIL} & \\"quoted\\" 'x' {HEBREW} \u202e K_psi"
+seed = 3
+
+[scenarios]
+left = 15
+right = 15
+
+[ranking]
+bootstrap = 100
+finalists = 2
+
+[[design]]
+law = "none"
+
+[[design]]
+law = "preview_proportional"
+y_s = [0.05, 0.2]
+
+[[design]]
+law = "hostile"
+y_s = [0.05, 0.2]
+[design.gains]
+word = ["plain", "{EVIL}", "</script>&amp;\\"'{HEBREW}"]
+"""
+
+
+@register
+@dataclasses.dataclass(frozen=True)
+class Hostile(Controller):
+    """A law with names that nobody should be able to put on a page."""
+
+    name: ClassVar[str] = "hostile"
+    title: ClassVar[str] = f"{EVIL} & \"q\" 'x' {HEBREW}"
+
+    word: str = option("plain", choices=("plain", EVIL, f"</script>&amp;\"'{HEBREW}"), description="")
+
+    def prepare(self, plant: object) -> RecordedPath:
+        return RecordedPath()
+
+
+PRIMARY = Case("departure", "consistent")
+
+
+@dataclasses.dataclass(frozen=True)
+class OnePage:
+    """A page and what it was made from."""
+
+    path: Path
+
+    @property
+    def folder(self) -> Path:
+        """Of the study; only pages that `ldc run` made have one."""
+        return self.path.parent
+
+    def rows(self) -> list[dict[str, str]]:
+        """The primary case in ranking.csv, as it is ordered there."""
+        with (self.folder / "ranking.csv").open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        case = (rows[0]["window"], rows[0]["convention"])
+        return [row for row in rows if (row["window"], row["convention"]) == case]
+
+
+class Made:
+    """Pages by name, each made once."""
+
+    def __init__(self, make: ModuleType, root: Path) -> None:
+        self._make, self._root = make, root
+        self._pages: dict[str, OnePage] = {}
+        self._makers: dict[str, Callable[[Path], Path]] = {
+            "ordinary": lambda folder: self._study(folder, ORDINARY),
+            "hostile": lambda folder: self._study(folder, HOSTILE),
+            "thousand": self._thousand,
+            "zero-triggered": lambda folder: self._designs(
+                folder, Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0)
+            ),
+            "one-design": lambda folder: self._designs(folder, Design.of(PreviewProportional(), 0.2)),
+            "only-no-control": lambda folder: self._designs(folder, Design.of(NoControl(), 0.2)),
+            "left-only": lambda folder: self._designs(folder, *make.grid()[:6], sides=(14, 0)),
+            "right-only": lambda folder: self._designs(folder, *make.grid()[:6], sides=(0, 14)),
+            "one-scenario": lambda folder: self._designs(folder, *make.grid()[:4], sides=(1, 0)),
+            "all-failures": self._all_failures,
+            "nothing-ranked": self._nothing_ranked,
+            "compare": self._compare,
+        }
+
+    def __call__(self, name: str) -> OnePage:
+        """The page of that name."""
+        if name not in self._pages:
+            self._pages[name] = OnePage(self._makers[name](self._root / name))
+        return self._pages[name]
+
+    def _study(self, folder: Path, text: str) -> Path:
+        folder.mkdir()
+        file = folder.with_suffix(".toml")
+        file.write_text(text, encoding="utf-8")
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(["run", str(file), "-o", str(folder), "--workers", "1", "--quiet"]) == 0
+        return folder / "report.html"
+
+    def _written(self, folder: Path, results: Any, **changes: Any) -> Path:
+        folder.mkdir()
+        return write_report(self._make.report_input(results, **changes), folder / "report.html")
+
+    def _designs(self, folder: Path, *designs: Design, sides: tuple[int, int] = (12, 9)) -> Path:
+        return self._written(folder, self._make.run(designs, self._make.invented_scenarios(*sides), [PRIMARY]))
+
+    def _all_failures(self, folder: Path) -> Path:
+        results = self._make.run(self._make.grid()[:6], self._make.invented_scenarios(12, 9), [PRIMARY])
+        (case,) = results.cases
+        status = np.full(case.status.shape, EventStatus.DIVERGED, dtype=np.int8)
+        status[:, ::2] = EventStatus.SOLVER_FAILED
+        failed = dataclasses.replace(case, status=status, S=case.S + 20.0, failed_solves=case.failed_solves + 3)
+        return self._written(folder, dataclasses.replace(results, cases=(failed,)))
+
+    def _nothing_ranked(self, folder: Path) -> Path:
+        results = self._make.run(self._make.grid()[:6], self._make.invented_scenarios(12, 9), [PRIMARY])
+        folder.mkdir()
+        rankings = tuple(Ranking.of(results, case, bootstrap=100, require=["S <= 0"]) for case in results.cases)
+        report = dataclasses.replace(self._make.report_input(results), rankings=rankings)
+        return write_report(report, folder / "report.html")
+
+    def _thousand(self, folder: Path) -> Path:
+        """1,000 designs: a few, at thresholds less than a millimetre apart, with scores that differ a little."""
+        few = self._make.run(self._make.grid()[1:], self._make.invented_scenarios(60, 60), [PRIMARY])
+        copies = -(-999 // len(few.designs))
+        take = slice(0, 999)
+        designs = [dataclasses.replace(d, y_s=d.y_s + 1e-7 * k) for k in range(copies) for d in few.designs][take]
+        (case,) = few.cases
+        rng = np.random.default_rng(0)
+
+        def tiled(values: Any) -> Any:
+            return np.tile(values, (copies, 1))[take]
+
+        S = tiled(case.S) * rng.uniform(1.0, 1.1, (len(designs), few.scenarios.n))
+        many = dataclasses.replace(
+            case,
+            **{name: tiled(getattr(case, name)) for name in ("S_uncorrected", "status", "failed_solves")},
+            S=S,
+            companions=per_scenario(case.companions, tiled),
+            law_time=np.zeros(len(designs)),
+        )
+        none = self._make.run([Design.of(NoControl(), 0.2)], few.scenarios, [PRIMARY])
+        joined = dataclasses.replace(
+            many,
+            **{
+                name: np.concatenate([getattr(none.cases[0], name), getattr(many, name)])
+                for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
+            },
+            companions=dataclasses.replace(
+                many.companions,
+                **{
+                    field.name: np.concatenate(
+                        [getattr(none.cases[0].companions, field.name), getattr(many.companions, field.name)]
+                    )
+                    for field in dataclasses.fields(many.companions)
+                },
+            ),
+        )
+        results = dataclasses.replace(few, designs=(none.designs[0], *designs), cases=(joined,))
+        return self._written(folder, results)
+
+    def _compare(self, folder: Path) -> Path:
+        """The ordinary study against the same one with a slow actuator and without one of its designs."""
+        other = ORDINARY.replace("y_s = [0.05, 0.2, 0.3]", "y_s = [0.05, 0.2]").replace('"ordinary"', '"slow"')
+        self._study(folder, other + "\n[plant.actuator]\nlag = 0.2\n")
+        page = folder / "compare.html"
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(["compare", str(self("ordinary").folder), str(folder), "-o", str(page)]) == 0
+        return page
