@@ -1,6 +1,7 @@
 """How well a fitted mixture describes events: numbers and warnings, no plots."""
 
-from ldctoolkit.diagnostics._marginals import box_share
+from ldctoolkit.diagnostics._calibration import kolmogorov_limit
+from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, box_share, model_marginal
 from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
 from ldctoolkit.diagnostics.parts import (
     Calibration,
@@ -19,10 +20,14 @@ __all__ = [
     "Component",
     "Marginal",
     "ModelDiagnostics",
+    "ModelMarginal",
     "PairDensity",
     "SideDiagnostics",
     "Strip",
+    "bin_edges",
     "box_share",
     "diagnose",
     "diagnose_model",
+    "kolmogorov_limit",
+    "model_marginal",
 ]

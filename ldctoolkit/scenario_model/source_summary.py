@@ -27,7 +27,7 @@ UNIT: Final = 10_000
 
 _FEWEST_CELLS: Final = 4
 _EVENTS_PER_CELL: Final = 20
-_MOST_LOOKED_AT: Final = 200_000
+_MOST_LOOKED_AT: Final = 50_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +159,7 @@ def summarize(x: FloatArray, weight: FloatArray | None = None, *, names: tuple[s
 
 
 def summarize_source(source: EventSource, rows: int, names: tuple[str, ...]) -> SourceSummary | None:
-    """Sum up what a fit was made of; of more than 200,000 departures as many evenly spread rows."""
+    """Sum up what a fit was made of; of more than 50,000 departures as many evenly spread rows."""
     if rows <= _MOST_LOOKED_AT:
         chosen = np.arange(rows, dtype=np.int64)
     else:

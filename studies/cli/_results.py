@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from ldctoolkit.departures import Departures
 from ldctoolkit.errors import StoreError
 from studies.cli._console import console
 from studies.cli._ranking_notes import ranking_notes
@@ -15,9 +16,11 @@ from studies.ranking.ranking_csv import write_csv
 from studies.ranking.ranking_markdown import StudyHead, write_markdown
 from studies.report import ReportInput, write_report
 from studies.results import StudyResults
+from studies.robustness.robustness import Robustness
 from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
+from studies.storage.stored_model import read_model
 from studies.study_file.plant_table import plant_settings
 from studies.study_file.spec import Study
 from studies.study_file.toml_text import toml_text
@@ -77,7 +80,16 @@ def study_head(study: Study, manifest: Manifest) -> StudyHead:
 
 
 def write_study_report(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...]
+    folder: Path,
+    study: Study,
+    manifest: Manifest,
+    results: StudyResults,
+    rankings: tuple[Ranking, ...],
+    source_departures: Departures | None = None,
+    *,
+    departures: Sequence[int] = (),
+    shown_designs: Sequence[str] = (),
+    robustness: Robustness | None = None,
 ) -> Path:
     """Write DIR/report.html and DIR/figures/."""
     report = ReportInput(
@@ -98,13 +110,29 @@ def write_study_report(
         synthetic=manifest.model_synthetic,
         command=manifest.command,
         sensitivity=sensitivity(results, study),
+        robustness=robustness,
         study_file=toml_text(study),
+        model=read_model(folder, manifest),
+        model_name=manifest.model,
+        given=study.scenarios.given,
+        source_departures=source_departures,
+        departures=tuple(departures),
+        shown_designs=tuple(shown_designs),
     )
     path = folder / "report.html"
     try:
         return write_report(report, path, figures=folder / "figures")
     except OSError as error:
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def source_departures(paths: Sequence[str] | None) -> Departures | None:
+    """The departures of the option --departures, several tables as one; None without it."""
+    if not paths:
+        return None
+    from ldctoolkit.scenario_model import read_all_departures
+
+    return read_all_departures(paths)[0]
 
 
 def _of_the_model(manifest: Manifest) -> Iterator[str]:

@@ -37,7 +37,7 @@ def density_levels(share: FloatArray, held: tuple[float, ...] = LEVELS) -> list[
     return sorted({level for level in found if level > 0.0})
 
 
-def _smooth(share: FloatArray) -> FloatArray:
+def smooth(share: FloatArray) -> FloatArray:
     """A light blur for contours only: the sample's noise would fray them."""
     padded = np.pad(share, 1, mode="edge")
     rows = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
@@ -50,7 +50,7 @@ def draw_density(
 ) -> Any:
     """Map of cell shares; `turned` puts the second parameter on the horizontal axis."""
     (x, y), cells = (pair.first_edges, pair.second_edges), share.T
-    model = _smooth(pair.model).T
+    model = smooth(pair.model).T
     if turned:
         (x, y), cells, model = (y, x), cells.T, model.T
     image = axes.imshow(

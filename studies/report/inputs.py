@@ -11,7 +11,10 @@ from ldctoolkit.vehicle import VehicleParameters
 from studies.results import StudyResults
 
 if TYPE_CHECKING:
+    from ldctoolkit.departures import Departures
+    from ldctoolkit.scenario_model import Given, ScenarioModel
     from studies.ranking.ranking import Ranking
+    from studies.robustness.robustness import Robustness
     from studies.sensitivity.sensitivity import BlockSensitivity
 
 
@@ -61,6 +64,16 @@ class ReportInput:
         Identifiers of designs that it shows likewise, or how they begin.
     sensitivity : tuple of BlockSensitivity
         Which gain matters, of the primary case; none leaves that part out.
+    robustness : Robustness, optional
+        Some designs on other plants; without it they were not driven.
+    model : ScenarioModel, optional
+        What generated the scenarios.
+    model_name : str
+        Its name; empty where no model generated them.
+    given : mapping
+        Conditions that they were drawn under.
+    source_departures : Departures, optional
+        What the model was fitted to; without them what its file holds of them.
     """
 
     title: str
@@ -83,3 +96,8 @@ class ReportInput:
     departures: tuple[int, ...] = ()
     shown_designs: tuple[str, ...] = ()
     sensitivity: tuple[BlockSensitivity, ...] = ()
+    robustness: Robustness | None = None
+    model: ScenarioModel | None = None
+    model_name: str = ""
+    given: Given = dataclasses.field(default_factory=dict)
+    source_departures: Departures | None = None

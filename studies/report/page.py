@@ -21,6 +21,8 @@ from studies.report.sections import (
     failures,
     landscape,
     ranking,
+    robustness,
+    scenario_model,
     settings,
     trade_offs,
 )
@@ -34,6 +36,8 @@ SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
     departures.section,
     distributions.section,
     confidence.section,
+    scenario_model.section,
+    robustness.section,
     failures.section,
     settings.section,
 )

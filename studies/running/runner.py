@@ -23,6 +23,7 @@ from studies.storage.manifest import Manifest
 from studies.storage.model_notes import model_notes
 from studies.storage.run_table import AllFailedError
 from studies.storage.store import FINALISTS, Store, make_folder
+from studies.storage.stored_model import write_model
 from studies.study_file.spec import Study
 
 _log = logging.getLogger("studies")
@@ -200,6 +201,8 @@ class _Run:
             part_of=part_of,
         )
         store = Store.create(folder, manifest, scenarios)
+        if not part_of:  # finalists are drawn from the same model
+            write_model(folder, self.generator)
         remove_leftovers(folder)
         table = store.load(study.designs, repair=True)
         for message in store.broken:

@@ -1,0 +1,124 @@
+"""Figures of generated departures beside those that they stand for: margins, and pairs of parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from studies.fit_page.figures_pairs import density_levels, smooth
+from studies.fit_page.style import COLORS, MODEL, TITLES, axis_label
+from studies.report.look.style import figure_settings
+from studies.report.model_match.parts import Pair, SideMatch
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.path import Path
+
+FloatArray = npt.NDArray[np.float64]
+
+MODEL_DASH: Final = (4.0, 2.0)
+
+_SHADES: Final = (0.22, 0.5, 0.95)
+"""Of the generated departures' colour: all cells, those that hold the densest 90 %, and 50 %."""
+
+
+def margins_figure(side: SideMatch) -> Figure:
+    """Each parameter: generated departures as bars, source departures as a line, the model as a dashed one."""
+    from matplotlib.figure import Figure
+
+    rows = -(-len(side.margins) // 2)
+    with figure_settings():
+        figure = Figure(figsize=(5.2, 0.35 + 1.55 * rows), layout="constrained")
+        grid = figure.subplots(rows, 2, squeeze=False).ravel()
+        for axes, margin in zip(grid, side.margins, strict=False):
+            axes.stairs(100.0 * margin.generated, margin.edges, fill=True, color=COLORS[side.key], alpha=0.45)
+            if margin.source is not None:
+                axes.stairs(100.0 * margin.source, margin.edges, color=MODEL, linewidth=1.4)
+            if margin.model is not None:
+                middle = 0.5 * (margin.edges[1:] + margin.edges[:-1])
+                axes.plot(middle, 100.0 * margin.model, color=MODEL, linewidth=1.2, linestyle=(0, MODEL_DASH))
+            axes.set_xlim(margin.edges[0], margin.edges[-1])
+            axes.set_ylim(bottom=0.0)
+            axes.set_xlabel(axis_label(margin.name))
+            axes.locator_params(axis="x", nbins=4)
+            axes.locator_params(axis="y", nbins=3)
+        for axes in grid[len(side.margins) :]:
+            axes.set_axis_off()
+        figure.suptitle(f"{TITLES[side.key]}: share per bin [%]", x=0.02, ha="left", fontweight="bold", fontsize=9.5)
+        return figure
+
+
+def pairs_figure(side: SideMatch) -> Figure:
+    """All pairs: generated departures as shaded cells, contours of the reference."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator, NullLocator
+
+    names = side.names
+    d = len(names) - 1
+    by_name = {(pair.first, pair.second): pair for pair in side.pairs}
+    with figure_settings():
+        # margins are set by hand: to measure the labels of all panels takes longer than to draw them
+        size = 0.85 + 1.15 * max(d, 2)
+        figure = Figure(figsize=(size, size))
+        edges = {"left": 0.72 / size, "right": 1 - 0.1 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
+        grid = figure.subplots(d, d, squeeze=False, gridspec_kw={"wspace": 0.1, "hspace": 0.1, **edges})
+        for i in range(d):
+            for j in range(d):
+                axes = grid[i, j]
+                if j > i:
+                    axes.set_axis_off()
+                    continue
+                _draw_pair(axes, by_name[names[j], names[i + 1]], side.key)
+                axes.xaxis.set_major_locator(MaxNLocator(2, prune="both") if i == d - 1 else NullLocator())
+                axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if j == 0 else NullLocator())
+                axes.tick_params(labelsize=8)
+                if i == d - 1:
+                    axes.set_xlabel(axis_label(names[j]))
+                if j == 0:
+                    axes.set_ylabel(axis_label(names[i + 1]))
+                    axes.yaxis.set_label_coords(-0.5 * d / size, 0.5)
+        return figure
+
+
+def _draw_pair(axes: Axes, pair: Pair, side: str) -> None:
+    """Cells as a few shapes and not one by one: a report holds many of them."""
+    from matplotlib.patches import PathPatch
+
+    x, y = pair.first_edges, pair.second_edges
+    levels = [1e-12, *density_levels(pair.generated)][-3:]
+    for level, shade in zip(levels, _SHADES[-len(levels) :], strict=True):
+        axes.add_patch(PathPatch(_cells_above(pair.generated, x, y, level), color=_tint(side, shade), linewidth=0))
+    if pair.reference is not None and min(pair.reference.shape) > 1 and pair.reference.max() > 0.0:
+        model = smooth(pair.reference).T
+        centers = 0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1])
+        held = [level for level in density_levels(model) if level < model.max()]
+        if held:
+            axes.contour(*centers, model, levels=held, colors=MODEL, linewidths=(0.8, 1.5)[-len(held) :])
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(y[0], y[-1])
+    axes.grid(visible=False)
+
+
+def _tint(side: str, shade: float) -> tuple[float, float, float]:
+    """A side's colour on white."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (1.0 - shade * (1.0 - part) for part in to_rgb(COLORS[side]))
+    return red, green, blue
+
+
+def _cells_above(share: FloatArray, x: FloatArray, y: FloatArray, level: float) -> Path:
+    """The cells of at least a share as one path; neighbours of a column are one rectangle."""
+    from matplotlib.path import Path
+
+    corners: list[tuple[float, float]] = []
+    codes: list[int] = []
+    for i, column in enumerate(share >= level):
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
+        for low, high in zip(ends[::2], ends[1::2], strict=True):
+            corners += [(x[i], y[low]), (x[i + 1], y[low]), (x[i + 1], y[high]), (x[i], y[high]), (x[i], y[low])]
+            codes += [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]  # type: ignore[list-item]
+    return Path(np.array(corners).reshape(-1, 2), codes)
