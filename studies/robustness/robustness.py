@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-PER_SIDE: Final = 100
-"""Scenarios of each side; changes are paired, so that a few hundred tell them well."""
+PER_SIDE: Final = 50
+"""Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
 
 CONFIDENCE: Final = 0.95
 

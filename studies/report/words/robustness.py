@@ -1,0 +1,181 @@
+"""Sentences on other plants: whether the winner stays first, what hurts it most, who fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from studies.report.tables.row import Row, is_baseline
+from studies.report.words.prose import design_text
+from studies.report.words.text import number, percent, plural, signed, symbols
+from studies.robustness.robustness import Robustness
+
+TOGETHER = ("together", "ideal")
+"""Plants that differ in more than one option."""
+
+_NAMED = 3
+_LISTED = 5
+
+_ORDINALS = {1: "first", 2: "second", 3: "third"}
+
+
+def robustness_sentences(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str) -> list[Markup]:
+    """The answer of the section, each a paragraph.
+
+    Parameters
+    ----------
+    found : Robustness
+        With at least one design and scenario.
+    rows : sequence of Row
+        Of its designs.
+    names : sequence of str
+        What they are called here.
+    of : str
+        What the first one is: ``"the winner"``.
+
+    Returns
+    -------
+    list of Markup
+    """
+    said = [_stays(found, rows, names, of)]
+    if not is_baseline(rows[0]):
+        said += _hurts(found)
+    said.append(_fails(found, rows, names))
+    said += _worse(found, rows, names)
+    return [one for one in said if one]
+
+
+def _stays(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str) -> Markup:
+    reference = Markup("<strong>{}</strong>, {},").format(design_text(rows[0]), of)
+    if not (found.rival >= 0).any() or len(found.plants) < 2:
+        return Markup("{} stands alone here: there is no other design to change ranks with.").format(reference)
+    rank = found.rank[1:, 0]
+    lost = [k for k in range(1, len(found.plants)) if found.rank[k, 0] != 1]
+    first = int((rank == 1).sum())
+    where = f"all {len(rank)}" if not lost else (f"{first} of {len(rank)}" if first else "none")
+    said = Markup("{} is first on {} of the other plants, by mean S on the same {}.").format(
+        reference, where, plural(found.n, "departure")
+    )
+    if not lost:
+        said = Markup("{} stays first on all {} other plants, by mean S on the same {}.").format(
+            reference, len(rank), plural(found.n, "departure")
+        )
+    if found.rank[0, 0] > 1:
+        words = " On these departures it is {} on the study\u2019s own plant too."
+        said += Markup(words).format(_ordinal(int(found.rank[0, 0])))
+    lost.sort(key=lambda k: (-found.rank[k, 0], k))
+    for k in lost[:_NAMED]:
+        said += Markup(" ") + _behind(found, names, k)
+    if len(lost) > _NAMED:
+        said += Markup(" The table has the other {}.").format(len(lost) - _NAMED)
+    close = [found.titles[k] for k in range(1, len(rank) + 1) if found.rank[k, 0] == 1 and not found.lead_high[k] < 0]
+    if close:
+        few = ", ".join(close[:_NAMED]) if len(close) <= _NAMED else f"{len(close)} of them"
+        said += Markup(" Its lead cannot be told from zero on {}.").format(few)
+    return said
+
+
+def _behind(found: Robustness, names: Sequence[str], k: int) -> Markup:
+    if found.rank[k, 0] == 0:
+        return Markup("On <em>{}</em> its law raised.").format(found.titles[k])
+    told = "" if found.lead_low[k] > 0 else ", which may be chance"
+    return Markup("On <em>{}</em> it is {}: {} is better by {}\u00a0m·s ({}{}).").format(
+        found.titles[k],
+        _ordinal(int(found.rank[k, 0])),
+        symbols(names[int(found.rival[k])]),
+        number(float(found.lead[k])),
+        _interval(float(found.lead_low[k]), float(found.lead_high[k])),
+        told,
+    )
+
+
+def _hurts(found: Robustness) -> Iterator[Markup]:
+    single = [
+        k for k, name in enumerate(found.plants) if k and name not in TOGETHER and np.isfinite(found.change[k, 0])
+    ]
+    own = float(found.S[0, 0])
+    if single and own > 0:
+        worst = max(single, key=lambda k: (found.change[k, 0], -k))
+        if found.change[worst, 0] > 0:
+            said = "Of single options <em>{}</em> ({}) costs it most: mean S {} \u2192 {}\u00a0m·s, {} (interval {}{})."
+            yield Markup(said).format(found.titles[worst], found.differences[worst], *_moved(found, worst))
+        else:
+            yield Markup("No single option makes its mean S larger.")
+    for k, name in enumerate(found.plants):
+        if name in TOGETHER and np.isfinite(found.change[k, 0]) and own > 0:
+            said = "On <em>{}</em> its mean S is {} \u2192 {}\u00a0m·s, {} (interval {}{})."
+            yield Markup(said).format(found.titles[k], *_moved(found, k))
+
+
+def _moved(found: Robustness, k: int) -> tuple[str, str, str, str, str]:
+    own = float(found.S[0, 0])
+    low, high = (100.0 * float(end[k, 0]) / own for end in (found.low, found.high))
+    untold = "" if low > 0 or high < 0 else ", which may be chance"
+    interval = f"{number(low, 1)} to {number(high, 1)}\u00a0%" if np.isfinite([low, high]).all() else "not known"
+    rise = f"{signed(100.0 * float(found.change[k, 0]) / own, 1)}\u00a0%"
+    return number(own), number(float(found.S[k, 0])), rise, interval, untold
+
+
+def _fails(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Markup:
+    more = found.failures[1:] - found.failures[0]
+    lines = []
+    for i in range(len(rows)):
+        if more.size and more[:, i].max() > 0:
+            k = 1 + int(more[:, i].argmax())
+            lines.append((-int(found.failures[k, i]), i, k, int((more[:, i] > 0).sum())))
+    if not lines:
+        return Markup("No design fails in more departures than on the study\u2019s own plant.")
+    lines.sort()
+    told = []
+    for _, i, k, plants in lines[:_LISTED]:
+        lost = f", {found.diverged[k, i]} of them lost the lane" if found.diverged[k, i] else ""
+        others = f"; also on {plural(plants - 1, 'other plant')}" if plants > 1 else ""
+        told.append(
+            Markup("{} on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant{}{})").format(
+                symbols(names[i]), found.titles[k], found.failures[k, i], found.n, found.failures[0, i] or "none",
+                lost, others,
+            )
+        )  # fmt: skip
+    rest = f", and {plural(len(lines) - _LISTED, 'other design')}" if len(lines) > _LISTED else ""
+    return Markup("<strong>Failures:</strong> {}{}.").format(Markup("; ").join(told), rest)
+
+
+def _worse(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Iterator[Markup]:
+    """Designs that are worse than no control somewhere, though not on the study's plant."""
+    told = []
+    for i, row in enumerate(rows):
+        if is_baseline(row):
+            continue
+        bad = found.S[:, i] > found.S_uncorrected[:, i]
+        where = [found.titles[k] for k in range(1, len(found.plants)) if bad[k] and not bad[0]]
+        if where:
+            few = ", ".join(where[:_NAMED]) + (f" and {len(where) - _NAMED} more" if len(where) > _NAMED else "")
+            told.append(Markup("{} on <em>{}</em>").format(symbols(names[i]), few))
+    if told:
+        yield Markup("<strong>Worse than no control</strong>, though not on the study\u2019s plant: {}.").format(
+            Markup("; ").join(told)
+        )
+
+
+def _ordinal(rank: int) -> str:
+    return _ORDINALS.get(rank, f"{rank}th")
+
+
+def _interval(low: float, high: float) -> str:
+    return f"interval {number(low)} to {number(high)}" if np.isfinite([low, high]).all() else "interval not known"
+
+
+def change_text(found: Robustness, k: int, i: int) -> str:
+    """Relative change of a design's mean S on a plant; a dash where there is none."""
+    own, moved = float(found.S[0, i]), float(found.change[k, i])
+    if not (own > 0 and np.isfinite(moved)):
+        return "\u2013"
+    return f"{signed(100.0 * moved / own, 1)}\u00a0%"
+
+
+def reduction_text(found: Robustness, k: int, i: int) -> str:
+    """Reduction of mean S against no control on the same plant."""
+    total = float(found.S_uncorrected[k, i])
+    return percent(1.0 - float(found.S[k, i]) / total) if total > 0 else "\u2013"
