@@ -22,6 +22,9 @@ _BLOCK_ENTRIES = 2_000_000
 _GRID_ENTRIES = 2_500_000
 """Scores that are resampled at once (20 MB, and as much again for what is worked out on the way)."""
 
+_KEPT_ENTRIES = 10_000_000
+"""Weights of a block that was kept (80 MB): in products of small matrices threads wait for each other."""
+
 _MANTISSA = 53
 """Bits of a double precision number."""
 
@@ -96,13 +99,13 @@ def bootstrap_deviations(
 
 
 class _Kept:
-    """Blocks of weights that are needed more than once, in the smallest whole numbers that hold them."""
+    """Weights that are needed more than once, in the smallest whole numbers that hold them; large blocks come back."""
 
     def __init__(self, blocks: Iterable[FloatArray]) -> None:
-        self._blocks = [block.astype(np.min_scalar_type(int(block.max()))) for block in blocks]
+        self._weights = np.concatenate([block.astype(np.min_scalar_type(int(block.max()))) for block in blocks])
 
     def __iter__(self) -> Iterator[FloatArray]:
-        return (block.astype(np.float64) for block in self._blocks)
+        return (block.astype(np.float64) for _, block in row_blocks(self._weights, entries=_KEPT_ENTRIES))
 
 
 def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -10,13 +11,15 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+T = TypeVar("T", bound=np.generic)
+
 _BLOCK_ENTRIES = 250_000
 """Numbers in a block (2 MB)."""
 
 
 def row_blocks(
-    values: FloatArray, rows: IntArray | None = None, *, entries: int = _BLOCK_ENTRIES
-) -> Iterator[tuple[slice, FloatArray]]:
+    values: npt.NDArray[T], rows: IntArray | None = None, *, entries: int | None = None
+) -> Iterator[tuple[slice, npt.NDArray[T]]]:
     """Some rows of a table, in blocks of about so many entries.
 
     Parameters
@@ -24,7 +27,7 @@ def row_blocks(
     values : (d, n)
     rows : (k,) int, optional
         Which rows, in the order wanted; all by default.
-    entries : int
+    entries : int, optional
         Of a block at most, where that is a row or more.
 
     Yields
@@ -40,7 +43,7 @@ def row_blocks(
     >>> [(places, block.tolist()) for places, block in row_blocks(np.eye(2), np.array([1, 0]), entries=2)]
     [(slice(0, 1, None), [[0.0, 1.0]]), (slice(1, 2, None), [[1.0, 0.0]])]
     """
-    size = max(1, entries // max(1, values.shape[1]))
+    size = max(1, (entries or _BLOCK_ENTRIES) // max(1, values.shape[1]))
     count = values.shape[0] if rows is None else rows.size
     for first in range(0, count, size):
         places = slice(first, min(first + size, count))

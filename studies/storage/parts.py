@@ -9,11 +9,14 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit import EventStatus
 from ldctoolkit.errors import StoreError
@@ -24,6 +27,8 @@ from studies.storage.files import parse_parquet, read_bytes, stored_file
 
 if TYPE_CHECKING:
     import polars as pl
+
+FloatArray = npt.NDArray[np.float64]
 
 PATTERN = "part-*.parquet"
 
@@ -96,6 +101,31 @@ def _table(results: Sequence[TaskResult], windows: Sequence[Window]) -> pl.DataF
     return pl.concat([repeated, numbers], how="horizontal")
 
 
+def checked_content(path: Path) -> bytes:
+    """The content of a part, as it was written.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read, or its checksum is not the one in its name.
+    """
+    data = read_bytes(path)
+    if not path.stem.endswith(f"-{_checksum(data)}"):
+        raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
+    return data
+
+
+def contents_ahead(paths: Iterable[Path]) -> Iterator[tuple[Path, Future[bytes]]]:
+    """`checked_content` of parts, the next one worked out by another thread while one is looked at."""
+    with ThreadPoolExecutor(1) as pool:
+        waiting: deque[tuple[Path, Future[bytes]]] = deque()
+        for path in paths:
+            waiting.append((path, pool.submit(checked_content, path)))
+            if len(waiting) > 1:
+                yield waiting.popleft()
+        yield from waiting
+
+
 def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:
     """Results that a part holds, one design and stretch of scenarios at a time.
 
@@ -112,14 +142,18 @@ def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskRes
     StoreError
         Naming the file and what is wrong with it.
     """
-    data = read_bytes(path)
-    if not path.stem.endswith(f"-{_checksum(data)}"):
-        raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
-    types = schema(windows)
-    table = parse_parquet(path, data, types, finite=False)
-    floats = np.stack([table[column].to_numpy() for column in float_columns(windows).values()])
+    return parse_part(path, checked_content(path), windows, n)
+
+
+def parse_part(
+    path: Path, data: bytes, windows: Sequence[Window], n: int, *, companions: bool = True
+) -> Iterator[TaskResult]:
+    """As `read_part`, from a part's content; without `companions` they are checked and left out of the values."""
+    table = parse_parquet(path, data, schema(windows), finite=False)
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
-    _check_numbers(path, floats, status, windows)
+    columns = list(float_columns(windows).values())
+    _check_numbers(path, [table[column] for column in columns], status)
+    floats = np.stack([table[column].to_numpy() for column in (columns if companions else columns[: 2 * len(windows)])])
     rows = table["scenario"].to_numpy().astype(np.int64)
     if rows.size and rows.max() >= n:
         raise StoreError(f"{path}: broken: scenario {rows.max()}; allowed: 0 to {n - 1}")
@@ -143,10 +177,28 @@ def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskRes
         )
 
 
-def _check_numbers(path: Path, floats: Any, status: Any, windows: Sequence[Window]) -> None:
+def read_column(path: Path, column: str) -> FloatArray:
+    """One column of a part, (rows,), not checked again.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    import polars as pl
+
+    try:
+        table = pl.read_parquet(path, columns=[column], glob=False, hive_partitioning=False)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise StoreError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    values: FloatArray = table[column].to_numpy()
+    return values
+
+
+def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> None:
     """Refuse what is no number in a scenario that was driven."""
     driven = status != EventStatus.INVALID
-    for values, column in zip(floats, float_columns(windows).values(), strict=True):
-        bad = np.isnan(values) if column == COMPANION_COLUMNS[_ENDLESS] else ~np.isfinite(values)
-        if (bad & driven).any():
-            raise StoreError(f"{path}: broken: column {column} holds a value that is not finite")
+    for column in columns:
+        good = column.is_not_nan() if column.name == COMPANION_COLUMNS[_ENDLESS] else column.is_finite()
+        if not good.all() and not good.to_numpy()[driven].all():
+            raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")

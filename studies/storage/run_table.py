@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -10,10 +11,13 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import LdcError, StoreError
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, Companions
+from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import CaseResults, FailedDesign, StudyResults
 from studies.running.tasks import RunKey, TaskResult
+from studies.storage.shared_rows import SharedRows
+from studies.storage.stored_columns import PartIndex, StoredColumn
 from studies.storage.timing import LawTime
 from studies.study_file.spec import Study
 
@@ -38,13 +42,25 @@ class RunTable:
         More can be added.
     keep : bool
         Keep results of designs that have no room yet, until they are added.
+    stored : PartIndex, optional
+        Where companions are read from when they are asked for; by default they are kept here.
     """
 
-    def __init__(self, study: Study, n: int, designs: Sequence[Design], *, keep: bool = False) -> None:
+    def __init__(
+        self,
+        study: Study,
+        n: int,
+        designs: Sequence[Design],
+        *,
+        keep: bool = False,
+        stored: PartIndex | None = None,
+    ) -> None:
         self._study = study
         self.n = n
         self._conventions = study.simulation.convention
-        self._columns = 2 * len(study.simulation.window) + len(COMPANION_UNITS)
+        self._windows = study.simulation.window
+        self._stored = stored
+        self._uncorrected: dict[tuple[int, int], SharedRows] = {}
         self._place: dict[str, int] = {}
         self._kept: dict[str, list[TaskResult]] | None = {} if keep else None
         self.designs: list[Design] = []
@@ -54,21 +70,26 @@ class RunTable:
     def _make_room(self, size: int) -> None:
         shape = (len(self._conventions), size, self.n)
         before = len(self.designs)
+        companions = 0 if self._stored else len(COMPANION_UNITS)
         fresh: dict[str, Any] = {
-            "_values": np.empty((self._columns, *shape)),
+            "_S": np.empty((len(self._windows), *shape)),
+            "_companions": np.empty((companions, *shape)),
             "_status": np.empty(shape, dtype=np.int8),
-            "_failed_solves": np.empty(shape, dtype=np.int32),
+            # zeros take no memory until something else is written
+            "_failed_solves": np.zeros(shape, dtype=np.int32),
             "_there": np.zeros(shape, dtype=np.bool_),
         }
         for name, array in fresh.items():
             if before:
                 array[..., :before, :] = getattr(self, name)[..., :before, :]
             setattr(self, name, array)
+        for which in itertools.product(range(len(self._windows)), range(len(self._conventions))):
+            self._uncorrected.setdefault(which, SharedRows(size, self.n)).grow(size)
 
     def add_designs(self, designs: Sequence[Design]) -> None:
         """Make room for designs; those that are there already keep theirs."""
         new = [design for design in designs if design.id not in self._place]
-        if len(self.designs) + len(new) > self._values.shape[2]:
+        if len(self.designs) + len(new) > self._status.shape[1]:
             self._make_room(int(_GROWS * (len(self.designs) + len(new))))
         for design in new:
             self._place[design.id] = len(self.designs)
@@ -76,7 +97,8 @@ class RunTable:
             for result in (self._kept or {}).pop(design.id, ()):
                 self.put(result)
 
-    _values: npt.NDArray[np.float64]
+    _S: npt.NDArray[np.float64]
+    _companions: npt.NDArray[np.float64]
     _status: npt.NDArray[np.int8]
     _failed_solves: npt.NDArray[np.int32]
     _there: npt.NDArray[np.bool_]
@@ -113,9 +135,15 @@ class RunTable:
             rows = slice(int(rows[0]), int(rows[-1]) + 1)  # a stretch, as nearly always: several times faster
         for i, key in enumerate(result.keys):
             at = self._at(key)
-            self._values[:, *at, rows] = result.values[:, i]
+            scores, values = 2 * len(self._windows), result.values[:, i]
+            self._S[:, *at, rows] = values[:scores:2]
+            for w in range(len(self._windows)):
+                self._uncorrected[w, at[0]].put(at[1], rows, values[2 * w + 1])
+            if self._stored is None:
+                self._companions[:, *at, rows] = values[scores:]
             self._status[*at, rows] = result.status[i]
-            self._failed_solves[*at, rows] = result.failed_solves[i]
+            if self._there[*at, rows].any() or result.failed_solves[i].any():
+                self._failed_solves[*at, rows] = result.failed_solves[i]
             self._there[*at, rows] = True
 
     def results(
@@ -172,29 +200,25 @@ class RunTable:
         kept = [i for i, design in enumerate(wanted) if design.id not in gone]
         ran = tuple(wanted[i] for i in kept)
         at = at[kept]
-        whole = rows is None and np.array_equal(at, np.arange(self._values.shape[2]))
-        windows = self._study.simulation.window
+        whole = rows is None and np.array_equal(at, np.arange(self._status.shape[1]))
+
+        def some(array: Any) -> Any:
+            if whole:
+                return array
+            return array[at] if rows is None else array[np.ix_(at, rows)]
+
         cases = []
         for case in self._study.cases:
-            c = self._conventions.index(case.convention)
-            w = 2 * windows.index(case.window)
-
-            def some(array: Any, c: int = c) -> Any:
-                if whole:
-                    return array[c]
-                return array[c][at] if rows is None else array[c][np.ix_(at, rows)]
-
-            after = 2 * len(windows)
-            companions: dict[str, Any] = {name: some(self._values[after + i]) for i, name in enumerate(COMPANION_UNITS)}
+            c, w = self._conventions.index(case.convention), self._windows.index(case.window)
             known = [times.get((design.id, case.convention)) for design in ran]
             cases.append(
                 CaseResults(
                     case=case,
-                    S=some(self._values[w]),
-                    S_uncorrected=some(self._values[w + 1]),
-                    status=some(self._status),
-                    companions=Companions(**companions),
-                    failed_solves=some(self._failed_solves),
+                    S=some(self._S[w, c]),
+                    S_uncorrected=self._uncorrected[w, c].take(None if whole else at, rows),
+                    status=some(self._status[c]),
+                    companions=Companions(**self._companions_of(ran, case.convention, rows, some)),
+                    failed_solves=some(self._failed_solves[c]),
                     law_time=np.array([np.nan if one is None else one.per_command for one in known]),
                 )
             )
@@ -204,6 +228,18 @@ class RunTable:
             cases=tuple(cases),
             failed=failed,
         )
+
+    def _companions_of(
+        self, designs: Sequence[Design], convention: Convention, rows: IntArray | None, some: Callable[[Any], Any]
+    ) -> dict[str, Any]:
+        """Companions by name: arrays, or columns that are read from the parts."""
+        if self._stored is None:
+            c = self._conventions.index(convention)
+            return {name: some(self._companions[i, c]) for i, name in enumerate(COMPANION_UNITS)}
+        keys = [(design.id, convention) for design in designs]
+        return {
+            name: StoredColumn(self._stored, column, keys, self.n, rows) for name, column in COMPANION_COLUMNS.items()
+        }
 
     def _incomplete(
         self,

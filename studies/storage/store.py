@@ -36,13 +36,17 @@ from studies.storage.design_table import DESIGNS, read_designs, write_designs
 from studies.storage.failures import FAILURES, read_failures, write_failures
 from studies.storage.files import read_scenarios, scenario_table, write_parquet
 from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
-from studies.storage.parts import PATTERN, read_part, write_part
+from studies.storage.parts import PATTERN, contents_ahead, parse_part, write_part
 from studies.storage.run_table import AllFailedError, RunTable
+from studies.storage.stored_columns import PartIndex
 from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times
 
 _log = logging.getLogger("studies")
 
 FINALISTS = "finalists"
+
+_MOST_IN_MEMORY = 5_000_000
+"""Runs whose companions are kept in memory when a study is read (400 MB)."""
 
 
 def make_folder(folder: Path) -> None:
@@ -158,17 +162,20 @@ class Store:
             Naming the first file that is broken.
         """
         n = self._study.scenarios.left + self._study.scenarios.right
-        table = RunTable(
-            self._study,
-            n,
-            self.designs() if designs is None else designs,
-            keep=repair and self._study.search is not None,
-        )
+        designs = self.designs() if designs is None else designs
+        runs = len(designs) * n * len(self._study.simulation.convention)
+        # a run that goes on fills its table; one that is read can be read again
+        stored = PartIndex() if not repair and runs > _MOST_IN_MEMORY else None
+        table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, stored=stored)
         messages = []
-        for path in sorted((self.folder / "results").glob(PATTERN)):
+        windows = self._study.simulation.window
+        for path, content in contents_ahead(sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(read_part(path, self._study.simulation.window, n)):
+                results = list(parse_part(path, content.result(), windows, n, companions=stored is None))
+                for result in results:
                     table.put(result)
+                if stored is not None:
+                    stored.add(path, results)
             except StoreError as error:
                 if not repair:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None

@@ -1,0 +1,183 @@
+"""A study that is too large for memory: its companions are read from the parts when they are asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.errors import StoreError
+from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
+from studies import Study, StudyResults, read_results, run_study
+from studies.ranking.ranking import rank_study
+from studies.running import campaign
+from studies.storage import store
+from studies.storage.stored_columns import StoredColumn
+
+N = 12
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return Study.from_dict(
+        {
+            "name": "small",
+            "scenarios": {"left": 7, "right": N - 7},
+            "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
+            "ranking": {"bootstrap": 100, "finalists": 0},
+            "design": [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.1, 0.2], "gains": {"r_delta": [50, 500]}}],
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Many parts, each with some of the designs."""
+    folder = tmp_path_factory.mktemp("study")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "_STORE_EVERY", 0.0)
+        run_study(study, directory=folder, workers=1, block_size=2)
+    assert len(list((folder / "results").iterdir())) > 5
+    return folder
+
+
+@pytest.fixture
+def stored(folder: Path, monkeypatch: pytest.MonkeyPatch) -> StudyResults:
+    monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
+    return read_results(folder)
+
+
+def table_of(folder: Path, results: StudyResults, case: int, column: str) -> Any:
+    """A column as another reader of the files finds it."""
+    import polars as pl
+
+    rows = pl.read_parquet(folder / "results" / "part-*.parquet")
+    rows = rows.filter(pl.col("convention") == results.cases[case].case.convention)
+    pivot = rows.sort("scenario").group_by("design", maintain_order=True).agg(pl.col(column))
+    found = dict(zip(pivot["design"].to_list(), pivot[column].to_list(), strict=True))
+    return np.array([found[design.id] for design in results.designs])
+
+
+def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> None:
+    for c, case in enumerate(stored.cases):
+        for name, column in COMPANION_COLUMNS.items():
+            values: Any = getattr(case.companions, name)
+            assert isinstance(values, StoredColumn)
+            np.testing.assert_array_equal(np.asarray(values), table_of(folder, stored, c, column))
+
+
+def test_a_study_gives_the_same_ranking_from_the_parts(folder: Path, study: Study, stored: StudyResults) -> None:
+    from_parts = rank_study(stored, study)
+    in_memory = run_study(study, directory=folder, workers=1)
+    assert isinstance(in_memory.cases[0].companions.deepest, np.ndarray)
+    for one, two in zip(from_parts, rank_study(in_memory, study), strict=True):
+        for field in dataclasses.fields(one.release):
+            same = getattr(one.release, field.name), getattr(two.release, field.name)
+            assert field.name == "law_time" or same[0].tobytes() == same[1].tobytes(), field.name
+        assert one.deeper.tobytes() == two.deeper.tobytes()
+        assert one.S_low.tobytes() == two.S_low.tobytes()
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_index_gives_what_the_array_gives(stored: StudyResults, data: st.DataObject) -> None:
+    column: Any = stored.cases[1].companions.a_y_peak
+    array = np.asarray(column)
+    d = len(column)
+    number, place = st.integers(-d, d - 1), st.integers(-N, N - 1)
+    rows = st.one_of(
+        number,
+        st.lists(number, min_size=1, max_size=9),
+        st.slices(d),
+        st.lists(st.booleans(), min_size=d, max_size=d).map(np.array),
+        st.just(Ellipsis),
+        st.lists(number, min_size=1, max_size=3).map(lambda some: np.array(some)[:, None]),
+    )
+    columns = st.one_of(place, st.slices(N), st.lists(st.booleans(), min_size=N, max_size=N).map(np.array))
+    at = data.draw(st.one_of(rows, st.tuples(rows, columns), st.tuples(st.just(slice(None)), columns)))
+    try:
+        wanted = array[at]
+    except IndexError:
+        with pytest.raises(IndexError):
+            np.asarray(column[at])
+        return
+    found = column[at]
+    assert np.shape(found) == wanted.shape
+    np.testing.assert_array_equal(np.asarray(found), wanted)
+
+
+def test_it_can_do_what_an_array_can(stored: StudyResults) -> None:
+    column: Any = stored.cases[0].companions.deepest
+    array = np.asarray(column)
+    assert (column.shape, column.size, len(column)) == (array.shape, array.size, len(array))
+    np.testing.assert_array_equal(column > 0.3, array > 0.3)
+    np.testing.assert_array_equal(1.0 - column, 1.0 - array)
+    np.testing.assert_array_equal(np.quantile(column, 0.9, axis=1), np.quantile(array, 0.9, axis=1))
+    np.testing.assert_array_equal(column.mean(axis=0), array.mean(axis=0))
+    np.testing.assert_array_equal(list(column), list(array))
+    np.testing.assert_array_equal(np.asarray(column, dtype=np.float32), array.astype(np.float32))
+    assert repr(column) == "<deepest_m of 7 designs on 12 scenarios, read when used>"
+    with pytest.raises(AttributeError):
+        column._nothing  # noqa: B018
+    with pytest.raises(ValueError, match="always a copy"):
+        np.asarray(column, copy=False)
+
+
+def test_some_scenarios_of_a_case_stay_in_the_folder(stored: StudyResults) -> None:
+    case, rows = stored.cases[2], np.arange(N) % 3 > 0
+    some = case.take(rows).take(np.arange(int(rows.sum())) > 1)
+    kept = np.flatnonzero(rows)[2:]
+    for name in COMPANION_UNITS:
+        column: Any = getattr(some.companions, name)
+        assert isinstance(column, StoredColumn)
+        assert column.shape == (len(stored.designs), kept.size)
+        np.testing.assert_array_equal(column[[3, 1]], np.asarray(getattr(case.companions, name))[[3, 1]][:, kept])
+    np.testing.assert_array_equal(some.S_uncorrected, case.S_uncorrected[:, kept])
+
+
+def test_scores_without_control_are_one_row_where_they_are_equal(stored: StudyResults) -> None:
+    by_window = {case.case.window: case.S_uncorrected.strides[0] for case in stored.cases}
+    assert by_window["departure"] == 0
+    assert by_window["control"] > 0
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_part_that_changes_under_a_reader_is_told(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: bool
+) -> None:
+    monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
+    shutil.copytree(folder, tmp_path / "copy")
+    cases = read_results(tmp_path / "copy").cases
+    part = max((tmp_path / "copy" / "results").iterdir())
+    if gone:
+        part.unlink()
+    else:
+        other = min((tmp_path / "copy" / "results").iterdir())
+        part.write_bytes(other.read_bytes())
+    with pytest.raises(StoreError, match=f"{part.name}: (cannot be read|changed since it was checked)"):
+        _ = [np.asarray(case.companions.deepest) for case in cases]  # it holds some of one convention
+
+
+def test_every_column_is_checked_though_it_is_not_kept(
+    folder: Path, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part whose checksum is right and whose numbers are not."""
+    import polars as pl
+
+    from studies.storage.parts import checked_content
+
+    monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
+    shutil.copytree(folder, tmp_path / "copy")
+    part = max((tmp_path / "copy" / "results").iterdir())
+    table = pl.read_parquet(checked_content(part)).with_columns(travel_rad=pl.lit(np.nan))
+    monkeypatch.setattr("studies.storage.parts._checksum", lambda data: part.stem[-16:])
+    monkeypatch.setattr("studies.storage.parts.checked_content", lambda path: path.read_bytes())
+    table.write_parquet(part)
+    with pytest.raises(StoreError, match=f"{part.name}: broken: column travel_rad holds a value that is not finite"):
+        read_results(tmp_path / "copy")
