@@ -224,6 +224,12 @@ class StudyResults:
     fresh: StudyResults | None = None
     race: Race | None = None
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: no tables of numbers, these may be large."""
+        from studies.results_display import results_html
+
+        return results_html(self)
+
     def drivable(self) -> StudyResults:
         """The same without the scenarios that some design could not be driven on in some case; often all of it."""
         rows = np.logical_and.reduce([case.drivable for case in self.cases])

@@ -74,6 +74,8 @@ class Outcome:
         On request; None where nobody intervened, since there is no path but the recorded one.
     solver_log : SolverLog
         Every solver call of a law that has a solver: scenario, sample, status, iterations, residuals.
+    side : (n,) int or None
+        ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own.
     """
 
     window: Window
@@ -87,6 +89,13 @@ class Outcome:
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
+    side: IntArray | None = None
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from ldctoolkit.simulation.outcome_display import outcome_html
+
+        return outcome_html(self)
 
     @property
     def deepest(self) -> FloatArray:
@@ -218,4 +227,5 @@ class Run:
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,
             solver_log=self.solver_log.renamed(rows),
+            side=over.scenarios.side,
         )

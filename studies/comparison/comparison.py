@@ -110,6 +110,12 @@ class Comparison:
     confidence: float
     warnings: tuple[str, ...] = ()
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from studies.comparison.comparison_display import comparison_html
+
+        return comparison_html(self)
+
     @property
     def any_worse(self) -> bool:
         """A design is worse in some case, fails now, or the new winner is worse than the old one."""

@@ -95,6 +95,12 @@ class Ranking(CaseFigures, Inference, FreshScores):
         best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s" if self.ranked else "none is ranked"
         return f"<Ranking of {len(self)} designs, {self.case.label}: {best}>"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from studies.ranking.ranking_display import ranking_html
+
+        return ranking_html(self)
+
     @property
     def ranked(self) -> int:
         """Number of designs that have a rank; they are the first ones."""

@@ -95,8 +95,8 @@ def test_from_recordings_to_a_report(tmp_path: Path) -> None:
     assert f"ranking: {Path('o') / 'ranking.csv'}" in out
     assert f"report:  {Path('o') / 'report.html'}" in out
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
-        ".lock", "designs.parquet", "finalists", "manifest.json", "model.json", "ranking.csv", "ranking.md", "report.html", "results",
-        "scenarios.parquet", "timing.json",
+        ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",
+        "ranking.md", "report.html", "results", "scenarios.parquet", "timing.json",
     ]  # fmt: skip
     with (tmp_path / "o" / "ranking.csv").open(newline="") as stream:
         assert [row["rank"] for row in csv.DictReader(stream)] == ["1", "2", "3"]
