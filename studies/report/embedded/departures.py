@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from studies.report.context import Context
-from studies.report.embedded.packed import packed
+from studies.report.embedded.packed import packed, script_json
 from studies.report.replay.paths import Replay, most_departures
 from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick
 
@@ -20,7 +21,10 @@ RESOLUTION: Final = {"y": 1e-3, "delta": math.radians(1e-3), "a_y": 1e-3}
 """Steps of the embedded positions [m], steering angles [rad] and lateral accelerations [m/s^2]."""
 
 BUDGET: Final = 1_000_000
-"""Most bytes of paths in the page."""
+"""Most bytes of paths in the page, as they are estimated."""
+
+MOST: Final = 1_150_000
+"""The same, for what they weigh once they are driven."""
 
 COUNTS: Final = (120, 90, 60, 40)
 """Numbers of departures that are tried until they fit."""
@@ -76,6 +80,11 @@ def trimmed(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ..
     return picks[:low]
 
 
+def bytes_of(data: Mapping[str, object]) -> int:
+    """What the paths weigh in the page: more than `weight` where a design loses the vehicle."""
+    return len(script_json({name: data[name] for name in ("paths", "recorded")}))
+
+
 def embedded_departures(context: Context, replayed: Replay, every: int) -> dict[str, object]:
     """What the script reads.
 
@@ -90,7 +99,7 @@ def embedded_departures(context: Context, replayed: Replay, every: int) -> dict[
     Returns
     -------
     dict
-        Whole numbers of `RESOLUTION`; paths one after the other, design by design, ``count`` (c, p) samples each,
+        Whole numbers of `RESOLUTION`; for each design its paths one after the other, ``count`` (c, p) samples each,
         the first at ``start`` (c, p), then every ``step``; 0 samples where there is no path. Recorded paths begin at 0
         and end at T. Facts are (c, p) as stored.
     """
@@ -136,21 +145,23 @@ def _recorded(replayed: Replay, step: float) -> dict[str, object]:
 
 def _paths(replayed: Replay, every: int, dt: float) -> dict[str, object]:
     count, start = [], []
-    values: dict[str, list[FloatArray]] = {name: [] for name in RESOLUTION}
+    values: dict[str, list[dict[str, str]]] = {name: [] for name in RESOLUTION}
     for paths in replayed.designs:
-        for k in range(len(replayed.picks)):
-            t = paths.t[k, np.isfinite(paths.t[k])]
-            since = (t - t[:1]) / (every * dt)
-            kept = np.flatnonzero(np.abs(since - np.rint(since)) * every * dt < 1e-9)  # T itself may lie between
-            count.append(kept.size)
-            start.append(t[0] if t.size else 0.0)
-            for name, some in values.items():
-                some.append(getattr(paths, name)[k, kept])
-    return {
-        "count": packed(count, "i4"),
-        "start": packed(start),
-        **{name: _whole(np.concatenate([np.empty(0), *some]), name) for name, some in values.items()},
-    }
+        kept = [_kept(t, every * dt) for t in paths.t]
+        count += [rows.size for rows in kept]
+        start += [paths.t[k, 0] if rows.size else 0.0 for k, rows in enumerate(kept)]
+        for name, some in values.items():
+            table = getattr(paths, name)
+            line = [table[k, rows] for k, rows in enumerate(kept)]
+            some.append(_whole(np.concatenate([np.empty(0), *line]), name))
+    return {"count": packed(count, "i4"), "start": packed(start), **values}
+
+
+def _kept(t: FloatArray, step: float) -> npt.NDArray[np.int64]:
+    """Samples at whole steps after the first; T itself may lie between two."""
+    known = t[np.isfinite(t)]
+    since = (known - known[:1]) / step
+    return np.flatnonzero(np.abs(since - np.rint(since)) * step < 1e-9)
 
 
 def _facts(context: Context, replayed: Replay) -> dict[str, object]:

@@ -72,9 +72,16 @@ class Replay:
     designs: tuple[DesignPaths, ...]
     mismatch: float
 
-    def place(self, row: int) -> int:
-        """Position of a scenario among the picks."""
-        return next(i for i, pick in enumerate(self.picks) if pick.row == row)
+    def first(self, count: int) -> Replay:
+        """The same for the first picks only."""
+        some = slice(0, count)
+        designs = tuple(
+            DesignPaths(one.chosen, *(getattr(one, field.name)[some] for field in dataclasses.fields(one)[1:]))
+            for one in self.designs
+        )
+        rows = np.arange(len(self.picks))[some]
+        scenarios, recorded = self.scenarios.take(rows), self.recorded.take(rows)
+        return Replay(self.picks[some], scenarios, recorded, designs, self.mismatch)
 
 
 def most_departures(chosen: Chosen) -> int | None:

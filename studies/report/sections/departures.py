@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from ldctoolkit import EventStatus
 from studies.report.context import Context
-from studies.report.embedded.departures import BUDGET, embedded_departures, grids, trimmed, weight
+from studies.report.embedded.departures import BUDGET, MOST, bytes_of, embedded_departures, grids, trimmed, weight
 from studies.report.figures.examples import examples
 from studies.report.figures.path_figures import Example, path_figure, path_limits
 from studies.report.look.style import RECORDED, LineStyle
@@ -50,7 +50,7 @@ def section(context: Context) -> Section:
     if not took_over:
         body = render("sections/departures.html", report=context.report, replayed=None)
         return Section("departures", "Departures", body)
-    every, replayed = _replayed(context, designs)
+    every, replayed, data = _replayed(context, designs)
     styles = _styles(context, designs)
     found = examples(context, replayed)
     drawings = tuple(_drawings(found))
@@ -69,7 +69,6 @@ def section(context: Context) -> Section:
         few=[(one.row.title, most) for one in designs if (most := most_departures(one)) and most < len(replayed.picks)],
         reference=printable(designs[0].why),
     )
-    data = embedded_departures(context, replayed, every)
     data["designs"] = [_design(one, style) for one, style in zip(designs, styles, strict=True)]
     data["line"] = {"color": RECORDED.color, "dash": list(RECORDED.dash)}
     return Section(
@@ -83,8 +82,8 @@ def section(context: Context) -> Section:
     )
 
 
-def _replayed(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Replay]:
-    """The departures that fit into the page, driven again, and the step."""
+def _replayed(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Replay, dict[str, object]]:
+    """The step, the departures that fit into the page, driven again, and what the script reads of them."""
     every, picks = 1, picked_departures(context, designs, 0)
     for grid in grids(context.report.dt):
         every, picks = grid.every, picked_departures(context, designs, grid.count)
@@ -92,7 +91,12 @@ def _replayed(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Repla
             break
     else:
         picks = trimmed(context, picks, designs, every)
-    return every, replay(context, picks, designs)
+    replayed = replay(context, picks, designs)
+    data = embedded_departures(context, replayed, every)
+    while bytes_of(data) > MOST and len(replayed.picks) > max(1, len(context.report.departures)):
+        replayed = replayed.first(max(1, len(context.report.departures), int(0.8 * len(replayed.picks))))
+        data = embedded_departures(context, replayed, every)
+    return every, replayed, data
 
 
 def _styles(context: Context, designs: tuple[Chosen, ...]) -> list[LineStyle]:

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.departures import lateral
 from studies.design import Design
-from studies.report.figures.examples import choose, replay
+from studies.report.context import Context
+from studies.report.figures.examples import examples
 from studies.report.figures.landscape import color_range, landscapes, on_the_edge, swept_axes
 from studies.report.figures.landscape_figures import heat_map, profile
 from studies.report.figures.path_figures import ControlledPath, Example, path_figure
@@ -31,6 +32,8 @@ from studies.report.figures.scores import (
 )
 from studies.report.look.style import RECORDED, law_styles
 from studies.report.look.svg import inline_svg
+from studies.report.replay.paths import replay
+from studies.report.replay.picks import choose, chosen_designs, picked_departures
 from studies.report.words.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
 from studies.results import Case
 
@@ -178,16 +181,17 @@ def test_replayed_paths_start_at_the_trigger_and_score_as_stored(make: ModuleTyp
     scenarios = make.invented_scenarios(20, 20, seed=5)
     designs = (Design.of(LQR(), 0.1), Design.of(LinearMPC(), 0.15), Design.of(NoControl(), 0.1))
     results = make.run(designs, scenarios, [Case("departure", "consistent")])
-    styles = law_styles(d.law for d in designs)
-    shown = [(i, d, d.law, styles[d.law]) for i, d in enumerate(designs)]
-    replayed = replay(make.report_input(results), results.cases[0], shown)
+    context = Context.of(make.report_input(results))
+    chosen = chosen_designs(context)
+    replayed = replay(context, picked_departures(context, chosen, 0), chosen)
     assert replayed.mismatch < 1e-12  # the same arithmetic on the same departure
-    assert [e.side for e in replayed.examples] == ["Left"] * 3 + ["Right"] * 3
-    for example in replayed.examples:
+    found = examples(context, replayed)
+    assert [e.side for e in found] == ["Left"] * 3 + ["Right"] * 3
+    for example in found:
         one = scenarios.take([example.row])
         assert example.y == pytest.approx(lateral(one, example.t), abs=1e-15)
         assert len(example.paths) == 2  # no control is the recorded path
-        for path, y_s in zip(example.paths, (0.1, 0.15), strict=True):
+        for path, y_s in zip(example.paths, [one.row.design.y_s for one in chosen], strict=True):
             if path.t.size:
                 # y_s is the trigger; the start state is y(t_s)
                 assert path.y[0] == pytest.approx(y_s, abs=1e-9)

@@ -37,7 +37,7 @@
     var recorded = { count: LDC.numbers(data.recorded.count), deepest: LDC.numbers(data.recorded.deepest) };
     var driven = { count: LDC.numbers(data.paths.count), start: LDC.numbers(data.paths.start) };
     ["y", "a_y"].forEach(function (name) { recorded[name] = LDC.numbers(data.recorded[name]); });
-    ["y", "delta", "a_y"].forEach(function (name) { driven[name] = LDC.numbers(data.paths[name]); });
+    ["y", "delta", "a_y"].forEach(function (name) { driven[name] = [].concat.apply([], data.paths[name].map(LDC.numbers)); });
     recorded.starts = starts(recorded.count);
     driven.starts = starts(driven.count);
     var p = departures.index.length;

@@ -1,0 +1,67 @@
+"""Against what the closed loop itself found, and against the linear model's matrices."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, PreviewProportional
+from ldctoolkit import BicycleModel, Controller, VehicleParameters
+from ldctoolkit.metrics import linear_lateral_acceleration
+from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
+from ldctoolkit.simulation import Takeover, drive
+from studies.report.replay.acceleration import path_acceleration
+
+PLANTS = {
+    "ideal": PlantOptions(),
+    "profile": PlantOptions(speed="profile", residuals=Residuals(y=True, v=True)),
+    "lag": PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.5)),
+    "whole delay": PlantOptions(actuator=Actuator(delay=0.1)),
+    "part of a delay": PlantOptions(actuator=Actuator(delay=0.07)),
+    "other vehicles": PlantOptions(mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.7, 1.2))),
+    "tyres": PlantOptions(
+        tyres=Tyres(model="magic_formula", mu=0.5), speed="profile", mismatch=Mismatch(mu=(0.6, 1.0))
+    ),
+}
+
+
+def driven(make: ModuleType, controller: Controller, options: PlantOptions, convention: str = "consistent"):  # type: ignore[no-untyped-def]
+    scenarios = make.invented_scenarios(8, 7)
+    scenarios = dataclasses.replace(scenarios, sigma_y=np.full(15, 0.02), sigma_v=np.full(15, 0.2))
+    model = BicycleModel(VehicleParameters(), convention=convention)  # type: ignore[arg-type]
+    over = Takeover.build(scenarios, model, y_s=0.05, dt=0.05, options=options, seed=3)
+    run = drive(controller, over, trajectories=True)
+    kept = run.trajectories
+    assert kept is not None
+    paths = kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
+    return over, run, paths, path_acceleration(over, np.arange(over.m), *paths)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("controller", [LQR(), LinearMPC()], ids=["linear", "steps"])
+def test_the_largest_is_the_stored_peak(make: ModuleType, plant: str, controller: Controller) -> None:
+    over, run, (t, _, _), (left, right) = driven(make, controller, PLANTS[plant])
+    assert over.m > 8
+    # T between two samples is no sample of the closed loop: its peak leaves it out, so ours may only be larger there
+    since = (t - t[:, :1]) / over.dt
+    last = t == np.nanmax(t, axis=1, keepdims=True)
+    sample = (np.abs(since - np.rint(since)) < 1e-7) | last
+    both = np.fmax(np.abs(left), np.abs(right))
+    peak = np.nanmax(np.where(sample, both, np.nan), axis=1)
+    # the loop's own numbers, up to the rounding of another order of operations
+    assert peak == pytest.approx(run.companions.a_y_peak, rel=1e-9, abs=1e-9)
+    assert np.array_equal(np.isnan(left), np.isnan(t))
+
+
+@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
+def test_it_is_that_of_the_linear_model(make: ModuleType, convention: str) -> None:
+    over, _, (t, x, delta), (left, right) = driven(make, PreviewProportional(), PlantOptions(), convention)
+    v = over.plant.v
+    lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
+    before, after = linear_lateral_acceleration(over.model, v, np.nan_to_num(x), delta, lane, delta[:, 0])
+    known = np.isfinite(t)
+    assert left[known] == pytest.approx(before[known], abs=1e-9)
+    assert right[known] == pytest.approx(after[known], abs=1e-9)
