@@ -124,4 +124,8 @@ def look() -> ModuleType:
 def made(make: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Pages by name, each made when it is first asked for: see `made_pages.py`."""
     module = load("made_pages", TESTS / "browser" / "made_pages.py")
-    return module.Made(make, tmp_path_factory.mktemp("pages"))
+    fit = load("fit_page_making", TESTS / "studies" / "fit_page" / "conftest.py")
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "pages"
+    root.mkdir(exist_ok=True)
+    return module.Made(make, fit, root)

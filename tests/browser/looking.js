@@ -25,6 +25,12 @@
     return { left, top, right, bottom };
   };
 
+  // Text that stands neither level nor upright has a box far larger than itself.
+  const oblique = (e) => {
+    const matrix = e.closest("svg text") && e.getScreenCTM();
+    return matrix && Math.abs(matrix.a) > 0.05 && Math.abs(matrix.b) > 0.05;
+  };
+
   function overlaps() {
     const boxes = [];
     const add = (e, rect) => {
@@ -34,7 +40,8 @@
     const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
     for (let node = walker.nextNode(); node; node = walker.nextNode()) {
       const parent = node.parentElement;
-      if (!node.data.trim() || parent.closest("script, style, title, desc, option, template") || !shown(parent)) continue;
+      if (!node.data.trim() || parent.closest("script, style, title, desc, option, template")) continue;
+      if (!shown(parent) || oblique(parent)) continue;
       const range = document.createRange();
       range.selectNodeContents(node);
       for (const rect of range.getClientRects()) add(parent, rect);
