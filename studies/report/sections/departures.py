@@ -67,7 +67,7 @@ def section(context: Context) -> Section:
         low=int(context.scenarios.index.min()),
         high=int(context.scenarios.index.max()),
         few=[(one.row.title, most) for one in designs if (most := most_departures(one)) and most < len(replayed.picks)],
-        reference=printable(designs[0].why),
+        reference=context.primary.best_name if designs[0].row is context.primary.best else f"the {designs[0].why}",
     )
     data["designs"] = [_design(one, style) for one, style in zip(designs, styles, strict=True)]
     data["line"] = {"color": RECORDED.color, "dash": list(RECORDED.dash)}
