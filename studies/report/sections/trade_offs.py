@@ -44,11 +44,17 @@ def section(context: Context) -> Section:
 
 
 def default_axes(context: Context) -> tuple[str, str]:
-    """The first two figures of the study's Pareto front; without one, S and what passengers feel of it."""
+    """Two figures of the study's Pareto front that tell designs apart; without one, S and what passengers feel of it."""
     figures = tuple(dict.fromkeys(context.ranking.pareto_figures))
-    if len(figures) >= 2:
-        return figures[0], figures[1]
-    return "S", "a_y_peak_p95" if figures in ((), ("S",)) else figures[0]
+    if len(figures) < 2:
+        return ("S", "a_y_peak_p95") if figures in ((), ("S",)) else ("S", figures[0])
+    apart = [name for name in figures[1:] if 2 * _different(context, name) > len(context.ranking)]
+    return figures[0], (apart or figures[1:])[0]
+
+
+def _different(context: Context, name: str) -> int:
+    values = figure_values(name, context.ranking)
+    return int(np.unique(values[np.isfinite(values)]).size)
 
 
 def _scatter(context: Context, x: str, y: str) -> tuple[Drawing | None, int, int]:

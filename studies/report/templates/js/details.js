@@ -3,7 +3,7 @@
   "use strict";
   var designs = LDC.designs;
   if (!designs) return;
-  var el = LDC.el, data = designs.data, back = null, shown = -1, dialog = null, content = null;
+  var el = LDC.el, data = designs.data, back = null, dialog = null, content = null;
 
   // The design as a table of a study file.
   function snippet(i) {
@@ -116,10 +116,8 @@
       el("p", {}, [el("code", {}, one.law), " · design ", el("code", {}, one.id)].concat(LDC.table.tags(i))),
       requirements(i), compared(i),
       el("div", { "class": "controls" }, el("button", { type: "button", click: function () {
-        var place = shown;
-        back = document.getElementById("departures");
+        back = document.getElementById("departures");  // The explorer there heard of the design when it was chosen.
         dialog.close();
-        document.dispatchEvent(new CustomEvent("ldc:departures", { detail: { place: place } }));
       }, hidden: !document.getElementById("departures") }, "Show in departures")),
       gainsTable(i), figuresTable(i),
       el("h3", {}, "This design alone"),
@@ -150,7 +148,6 @@
     if (!(i >= 0 && i < designs.count)) return;
     if (!dialog) make();
     if (!dialog.open) back = document.activeElement;
-    shown = i;
     while (content.firstChild) content.removeChild(content.firstChild);
     fill(i).forEach(function (node) { content.appendChild(node); });
     if (!dialog.open) dialog.showModal();

@@ -188,7 +188,7 @@
       }
     });
     paths.forEach(function (parts, law) {
-      if (parts.length) drawing.appendChild(svg("path", { d: parts.join(""), fill: LDC.styles[designs.laws[law].name].color, "fill-opacity": 0.75, "data-law": designs.laws[law].name }));
+      if (parts.length) drawing.appendChild(svg("path", { d: parts.join(""), fill: LDC.styles[designs.laws[law].name].color, "fill-opacity": 0.8, stroke: INK, "stroke-width": 0.5, "data-law": designs.laws[law].name }));
     });
     [[designs.winner, "winner"], [designs.baseline, "baseline"]].forEach(function (special) {
       var found = points.filter(function (p) { return p.place === special[0]; })[0];
