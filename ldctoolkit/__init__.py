@@ -9,7 +9,7 @@ from ldctoolkit.recordings import extract_departures, read_departures, read_reco
 from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.simulation import Outcome, simulate
+from ldctoolkit.simulation import Outcome, plot_departure, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
@@ -44,6 +44,7 @@ __all__ = [
     "gain",
     "load_model",
     "option",
+    "plot_departure",
     "read_departures",
     "read_recordings",
     "rebuild_signals",

@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from studies.comparison.compare_studies import compare
     from studies.comparison.comparison import Comparison
     from studies.design import Design
+    from studies.plotting.landscape_plot import plot_landscape
+    from studies.plotting.ranking_plots import plot_ranking, plot_trade_off
+    from studies.plotting.score_plots import plot_convergence, plot_distribution
     from studies.ranking.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
     from studies.running.runner import run_study
@@ -27,6 +30,11 @@ _HOMES = {
     "Study": "study_file.spec",
     "StudyResults": "results",
     "compare": "comparison.compare_studies",
+    "plot_convergence": "plotting.score_plots",
+    "plot_distribution": "plotting.score_plots",
+    "plot_landscape": "plotting.landscape_plot",
+    "plot_ranking": "plotting.ranking_plots",
+    "plot_trade_off": "plotting.ranking_plots",
     "rank_study": "ranking.ranking",
     "read_manifest": "storage.manifest",
     "read_results": "storage.store",
@@ -43,6 +51,11 @@ __all__ = [
     "Study",
     "StudyResults",
     "compare",
+    "plot_convergence",
+    "plot_distribution",
+    "plot_landscape",
+    "plot_ranking",
+    "plot_trade_off",
     "rank_study",
     "read_manifest",
     "read_results",
