@@ -40,9 +40,9 @@ def _how_limits(context: Context, *, held: bool) -> str:
         "Share of departures (depth) or of interventions (acceleration, jerk) with less than the value on the "
         "horizontal axis; the dash-dotted line is the limit, and the legend tells the share beyond it. Depth is how "
         "far the vehicle\u2019s outer edge is beyond the lane line at most, negative if it stays inside. It is taken "
-        f"at the centre of gravity for D_y = {compact(context.primary.D_y)} m, and at the front axle, where the foremost "
-        f"outer tyre stands, for the {compact(-DTLE_LIMIT)} m that Euro NCAP and Regulation (EU) 2021/646 allow."
-        f"{without} Limits of acceleration and jerk are those of ISO 11270, jerk as its mean over half a second. "
+        f"at the centre of gravity for D_y = {compact(context.primary.D_y)} m, and at the front axle, where the "
+        f"foremost outer tyre stands, for the {compact(-DTLE_LIMIT)} m that Euro NCAP and Regulation (EU) 2021/646 "
+        f"allow.{without} Limits of acceleration and jerk are those of ISO 11270, jerk as its mean over half a second. "
         "Departures that failed are in as their path came out; an axis ends before a few far values. The limits are "
         "those of tests with prescribed manoeuvres and prove no conformity here."
     )

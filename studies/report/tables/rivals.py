@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +50,8 @@ class Rival:
     @property
     def same(self) -> bool:
         """Whether the two cannot be told from one another at all: no difference, in mean or in any departure."""
-        return abs(self.difference.value) <= _SAME or self.error == 0.0
+        unchanging = self.error == 0.0 and math.isfinite(self.half_width)
+        return abs(self.difference.value) <= _SAME or unchanging
 
     @property
     def apart(self) -> bool:

@@ -1,0 +1,169 @@
+"""Confidence: widths and numbers of scenarios against independent arithmetic and simulated repetitions."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import math
+import re
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from controllers import LQR, NoControl, PreviewProportional
+from studies.design import Design
+from studies.report.context import Context
+from studies.report.figures.precision import measured_errors, needed_scenarios, two_digits
+from studies.report.figures.precision_figure import WidthCurve, precision_figure
+from studies.report.inputs import ReportInput
+from studies.report.look.style import RECORDED
+from studies.report.sections import confidence
+from studies.report.tables.finalists import finalist_rows
+from studies.report.tables.rivals import rivals
+from studies.report.words.text import number, signed
+from studies.results import Case, StudyResults
+
+PRIMARY = Case("departure", "consistent")
+
+
+def words(body: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
+
+
+def test_measured_errors_are_those_of_stratified_means() -> None:
+    rng = np.random.default_rng(0)
+    side = np.repeat([1, -1], [300, 100])
+    values = np.where(side > 0, rng.normal(1.0, 2.0, 400), rng.normal(5.0, 0.5, 400))
+    count, error = measured_errors(values, side)
+    assert count.tolist() == [20, 50, 100, 200, 400]
+    of_all = math.sqrt(
+        sum((values[side == s].var(ddof=1) * (side == s).mean() ** 2 / (side == s).sum()) for s in (1, -1))
+    )
+    assert error[-1] == pytest.approx(of_all, rel=1e-12)
+    for n, e in zip(count, error, strict=True):
+        expected = math.sqrt((0.75 * 2.0**2 + 0.25 * 0.5**2) / n)  # of the population
+        assert e == pytest.approx(expected, rel=0.12)
+
+
+def test_few_scenarios_of_a_side_are_left_out() -> None:
+    side = np.array([1] * 59 + [-1])
+    assert measured_errors(np.arange(60.0), side)[0].size == 0  # one alone shows no spread
+    side[:3] = -1
+    assert measured_errors(np.arange(60.0), side)[0].tolist() == [50, 60]
+    assert measured_errors(np.ones(1), np.ones(1, dtype=int))[0].size == 0
+
+
+def test_needed_scenarios_tell_apart_as_often_as_said() -> None:
+    rng = np.random.default_rng(1)
+    n, difference, sigma, critical = 80, 0.05, 0.4, 2.6
+    error = sigma / math.sqrt(n)
+    needed = needed_scenarios(n, difference, critical * error, error)
+    for count, share in ((needed.even, 0.5), (needed.likely, 0.9)):
+        means = rng.normal(difference, sigma / math.sqrt(count), 20_000)
+        assert np.mean(means > critical * sigma / math.sqrt(count)) == pytest.approx(share, abs=0.012)
+    assert needed_scenarios(n, 0.0, 1.0, 1.0).even == math.inf
+    assert needed_scenarios(n, 0.1, math.inf, math.inf).likely == math.inf
+
+
+@pytest.mark.parametrize(("count", "shown"), [(3.2, 4), (99.1, 100), (101.0, 110), (123456.0, 130000), (0.0, 0)])
+def test_numbers_of_scenarios_are_rounded_up(count: float, shown: int) -> None:
+    assert two_digits(count) == shown
+
+
+def test_rivals_are_the_second_and_the_best_of_another_law(report: ReportInput) -> None:
+    context = Context.of(report)
+    ranking = context.ranking
+    first, *others = rivals(context)
+    assert first.row.place == 1
+    S = context.case.S[ranking.index]
+    for one in (first, *others):
+        k = one.row.place
+        assert one.values == pytest.approx(S[k] - S[0], abs=1e-12)
+        assert one.difference.value == pytest.approx(one.values.mean(), abs=1e-9)
+        critical = one.half_width / one.error  # the ranking's own, for all designs at once
+        assert 1.96 < critical < 6.0
+        assert one.needed.even == pytest.approx(100 * (one.half_width / one.values.mean()) ** 2, rel=1e-6)
+    laws = [design.law for design in ranking.designs]
+    for one in others:
+        assert one.row.place == next(k for k, law in enumerate(laws) if law not in (laws[0], "none"))
+
+
+def test_the_figure_rings_where_the_width_meets_the_difference() -> None:
+    count = np.array([20, 50, 100])
+    curve = WidthCurve("law", RECORDED, count, 1.0 / np.sqrt(count), 0.05, 400.0)
+    axes = precision_figure([curve], "Half width").axes[0]
+    ring = next(line for line in axes.lines if line.get_marker() == "o")
+    assert (ring.get_xdata()[0], ring.get_ydata()[0]) == (400.0, 0.05)
+    law = axes.lines[0]
+    assert np.ptp(np.log(law.get_ydata())) / np.ptp(np.log(law.get_xdata())) == pytest.approx(0.5)
+    assert axes.get_xlim()[1] >= 400.0
+
+
+def with_fresh(make: ModuleType, results: StudyResults) -> ReportInput:
+    designs = [results.designs[i] for i in (0, 11, 12, 13, 14)]
+    cases = [case.case for case in results.cases]
+    fresh = make.run(designs, make.invented_scenarios(60, 40, seed=5), cases)
+    report: ReportInput = make.report_input(dataclasses.replace(results, fresh=fresh))
+    return report
+
+
+def test_finalists_stand_with_both_scores(make: ModuleType, results: StudyResults) -> None:
+    report = with_fresh(make, results)
+    context = Context.of(report)
+    section, ranking = confidence.section(context), report.rankings[0]
+    said, rows = words(section.body), finalist_rows(context.primary)
+    assert len(rows) == np.isfinite(ranking.optimism).sum() > 0
+    for one in rows:
+        k = one.row.place
+        assert f"{number(ranking.S[k])} [{number(ranking.S_low[k])} to {number(ranking.S_high[k])}]" in said
+        assert (
+            f"{number(ranking.fresh_S[k])} [{number(ranking.fresh_low[k])} to {number(ranking.fresh_high[k])}]" in said
+        )
+        assert signed(ranking.optimism[k]) in said
+        inside = ranking.optimism_low[k] <= 0.0 <= ranking.optimism_high[k]
+        assert ("within chance" in one.verdict) == inside
+        assert one.winner == (k == ranking.winner)
+    figure = next(drawing.figure for drawing in section.drawings if drawing.name == "finalists")
+    squares, circles = (line for line in figure.axes[0].lines if line.get_marker() in ("s", "o"))
+    assert list(squares.get_xdata()) == [ranking.S[one.row.place] for one in rows]
+    assert list(circles.get_xdata()) == [ranking.fresh_S[one.row.place] for one in rows]
+
+
+def test_frequencies_are_shares_of_resamples_and_sum_to_one(report: ReportInput) -> None:
+    context = Context.of(report)
+    ranking = context.ranking
+    said = words(confidence.section(context).body)
+    shares = [float(text) for text in re.findall(r"([\d.]+)\s%", said.split("Share of resamples")[-1])]
+    assert sum(shares) == pytest.approx(100.0 + 100.0 * ("0 to 100" in said.split("Share of resamples")[-1]), abs=0.5)
+    assert "not the probability that the design is the best" in said
+    best = ranking.best_frequency[ranking.set_of_best].max()
+    assert f"{100 * best:.1f}" in said
+    assert "No finalist ran on fresh departures" in said
+
+
+def test_designs_that_cannot_be_told_apart(make: ModuleType) -> None:
+    designs = [Design.of(LQR(), 0.1), Design.of(LQR(r_delta=LQR().r_delta * 1.01), 0.1), Design.of(NoControl(), 0.1)]
+    said = words(
+        confidence.section(
+            Context.of(make.report_input(make.run(designs, make.invented_scenarios(6, 6), [PRIMARY])))
+        ).body
+    )
+    assert "tell" in said
+    nothing = [Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0)]
+    said = words(
+        confidence.section(
+            Context.of(make.report_input(make.run(nothing, make.invented_scenarios(6, 6), [PRIMARY])))
+        ).body
+    )
+    assert "scores the same as the first of the ranking: no number of departures tells them apart" in said
+
+
+@pytest.mark.parametrize(("left", "right"), [(1, 0), (1, 1), (2, 1), (9, 0), (0, 9)])
+def test_few_scenarios(make: ModuleType, left: int, right: int) -> None:
+    designs = [Design.of(LQR(), 0.05), Design.of(PreviewProportional(), 0.05), Design.of(NoControl(), 0.05)]
+    results = make.run(designs, make.invented_scenarios(left, right), [PRIMARY])
+    said = words(confidence.section(Context.of(make.report_input(results))).body)
+    assert "nan" not in said
+    assert ("One departure only" in said) == (left + right == 1)
+    assert ("shows no spread" in said) == (min(left, right) == 1 or left + right == 1)
