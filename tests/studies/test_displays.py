@@ -1,0 +1,158 @@
+"""What notebooks show of rankings, results, comparisons and outcomes: right numbers, escaped, no script."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import LQR, NoControl
+from ldctoolkit import EventStatus, Scenarios, simulate
+from studies import Ranking, Study, StudyResults, compare, rank_study, run_study
+
+EVIL = "<script>alert(1)</script>"
+STUDY: dict[str, Any] = {
+    "name": "shown",
+    "seed": 3,
+    "scenarios": {"left": 30, "right": 20},
+    "ranking": {"bootstrap": 200, "finalists": 0},
+    "design": [{"law": "none"}, {"law": "lqr", "y_s": [round(0.05 + 0.01 * i, 2) for i in range(24)]}],
+}
+
+
+class Rows(HTMLParser):
+    """Cells of all rows; refuses anything that is not plain, closed HTML."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.tags: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.tags == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag in {"div", "b", "br", "table", "thead", "tbody", "tr", "th", "td", "span"}
+        assert {name for name, _ in attrs} <= {"style", "title", "scope"}
+        if tag != "br":
+            self.tags.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("th", "td"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.tags.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if {"th", "td"} & set(self.tags):
+            self.rows[-1][-1] += data
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
+    return run_study(Study.from_dict(STUDY), directory=tmp_path_factory.mktemp("display") / "s", workers=1)
+
+
+@pytest.fixture(scope="module")
+def ranking(results: StudyResults) -> Ranking:
+    return rank_study(results, Study.from_dict(STUDY))[0]
+
+
+def test_ranking(ranking: Ranking) -> None:
+    text = ranking._repr_html_()
+    _, *rows = Rows(text).rows
+    assert len(rows) == 21  # and no control, which is the last
+    for row, i in zip(rows, [*range(20), 24], strict=True):
+        assert row[0] == str(ranking.rank[i])
+        assert row[1] == ranking.designs[i].label
+        assert float(row[2]) == pytest.approx(ranking.S[i], abs=6e-5)
+        low, high = map(float, re.findall(r"[\d.]+", row[3]))
+        assert (low, high) == pytest.approx((ranking.S_low[i], ranking.S_high[i]), abs=6e-5)
+    assert "and 4 more" in text
+    assert "winner" in rows[0][-1]
+    assert "baseline" in rows[-1][-1]
+
+
+def test_bars_stand_where_the_interval_is(ranking: Ranking) -> None:
+    """To one scale: left ends in the same proportion as the numbers."""
+    lefts = [float(one) for one in re.findall(r"height:2px;left:([\d.]+)px", ranking._repr_html_())]
+    shown = [*range(20), 24]
+    scale = lefts[-1] / ranking.S_low[24]
+    assert lefts == pytest.approx([scale * ranking.S_low[i] for i in shown], abs=0.2)
+
+
+def test_text_of_users_is_text(ranking: Ranking) -> None:
+    class Named(type(ranking.designs[0])):  # type: ignore[misc]
+        label = EVIL
+
+    designs = tuple(Named(d.law, d.y_s, d.gains) for d in ranking.designs)
+    text = dataclasses.replace(ranking, designs=designs, warnings=(EVIL,))._repr_html_()
+    assert EVIL not in text
+    assert Rows(text).rows[1][1] == EVIL
+    assert text.count(html.escape(EVIL)) >= 21
+
+
+def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
+    none = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
+    assert "none is ranked and none wins" in none._repr_html_()
+    assert {row[0] for row in Rows(none._repr_html_()).rows[1:]} == {"–"}  # noqa: RUF001
+
+
+def test_results(results: StudyResults) -> None:
+    lines = {row[0]: row[1] for row in Rows(results._repr_html_()).rows}
+    assert lines["designs"] == "25: none (1), lqr (24)"
+    assert lines["scenarios"] == "50 (30 left, 20 right)"
+    assert lines["cases"] == results.cases[0].case.label
+
+
+def test_comparison(results: StudyResults, tmp_path: Path) -> None:
+    content = STUDY | {"design": STUDY["design"][:1], "vehicle": {"m": 1200.0}}
+    for name, parts in (("a", {"vehicle": {}}), ("b", {})):
+        run_study(Study.from_dict(content | parts), directory=tmp_path / name, workers=1)
+    found = dataclasses.replace(compare(tmp_path / "a", tmp_path / "b"), new_name=EVIL)
+    text = found._repr_html_()
+    assert EVIL not in text
+    assert html.escape(found.summary) in text
+    row = Rows(text).rows[1]
+    assert row[0] == str(found.cases[0].S.verdict[0])
+    assert float(row[2]) == pytest.approx(found.cases[0].S.S_old[0], abs=6e-5)
+
+
+def test_outcome() -> None:
+    scenarios = Scenarios.from_arrays(
+        T=[3.0, 2.0, 2.0, 2.0], d_y=[0.6, 0.4, 0.02, 0.3], v_mean=[25.0, 25.0, 25.0, 95.0], side=[1, -1, -1, 1]
+    )
+    outcome = simulate(LQR(), scenarios, y_s=0.1)
+    lines = {row[0]: row[1] for row in Rows(outcome._repr_html_()).rows}
+    driven = outcome.status != EventStatus.INVALID
+    S, S_0 = np.mean(outcome.S[driven]), np.mean(outcome.S_uncorrected[driven])
+    assert lines["mean S with control"] == f"{S:.4f} m s, {100 * (S / S_0 - 1):+.1f} %"
+    assert lines["mean S without control, left (1)"] == f"{outcome.S_uncorrected[0]:.4f} m s"
+    assert lines["mean S with control, right (2)"].startswith(f"{np.mean(outcome.S[1:3]):.4f} m s")
+    assert lines["deepest beyond the line"] == f"{np.max(outcome.deepest[driven]):.3f} m (no. 0)"
+    counts = {"taken over and driven to the end": "2", "never triggered": "1", "cannot be driven": "1", "failures": "0"}
+    assert counts.items() <= lines.items()
+
+
+def test_an_outcome_without_scenarios_to_speak_of() -> None:
+    bad = Scenarios.from_arrays(T=[2.0], d_y=0.3, v_mean=95.0, side=1)
+    lines = {row[0]: row[1] for row in Rows(simulate(NoControl(), bad)._repr_html_()).rows}
+    assert lines == {"cannot be driven": "1", "failures": "0"}
+
+
+def test_showing_a_ranking_loads_no_templates_and_no_plots() -> None:
+    code = (
+        "import sys, studies.ranking.ranking_display, studies.results_display, studies.comparison.comparison_display\n"
+        "print(*sorted({'jinja2', 'matplotlib', 'polars'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
