@@ -63,7 +63,7 @@ def pairs_figure(side: SideMatch) -> Figure:
         # margins are set by hand: to measure the labels of all panels takes longer than to draw them
         size = 0.85 + 1.15 * max(d, 2)
         figure = Figure(figsize=(size, size))
-        edges = {"left": 0.72 / size, "right": 1 - 0.1 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
+        edges = {"left": 0.8 / size, "right": 1 - 0.1 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
         grid = figure.subplots(d, d, squeeze=False, gridspec_kw={"wspace": 0.1, "hspace": 0.1, **edges})
         for i in range(d):
             for j in range(d):
@@ -71,7 +71,7 @@ def pairs_figure(side: SideMatch) -> Figure:
                 if j > i:
                     axes.set_axis_off()
                     continue
-                _draw_pair(axes, by_name[names[j], names[i + 1]], side.key)
+                _draw_pair(axes, by_name[names[j], names[i + 1]], side.key, 72.0 * size * axes.get_position().width)
                 axes.xaxis.set_major_locator(MaxNLocator(2, prune="both") if i == d - 1 else NullLocator())
                 axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if j == 0 else NullLocator())
                 axes.tick_params(labelsize=8)
@@ -79,18 +79,20 @@ def pairs_figure(side: SideMatch) -> Figure:
                     axes.set_xlabel(axis_label(names[j]))
                 if j == 0:
                     axes.set_ylabel(axis_label(names[i + 1]))
-                    axes.yaxis.set_label_coords(-0.5 * d / size, 0.5)
+                    axes.yaxis.set_label_coords(-0.62 / (size * axes.get_position().width), 0.5)
         return figure
 
 
-def _draw_pair(axes: Axes, pair: Pair, side: str) -> None:
-    """Cells as a few shapes and not one by one: a report holds many of them."""
+def _draw_pair(axes: Axes, pair: Pair, side: str, points: float) -> None:
+    """Cells as a few shapes and not one by one: a report holds many of them. The panel is so many points wide."""
     from matplotlib.patches import PathPatch
 
     x, y = pair.first_edges, pair.second_edges
     levels = [1e-12, *density_levels(pair.generated)][-3:]
     for level, shade in zip(levels, _SHADES[-len(levels) :], strict=True):
-        axes.add_patch(PathPatch(_cells_above(pair.generated, x, y, level), color=_tint(side, shade), linewidth=0))
+        # a hair wider than a cell, so that no light gaps show between neighbours
+        path, width = _runs_above(pair.generated, x, y, level), 1.05 * points / (x.size - 1)
+        axes.add_patch(PathPatch(path, facecolor="none", edgecolor=_tint(side, shade), linewidth=width))
     if pair.reference is not None and min(pair.reference.shape) > 1 and pair.reference.max() > 0.0:
         model = smooth(pair.reference).T
         centers = 0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1])
@@ -100,6 +102,7 @@ def _draw_pair(axes: Axes, pair: Pair, side: str) -> None:
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
     axes.grid(visible=False)
+    axes.patch.set_visible(False)
 
 
 def _tint(side: str, shade: float) -> tuple[float, float, float]:
@@ -110,15 +113,13 @@ def _tint(side: str, shade: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _cells_above(share: FloatArray, x: FloatArray, y: FloatArray, level: float) -> Path:
-    """The cells of at least a share as one path; neighbours of a column are one rectangle."""
+def _runs_above(share: FloatArray, x: FloatArray, y: FloatArray, level: float) -> Path:
+    """Cells of at least a share: neighbours of a column are one stroke, as wide as a cell."""
     from matplotlib.path import Path
 
-    corners: list[tuple[float, float]] = []
-    codes: list[int] = []
+    ends: list[tuple[float, float]] = []
     for i, column in enumerate(share >= level):
-        ends = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
-        for low, high in zip(ends[::2], ends[1::2], strict=True):
-            corners += [(x[i], y[low]), (x[i + 1], y[low]), (x[i + 1], y[high]), (x[i], y[high]), (x[i], y[low])]
-            codes += [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]  # type: ignore[list-item]
-    return Path(np.array(corners).reshape(-1, 2), codes)
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
+        ends += [(0.5 * (x[i] + x[i + 1]), y[change]) for change in changes]
+    codes = np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(ends) // 2)
+    return Path(np.array(ends).reshape(-1, 2), codes)

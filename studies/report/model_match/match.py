@@ -108,7 +108,7 @@ def _side(
     if source.origin == "none" and drawn is not None:
         columns = [drawn[0][:, drawn_column(half, name)] for name in names]
         reference = summarize(np.column_stack(columns), names=names)
-    pairs = _pairs(names, x, reference) if n >= _LEAST_PAIRED else ()
+    pairs = _pairs(names, x, reference) if n >= _LEAST_PAIRED and reference is not None else ()
     drawing = None
     if model is not None and half is not None:
         redrawn = model.redrawn_share(side) if fitted is None else fitted.redrawn_share
