@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus
 from ldctoolkit.departures import LEFT
-from studies.comparison.paired_verdicts import paired_differences
 from studies.ranking.row_blocks import row_means
 from studies.results import FAILED_STATUSES, status_among
 from studies.robustness.chosen_designs import ChosenDesigns, chosen_designs
 from studies.robustness.content_key import content_key
 from studies.robustness.drives import Drives, drive_on_plants, first_of_each_side
 from studies.robustness.loop_margins import LoopMargins, loop_margins, trigger_speeds
+from studies.robustness.paired_interval import SAME, paired_means
 from studies.robustness.plants import OtherPlant, impossible, other_plants
 from studies.robustness.setting import Setting
 
@@ -32,8 +32,7 @@ PER_SIDE: Final = 50
 """Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
 
 CONFIDENCE: Final = 0.95
-
-_BOOTSTRAP: Final = 2000
+"""Of every interval by itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,13 +66,13 @@ class Robustness:
     failures, diverged : (p, d) int
         Scenarios that failed, and those of them whose path was lost.
     change, low, high : (p, d) [m s]
-        Paired change of mean S to the study's plant, and its interval; all intervals hold at once. The interval is NaN
-        where too few scenarios changed, the change too where the law raised.
+        Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few scenarios
+        changed, the change too where the law raised.
     rival : (p,) int
         The best of the other designs that contend; -1 where there is none.
     lead, lead_low, lead_high : (p,) [m s]
-        Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval; these
-        hold at once too. NaN without a rival.
+        Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval. NaN
+        without a rival.
     raised : tuple of (plant, design, reason)
         By position: laws that raised.
     v : (k,) [m/s]
@@ -193,8 +192,8 @@ def work_out(task: RobustnessTask) -> Robustness:
     contends = np.array(chosen.contends, dtype=np.bool_)
     S = _means(drives.S)
     failed = status_among(drives.status, FAILED_STATUSES)
-    change, low, high = _changes(drives.S, side, setting.seed)
-    rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side, setting.seed)
+    change, low, high = _changes(drives.S, side)
+    rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side)
     return Robustness(
         key=task.key,
         designs=tuple(design.id for design in chosen.designs),
@@ -227,7 +226,7 @@ def work_out(task: RobustnessTask) -> Robustness:
 
 
 def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:
-    """Rank of each design by mean S among those that contend; equal ones share it, 0 for the others.
+    """Rank of each design by mean S among those that contend; equal ones (to 1e-6 m s) share it, 0 for the others.
 
     Examples
     --------
@@ -235,7 +234,7 @@ def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:
     array([2, 1, 2, 0])
     """
     among = contends & ~np.isnan(S)
-    better = (S[None, among] < S[:, None]).sum(axis=1)
+    better = (S[None, among] < S[:, None] - SAME).sum(axis=1)
     return np.where(among, 1 + better, 0).astype(np.int64)
 
 
@@ -250,7 +249,7 @@ def _means(values: FloatArray) -> FloatArray:
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
-def _changes(S: FloatArray, side: IntArray, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _changes(S: FloatArray, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Change to the first plant and its interval, (p, d) each."""
     p, d, n = S.shape
     ends = [np.full((p, d), np.nan) for _ in range(3)]
@@ -259,14 +258,14 @@ def _changes(S: FloatArray, side: IntArray, seed: int) -> tuple[FloatArray, Floa
         end[0, known[0]] = 0.0
     k, i = np.nonzero(known[1:] & known[0])
     if k.size and n:
-        found = paired_differences(S[0, i], S[k + 1, i], side, seed=seed, bootstrap=_BOOTSTRAP, confidence=CONFIDENCE)
+        found = paired_means(S[0, i], S[k + 1, i], side, CONFIDENCE)
         for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
             end[k + 1, i] = values
     return ends[0], ends[1], ends[2]
 
 
 def _leads(
-    S: FloatArray, mean: FloatArray, contends: npt.NDArray[np.bool_], side: IntArray, seed: int
+    S: FloatArray, mean: FloatArray, contends: npt.NDArray[np.bool_], side: IntArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """The best other design on each plant, and the difference of the first design to it with its interval."""
     p, d, n = S.shape
@@ -277,8 +276,7 @@ def _leads(
         rival = np.where(np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]), 1 + others.argmin(axis=1), -1)
         plants = np.flatnonzero(rival >= 0)
         if plants.size:
-            found = paired_differences(S[plants, rival[plants]], S[plants, 0], side,
-                                       seed=seed, bootstrap=_BOOTSTRAP, confidence=CONFIDENCE)  # fmt: skip
+            found = paired_means(S[plants, rival[plants]], S[plants, 0], side, CONFIDENCE)
             for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
                 end[plants] = values
     return rival.astype(np.int64), ends[0], ends[1], ends[2]

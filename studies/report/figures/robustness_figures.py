@@ -122,13 +122,14 @@ def margin_figure(lines: Sequence[Line], v: FloatArray, stable: npt.NDArray[np.b
     with figure_settings():
         rows = (len(lines) + 1) // 2
         figure, axes = new_panel(PANEL[0], PANEL[1] + 0.2 * rows)
-        for value, word, color, dash in (
-            (scale.warning, "warning", _WARNING, (5.0, 2.0)),
-            (scale.fault, "fault", _FAULT, (1.2, 1.2)),
+        for value, word, color, dash, above in (
+            (scale.warning, "warning", _WARNING, (5.0, 2.0), True),
+            (scale.fault, "fault", _FAULT, (1.2, 1.2), False),
         ):
             axes.axhline(value, color=color, linewidth=1.0, linestyle=(0, dash), zorder=1)
-            axes.annotate(word, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, 1.5), ha="right",
-                          textcoords="offset points", fontsize=8, color=color)  # fmt: skip
+            axes.annotate(word, (1.0, value), xycoords=("axes fraction", "data"), ha="right", fontsize=8, color=color,
+                          xytext=(-2, 1.5 if above else -2), va="bottom" if above else "top",
+                          textcoords="offset points")  # fmt: skip
         for line, holds in zip(lines, stable, strict=True):
             axes.plot(v, np.minimum(line.values, scale.top), label=wrap(line.label, 30), marker=line.style.marker,
                       markersize=4.5, clip_on=False, **line.style.line())  # fmt: skip

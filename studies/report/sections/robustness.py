@@ -27,7 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _GAIN_TOP: Final = 30.0
 _PHASE_TOP: Final = 90.0
-_DELAY_TOP: Final = 10.0
+_DELAY_TOP: Final = 5.0
 
 
 @dataclasses.dataclass(frozen=True)

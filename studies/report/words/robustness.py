@@ -17,6 +17,7 @@ TOGETHER = ("together", "ideal")
 
 _NAMED = 3
 _LISTED = 5
+_WHOLE = 100.0  # [%] from which decimals say nothing
 
 _ORDINALS = {1: "first", 2: "second", 3: "third"}
 
@@ -48,39 +49,43 @@ def robustness_sentences(found: Robustness, rows: Sequence[Row], names: Sequence
 
 
 def _stays(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str) -> Markup:
+    """Where the first design is first, where it may be, and where it is not."""
     reference = Markup("<strong>{}</strong>, {},").format(design_text(rows[0]), of)
     if not (found.rival >= 0).any() or len(found.plants) < 2:
         return Markup("{} stands alone here: there is no other design to change ranks with.").format(reference)
-    rank = found.rank[1:, 0]
-    lost = [k for k in range(1, len(found.plants)) if found.rank[k, 0] != 1]
-    first = int((rank == 1).sum())
-    where = f"all {len(rank)}" if not lost else (f"{first} of {len(rank)}" if first else "none")
-    said = Markup("{} is first on {} of the other plants, by mean S on the same {}.").format(
-        reference, where, plural(found.n, "departure")
-    )
-    if not lost:
+    others = range(1, len(found.plants))
+    first = [k for k in others if found.rank[k, 0] == 1]
+    behind = [k for k in others if found.rank[k, 0] == 0 or found.lead_low[k] > 0]
+    close = [k for k in others if k not in first and k not in behind]
+    on = plural(found.n, "departure")
+    if len(first) == len(others):
         said = Markup("{} stays first on all {} other plants, by mean S on the same {}.").format(
-            reference, len(rank), plural(found.n, "departure")
+            reference, len(first), on
         )
+    else:
+        parts = [f"is first on {len(first) or 'none'} of the {plural(len(others), 'other plant')}"]
+        parts += [f"cannot be told from the first on {len(close)}"] if close else []
+        parts += [f"is behind on {len(behind)}"] if behind else []
+        words = " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1])))
+        said = Markup("{} {}, by mean S on the same {}.").format(reference, words, on)
     if found.rank[0, 0] > 1:
-        words = " On these departures it is {} on the study\u2019s own plant too."
-        said += Markup(words).format(_ordinal(int(found.rank[0, 0])))
-    lost.sort(key=lambda k: (-found.rank[k, 0], k))
-    for k in lost[:_NAMED]:
+        words = " On these departures it is {} on the study\u2019s own plant too{}."
+        gap = "" if found.lead_low[0] > 0 else ", but cannot be told from the first"
+        said += Markup(words).format(_ordinal(int(found.rank[0, 0])), gap)
+    named = sorted(behind, key=lambda k: (-found.rank[k, 0], k))
+    # what is behind by less than a hundredth is not worth a sentence
+    named += [k for k in close if found.lead[k] > 0.01 * found.S[k, 0]]
+    for k in named[:_NAMED]:
         said += Markup(" ") + _behind(found, names, k)
-    if len(lost) > _NAMED:
-        said += Markup(" The table has the other {}.").format(len(lost) - _NAMED)
-    close = [found.titles[k] for k in range(1, len(rank) + 1) if found.rank[k, 0] == 1 and not found.lead_high[k] < 0]
-    if close:
-        few = ", ".join(close[:_NAMED]) if len(close) <= _NAMED else f"{len(close)} of them"
-        said += Markup(" Its lead cannot be told from zero on {}.").format(few)
+    if len(named) > _NAMED:
+        said += Markup(" The table has the other {}.").format(len(named) - _NAMED)
     return said
 
 
 def _behind(found: Robustness, names: Sequence[str], k: int) -> Markup:
     if found.rank[k, 0] == 0:
         return Markup("On <em>{}</em> its law raised.").format(found.titles[k])
-    told = "" if found.lead_low[k] > 0 else ", which may be chance"
+    told = "" if found.lead_low[k] > 0 else "; that may be chance"
     return Markup("On <em>{}</em> it is {}: {} is better by {}\u00a0m·s ({}{}).").format(
         found.titles[k],
         _ordinal(int(found.rank[k, 0])),
@@ -112,9 +117,12 @@ def _hurts(found: Robustness) -> Iterator[Markup]:
 def _moved(found: Robustness, k: int) -> tuple[str, str, str, str, str]:
     own = float(found.S[0, 0])
     low, high = (100.0 * float(end[k, 0]) / own for end in (found.low, found.high))
-    untold = "" if low > 0 or high < 0 else ", which may be chance"
-    interval = f"{number(low, 1)} to {number(high, 1)}\u00a0%" if np.isfinite([low, high]).all() else "not known"
-    rise = f"{signed(100.0 * float(found.change[k, 0]) / own, 1)}\u00a0%"
+    untold = "" if low > 0 or high < 0 else "; that may be chance"
+    digits = 1 if abs(high) < _WHOLE else 0
+    interval = (
+        f"{number(low, digits)} to {number(high, digits)}\u00a0%" if np.isfinite([low, high]).all() else "not known"
+    )
+    rise = change_text(found, k, 0)
     return number(own), number(float(found.S[k, 0])), rise, interval, untold
 
 
@@ -130,7 +138,7 @@ def _fails(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Mark
     lines.sort()
     told = []
     for _, i, k, plants in lines[:_LISTED]:
-        lost = f", {found.diverged[k, i]} of them lost the lane" if found.diverged[k, i] else ""
+        lost = f", {found.diverged[k, i]} of them left \u00b120\u00a0m" if found.diverged[k, i] else ""
         others = f"; also on {plural(plants - 1, 'other plant')}" if plants > 1 else ""
         told.append(
             Markup("{} on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant{}{})").format(
@@ -172,7 +180,8 @@ def change_text(found: Robustness, k: int, i: int) -> str:
     own, moved = float(found.S[0, i]), float(found.change[k, i])
     if not (own > 0 and np.isfinite(moved)):
         return "\u2013"
-    return f"{signed(100.0 * moved / own, 1)}\u00a0%"
+    share = 100.0 * moved / own
+    return f"{signed(share, 1 if abs(share) < _WHOLE else 0)}\u00a0%"
 
 
 def reduction_text(found: Robustness, k: int, i: int) -> str:
