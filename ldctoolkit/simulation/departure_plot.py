@@ -92,7 +92,7 @@ def plot_departure(
     if driven.any():
         offset = (vehicle or VehicleParameters()).edge_offset
         t, y = kept.t[at[0], driven], kept.x[at[0], driven, 0] - offset
-        axes.plot(t, y, color="#0072B2", linewidth=1.8, marker="o", markevery=[0], label=label)
+        axes.plot(t, y, linewidth=1.8, marker="o", markevery=[0], label=label)
     axes.set_xlabel("Time since the crossing [s]")
     axes.set_ylabel("Edge beyond the line [m]")
     axes.set_title(f"Scenario {i}")

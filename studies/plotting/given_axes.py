@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError, nearest
@@ -37,8 +37,17 @@ def point_style(style: LineStyle) -> dict[str, Any]:
 
 
 def styles_of(designs: Iterable[Design]) -> dict[str, LineStyle]:
-    """One style a law, as the report has them where `designs` stand in the order of the ranking."""
-    return law_styles(design.law for design in designs)
+    """One style a law, the same in every plot of a study."""
+    return law_styles(sorted({design.law for design in designs}))
+
+
+def curve_styles(results: StudyResults, chosen: Sequence[int]) -> list[LineStyle]:
+    """A style for each curve: that of the law, or, where two are of one law, one of its own."""
+    laws = [results.designs[i].law for i in chosen]
+    if len(set(laws)) < len(laws):
+        return list(law_styles(map(str, range(len(laws)))).values())
+    styles = styles_of(results.designs)
+    return [styles[law] for law in laws]
 
 
 def chosen_case(results: StudyResults, case: str | int) -> CaseResults:

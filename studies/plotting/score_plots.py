@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from studies.design import Design
-from studies.plotting.given_axes import axes_of, chosen_case, chosen_designs, plain_legend, styles_of
+from studies.plotting.given_axes import axes_of, chosen_case, chosen_designs, curve_styles, plain_legend
 from studies.report.figures.scores import interleaved, plain_log, running_mean
 from studies.report.look.style import RECORDED
 from studies.report.words.text import shorten
@@ -75,12 +75,12 @@ def plot_distribution(
     rows = np.isin(results.scenarios.side, _SIDES[side])
     if not rows.any():
         raise InputError(f"side: {side!r}; the study has no such scenarios")
-    axes, styles = axes_of(ax), styles_of(results.designs)
+    axes = axes_of(ax)
     recorded = found.S_uncorrected[chosen[0]][rows]
     axes.ecdf(recorded, label="without control", **RECORDED.line())
-    for i in chosen:
+    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
         label = shorten(results.designs[i].label, 60)
-        axes.ecdf(found.counted[i][rows], label=label, **styles[results.designs[i].law].line())
+        axes.ecdf(found.counted[i][rows], label=label, **style.line())
     axes.set_xlim(0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
     axes.set_xlabel("Score S [m·s]")
     axes.set_ylabel("Share of departures with less")
@@ -140,9 +140,8 @@ def plot_convergence(
     if to is not None:
         reference = found.counted[chosen_designs(results, [to])[0]]
     order = interleaved(results.scenarios.side)
-    axes, styles = axes_of(ax), styles_of(results.designs)
-    for i in chosen:
-        style = styles[results.designs[i].law]
+    axes = axes_of(ax)
+    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
         count, mean, error = running_mean((found.counted[i] - reference)[order])
         axes.fill_between(count, mean - error, mean + error, color=style.color, alpha=0.16, linewidth=0)
         axes.plot(count, mean, label=shorten(results.designs[i].label, 60), **style.line())
