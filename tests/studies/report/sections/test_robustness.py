@@ -1,0 +1,176 @@
+# ruff: noqa: RUF001 - the page shows true minus signs and dashes
+"""The section on other plants, as a reader sees it."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from html.parser import HTMLParser
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from controllers import LQR, NoControl, PreviewProportional
+from studies.design import Design
+from studies.report import ReportInput
+from studies.report.context import Context
+from studies.report.sections.robustness import section
+from studies.report.words.text import number
+from studies.results import Case
+from studies.robustness.robustness import Robustness, RobustnessTask, work_out
+from studies.robustness.setting import Setting
+
+PRIMARY = Case("departure", "consistent")
+
+
+def with_robustness(report: ReportInput, plants: int | None = None) -> ReportInput:
+    ranking = report.rankings[0]
+    task = RobustnessTask.of(report.results, ranking, Setting(ranking.case, seed=report.seed), per_side=8)
+    return dataclasses.replace(report, robustness=work_out(dataclasses.replace(task, plants=task.plants[:plants])))
+
+
+class Tables(HTMLParser):
+    """Rows of cells of every table."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables: list[list[list[str]]] = []
+        self._cell = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+            self._cell = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self._cell = False
+
+    def handle_data(self, data: str) -> None:
+        if self._cell:
+            self.tables[-1][-1][-1] += data
+
+
+def words(body: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", "", re.sub(r"<svg.*?</svg>", "", body, flags=re.S)).split())
+
+
+@pytest.fixture(scope="module")
+def driven(report: ReportInput) -> ReportInput:
+    return with_robustness(report)
+
+
+def found_of(report: ReportInput) -> Robustness:
+    assert report.robustness is not None
+    return report.robustness
+
+
+def test_table_holds_the_numbers(driven: ReportInput) -> None:
+    made, found = section(Context.of(driven)), found_of(driven)
+    table = Tables(made.body).tables[0]
+    assert len(table) == 1 + len(found.plants)
+    for k, line in enumerate(table[1:]):
+        assert line[0].startswith(found.titles[k])
+        for i, cell in enumerate(line[1:]):
+            assert cell.startswith(number(float(found.S[k, i])))
+            a, b = found.rank[0, i], found.rank[k, i]
+            assert (f"rank {a} → {b}" if a != b else f"rank {b}") in cell
+            assert (f"{found.failures[k, i]} failed" in cell) == bool(found.failures[k, i])
+            assert ("worse than none" in cell) == bool(found.S[k, i] > found.S_uncorrected[k, i])
+            if k:
+                change = 100 * (found.S[k, i] / found.S[0, i] - 1)
+                assert float(re.findall(r"([+−]?[\d.]+)\xa0%", cell)[0].replace("−", "-")) == pytest.approx(
+                    change, abs=0.051 if abs(change) < 100 else 0.51
+                )
+    assert [one.name for one in made.drawings] == [
+        "robustness-ranks", "margin-gain", "margin-phase", "margin-delay",
+    ]  # fmt: skip
+
+
+def changed(report: ReportInput, **changes: object) -> str:
+    found = dataclasses.replace(found_of(report), **changes)  # type: ignore[arg-type]
+    return words(section(Context.of(dataclasses.replace(report, robustness=found))).body)
+
+
+def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportInput) -> None:
+    found = found_of(driven)
+    p, d = found.rank.shape
+    rank = np.tile(np.arange(1, d + 1), (p, 1))
+    nothing = np.zeros((p, d), dtype=np.int64)
+    calm = {"rank": rank, "failures": nothing, "diverged": nothing, "lead_low": np.full(p, -0.2),
+            "S_uncorrected": found.S + 9.0}  # fmt: skip
+    said = changed(driven, **calm)
+    assert f"the winner, stays first on all {p - 1} other plants" in said
+    assert "No design fails in more departures" in said
+    assert "Worse than no control" not in said
+
+    change, low, high, S = (getattr(found, name).copy() for name in ("change", "low", "high", "S"))
+    S[0, 0], S[2, 0], change[:, 0] = 1.0, 2.5, 0.0
+    change[2, 0], low[2, 0], high[2, 0] = 1.5, 1.0, 2.0
+    rank, failures, diverged = rank.copy(), nothing.copy(), nothing.copy()
+    rank[2, 0], failures[2, 0], diverged[2, 0] = 3, 7, 5
+    lead, lead_low, lead_high = np.full(p, -0.3), np.full(p, -0.5), np.full(p, -0.1)
+    lead[2], lead_low[2], lead_high[2] = 0.4, 0.3, 0.5
+    worse = found.S + 9.0
+    worse[2, 0] = 2.0
+    said = changed(driven, rank=rank, failures=failures, diverged=diverged, change=change, low=low, high=high, S=S,
+                   lead=lead, lead_low=lead_low, lead_high=lead_high, S_uncorrected=worse)  # fmt: skip
+    assert f"is first on {p - 2} of the {p - 1} other plants and is behind on 1" in said
+    assert "On Actuator lag it is third:" in said
+    assert "is better by 0.400 m·s (interval 0.300 to 0.500)" in said
+    assert "Of single options Actuator lag" in said
+    assert "1.000 → 2.500 m·s, +150 % (interval 100 to 200 %)" in said
+    assert "on Actuator lag in 7 of 16 departures (none on the study’s plant, 5 of them left ±20 m)" in said
+    assert "Worse than no control, though not on the study’s plant: LQR on Actuator lag." in said
+    lead_low[2] = -0.1
+    said = changed(driven, rank=rank, lead=lead, lead_low=lead_low, lead_high=lead_high)
+    assert "cannot be told from the first on 1" in said
+    assert "that may be chance" in said
+
+
+def test_without_numbers_it_says_how_to_get_them(report: ReportInput) -> None:
+    assert report.robustness is None
+    made = section(Context.of(report))
+    assert "ldc report DIR" in words(made.body)
+    assert not made.drawings
+
+
+def test_numbers_of_other_designs_are_not_shown(driven: ReportInput) -> None:
+    assert "No design of this ranking" in changed(driven, designs=("0" * 12,) * len(found_of(driven).designs))
+
+
+@pytest.mark.parametrize(("left", "right"), [(9, 0), (0, 9), (1, 0), (5, 5)])
+@pytest.mark.parametrize("designs", [
+    (Design.of(LQR(), 0.05),),
+    (Design.of(NoControl(), 0.2),),
+    (Design.of(PreviewProportional(), 5.0), Design.of(NoControl(), 5.0)),
+])  # fmt: skip
+def test_small_and_odd_studies(make: ModuleType, left: int, right: int, designs: tuple[Design, ...]) -> None:
+    report = make.report_input(make.run(designs, make.invented_scenarios(left, right), [PRIMARY]))
+    made = section(Context.of(with_robustness(report, 5)))
+    said = words(made.body)
+    assert "nan" not in said.lower().split()
+    assert ("stands alone here" in said) == (len(designs) == 1)
+    assert f"the first {left} left and {right} right departures" in said.replace("8 left", f"{left} left")
+
+
+def test_titles_and_reasons_are_text(driven: ReportInput) -> None:
+    found, evil = found_of(driven), "<script>alert(1)</script>"
+    margins = tuple(dataclasses.replace(one, notes=(evil,)) for one in found.margins)
+    hostile = dataclasses.replace(
+        found, raised=((1, 0, evil),), unsafe=(evil,), left_out=((evil, evil),), margins=margins
+    )
+    body = section(Context.of(dataclasses.replace(driven, robustness=hostile))).body
+    assert "<script" not in body
+    assert body.count("&lt;script&gt;") >= 4
+
+
+def test_same_input_same_bytes(driven: ReportInput) -> None:
+    again = with_robustness(dataclasses.replace(driven, robustness=None))
+    assert section(Context.of(again)).body == section(Context.of(driven)).body

@@ -1,0 +1,337 @@
+"""Numbers on other plants against plain simulations, textbook intervals, and python-control."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import ClassVar
+
+import control
+import numpy as np
+import pytest
+from scipy import stats
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, VehicleParameters, register, simulate
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from studies.design import Design
+from studies.ranking.ranking import Ranking
+from studies.results import Case, CaseResults, StudyResults
+from studies.robustness import stored
+from studies.robustness.chosen_designs import MOST, chosen_designs
+from studies.robustness.drives import drive_on_plants
+from studies.robustness.loop_margins import loop_margins
+from studies.robustness.paired_interval import paired_means
+from studies.robustness.plants import REAL, other_plants
+from studies.robustness.robustness import Robustness, RobustnessTask, work_out
+from studies.robustness.setting import Setting
+from studies.study_file.ready import load_study
+
+CASE = Case("departure", "consistent")
+SETTING = Setting(CASE, settle=1.0, seed=5)
+
+
+def departures(n: int, seed: int = 2) -> Scenarios:
+    rng = np.random.default_rng(seed)
+    T = np.clip(rng.lognormal(np.log(2.2), 0.4, n), 0.8, 6.0)
+    v = rng.normal(25.0, 3.0, n)
+    return Scenarios.from_arrays(
+        T=T,
+        d_y=np.clip(rng.lognormal(np.log(0.35), 0.4, n), 0.1, 1.0),
+        v_mean=v,
+        a_mean=rng.normal(0.0, 0.3, n),
+        c_0=rng.normal(0.0, 0.3, n) / v**2,
+        sigma_y=0.02,
+        sigma_v=0.05,
+        side=np.repeat([1, -1], [n // 2, n - n // 2]),
+    )
+
+
+DESIGNS = (
+    Design.of(LQR(r_delta=30.0), 0.05),
+    Design.of(PreviewProportional(), 0.2),
+    Design.of(PreviewProportional(K_y=-0.08, K_psi=-0.5), 0.05),
+    Design.of(NoControl(), 0.2),
+)
+
+
+def results_of(designs: tuple[Design, ...], scenarios: Scenarios) -> StudyResults:
+    model = BicycleModel(VehicleParameters())
+    outcomes = [simulate(d.controller(), scenarios, vehicle=model, y_s=d.y_s, settle=1.0, seed=5) for d in designs]
+    arrays = {name: np.stack([getattr(o, name) for o in outcomes])
+              for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
+    companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
+                  for name in COMPANION_UNITS}  # fmt: skip
+    case = CaseResults(CASE, **arrays, companions=Companions(**companions), law_time=np.zeros(len(designs)))
+    return StudyResults(designs, scenarios, (case,))
+
+
+@pytest.fixture(scope="module")
+def results() -> StudyResults:
+    return results_of(DESIGNS, departures(40))
+
+
+@pytest.fixture(scope="module")
+def task(results: StudyResults) -> RobustnessTask:
+    return RobustnessTask.of(results, Ranking.of(results, results.cases[0], bootstrap=100), SETTING, per_side=12)
+
+
+@pytest.fixture(scope="module")
+def found(task: RobustnessTask) -> Robustness:
+    return work_out(task)
+
+
+def test_numbers_are_those_of_plain_simulations(task: RobustnessTask, found: Robustness) -> None:
+    rows = np.r_[0:12, 20:32]  # the first of each side
+    assert (found.left, found.right) == (12, 12)
+    scenarios = departures(40).take(rows)
+    assert len(found.plants) == len(set(found.plants)) == 15
+    for k, plant in enumerate(task.plants):
+        scores = []
+        for i, design in enumerate(task.chosen.designs):
+            out = simulate(design.controller(), scenarios, y_s=design.y_s, options=plant.options, settle=1.0, seed=5)
+            bad = (out.status == EventStatus.DIVERGED) | (out.status == EventStatus.SOLVER_FAILED)
+            counted = np.where(bad, np.maximum(out.S, out.S_uncorrected), out.S)
+            assert found.S[k, i] == pytest.approx(counted.mean(), rel=1e-12)
+            assert found.S_uncorrected[k, i] == pytest.approx(out.S_uncorrected.mean(), rel=1e-12)
+            assert found.failures[k, i] == bad.sum()
+            scores.append(counted.mean())
+        assert found.rank[k].tolist() == stats.rankdata(np.round(scores, 7), method="min").tolist()
+        assert found.rival[k] == 1 + int(np.argmin(scores[1:]))
+        assert found.lead[k] == pytest.approx(scores[0] - min(scores[1:]), abs=1e-12)
+    assert not found.raised
+
+
+def test_a_design_that_other_plants_destroy_is_found(task: RobustnessTask, found: Robustness) -> None:
+    hard = next(i for i, design in enumerate(task.chosen.designs) if design.law == "lqr")
+    together = found.plants.index("together")
+    assert found.failures[0].sum() == 0
+    assert found.diverged[together, hard] > 0
+    assert found.S[together, hard] > found.S[0, hard]
+    assert found.rank[together, hard] > found.rank[0, hard]
+
+
+def test_intervals_are_those_of_the_paired_t_test() -> None:
+    rng = np.random.default_rng(0)
+    old = rng.gamma(2.0, 1.0, (3, 60))
+    new = old + rng.normal(0.1, 0.3, (3, 60))
+    one_side = paired_means(old, new, np.ones(60, dtype=np.int64), 0.9)
+    for k in range(3):
+        low, high = stats.ttest_rel(new[k], old[k]).confidence_interval(0.9)
+        assert (one_side.low[k], one_side.high[k]) == pytest.approx((low, high), rel=1e-9)
+    # two sides of their own level: the difference between them is no chance
+    side = np.repeat([1, -1], [20, 40])
+    shifted = new + np.where(side == 1, 5.0, 0.0)
+    both = paired_means(old, shifted, side, 0.9)
+    change = shifted - old
+    error = np.sqrt(sum((side == s).sum() * change[:, side == s].var(axis=1, ddof=1) for s in (1, -1))) / 60
+    assert both.high - both.difference == pytest.approx(stats.t.ppf(0.95, 58) * error, rel=1e-9)
+
+
+def test_few_changes_have_no_interval() -> None:
+    old = np.ones((3, 40))
+    new = old.copy()
+    new[1, :5] += 1.0
+    new[2, :6] += 1.0
+    found = paired_means(old, new, np.repeat([1, -1], 20), 0.95)
+    assert (found.low[0], found.high[0]) == (0.0, 0.0)
+    assert np.isnan(found.low[1])
+    assert found.low[2] < found.difference[2] < found.high[2]
+    lone = paired_means(old[:1], old[:1] + 0.3, np.array([1] * 39 + [-1]), 0.95)
+    assert np.isnan(lone.low[0])
+
+
+def test_margins_are_those_of_python_control() -> None:
+    """Preview P with a delayed actuator, its loop put together here from the vehicle's matrices."""
+    K_y, K_psi, T_lp, dt = -0.02, -0.3, 0.6, 0.05
+    law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=T_lp)
+    v = np.array([15.0, 30.0])
+    setting = dataclasses.replace(SETTING, options=PlantOptions(actuator=Actuator(delay=dt)))
+    found = loop_margins(law, setting, v)
+    assert found.linear
+    assert not found.notes
+    model = BicycleModel(VehicleParameters())
+    A, B, _ = model.matrices(v)
+    gains = law.prepare(_plant(model, v, dt)).K
+    for i in range(2):
+        vehicle = control.ss(A[i], np.reshape(B[i], (4, 1)), np.eye(4), np.zeros((4, 1))).sample(dt)
+        late = control.tf([1.0], [1.0, 0.0], dt)
+        loop = control.ss(-np.atleast_2d(gains[i]) @ vehicle * control.ss(late))
+        gain, phase, _, _, omega, _ = control.stability_margins(loop, method="frd")
+        assert found.stable[i]
+        assert found.phase[i] == pytest.approx(np.radians(phase), rel=1e-3)
+        assert found.gain[i] == pytest.approx(20 * np.log10(gain), rel=1e-3)
+        assert found.delay[i] == pytest.approx(np.radians(phase) / omega, rel=2e-3)
+
+
+def _plant(model: BicycleModel, v: np.ndarray, dt: float) -> object:
+    from ldctoolkit.vehicle import Plant
+
+    return Plant.build(model, v, dt)
+
+
+def test_no_control_has_no_loop_and_says_so() -> None:
+    found = loop_margins(NoControl(), SETTING, np.array([20.0]))
+    assert not found.linear
+    assert "no loop" in found.notes[0]
+
+
+def test_values_are_those_of_the_catalog() -> None:
+    assert load_study("reality").plant == REAL
+    (together,) = (plant for plant in other_plants(PlantOptions(), 0.05) if plant.name == "together")
+    assert together.options == REAL
+
+
+FULL = dataclasses.replace(REAL, residuals=Residuals(y=True))
+
+
+@pytest.mark.parametrize("options", [PlantOptions(), FULL, PlantOptions(sensors=Sensors(period=0.1))])
+def test_each_plant_differs_in_one_option(options: PlantOptions) -> None:
+    for plant in other_plants(options, 0.05):
+        differing = [f.name for f in dataclasses.fields(PlantOptions)
+                     if getattr(plant.options, f.name) != getattr(options, f.name)]  # fmt: skip
+        if plant.name not in ("together", "ideal"):
+            assert len(differing) == 1, plant.name
+        else:
+            assert plant.options == (REAL if options.ideal else PlantOptions())
+
+
+def test_what_a_plant_has_already_is_taken_away() -> None:
+    of = {plant.name: plant.options for plant in other_plants(FULL, 0.05)}
+    assert of["delay"].actuator.delay == 0.0
+    assert of["lag"].actuator.lag == 0.0
+    assert of["limits"].actuator.rate_max is None
+    assert of["mass"].mismatch.m == (1.0, 1.0) != FULL.mismatch.m
+    assert of["stiffness"].mismatch.C_af == (1.0, 1.0)
+    assert of["tyres"].tyres == Tyres()
+    assert of["noise"].sensors == dataclasses.replace(REAL.sensors, e_y_noise=0, e_psi_noise=0, curvature_noise=0)
+    assert of["camera-delay"].sensors.delay == 0.0
+    assert of["filter"].sensors.kalman is None
+    assert of["speed"].speed == "frozen"
+    assert of["residuals"].residuals.ideal
+    rubber = dataclasses.replace(FULL, mismatch=Mismatch(mu=(0.5, 1.0)))
+    assert {plant.name: plant for plant in other_plants(rubber, 0.05)}["tyres"].options.mismatch.mu == (1.0, 1.0)
+
+
+def test_a_camera_delay_is_whole_samples() -> None:
+    for dt in (0.03, 0.25):
+        for plant in other_plants(PlantOptions(), dt):
+            plant.options.sensors.in_samples(dt)  # raises for what is no multiple
+    assert isinstance(REAL.sensors.kalman, KalmanFilter)
+
+
+def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:
+    designs, plants = task.chosen.designs, [plant.options for plant in task.plants[:6]]
+    both = drive_on_plants(designs, plants, task.scenarios, SETTING)
+    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETTING)
+    assert np.array_equal(both.S, turned.S[::-1, ::-1])
+    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETTING)
+    assert alone.S[0, 0, 0] == both.S[3, 0, 7]
+
+
+@register
+@dataclasses.dataclass(frozen=True)
+class Fussy(Controller):
+    """Raises where a speed is not the one that it knows."""
+
+    name: ClassVar[str] = "fussy_robustness"
+    title: ClassVar[str] = "Fussy"
+
+    def prepare(self, plant: object) -> object:
+        raise ZeroDivisionError("not today")
+
+
+def test_a_law_that_raises_is_told_and_the_others_are_driven(task: RobustnessTask) -> None:
+    chosen = dataclasses.replace(
+        task.chosen, designs=(*task.chosen.designs[:1], Design.of(Fussy(), 0.1)), contends=(True, True)
+    )
+    plants = task.plants[:3]
+    found = work_out(dataclasses.replace(task, chosen=chosen, plants=plants))
+    assert [(k, i) for k, i, _ in found.raised] == [(0, 1), (1, 1), (2, 1)]
+    assert "not today" in found.raised[0][2]
+    assert np.isnan(found.S[:, 1]).all()
+    assert (found.rank[:, 1] == 0).all()
+    assert np.isfinite(found.S[:, 0]).all()
+    assert found.rank[:, 0].tolist() == [1, 1, 1]
+    assert found.n == 24
+    assert "not today" in found.margins[1].notes[0]
+
+
+def test_designs_are_chosen_by_their_places() -> None:
+    designs = [Design.of(LQR(r_delta=10.0 * k), 0.05) for k in (1, 2, 3)]
+    designs += [Design.of(PreviewProportional(K_y=-0.08), 0.05), Design.of(PreviewProportional(), 0.2)]
+    designs += [Design.of(NoControl(), 0.2)]
+    results = results_of(tuple(designs), departures(10))
+    ranking = Ranking.of(results, results.cases[0], bootstrap=50)
+    chosen = chosen_designs(ranking)
+    assert chosen.designs[0] == ranking.designs[ranking.winner or 0]
+    laws = [design.law for design in chosen.designs]
+    assert laws.count("lqr") == 1
+    assert Design.of(PreviewProportional(), 0.2) in chosen.designs  # Table I
+    assert "none" in laws  # the baseline
+    assert len(chosen.designs) == 4 <= MOST
+    unranked = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
+    assert all(chosen_designs(unranked).contends)
+    strict = Ranking.of(results, results.cases[0], bootstrap=50, require=[f"S <= {ranking.S[0] + 1e-9}"])
+    assert [design.law for design, takes in zip(chosen_designs(strict).designs, chosen_designs(strict).contends,
+                                                strict=True) if takes] == ["lqr"]  # fmt: skip
+
+
+def test_slow_and_unsafe_laws_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    designs = (Design.of(LinearMPC(), 0.05), Design.of(LQR(), 0.05), Design.of(NoControl(), 0.2))
+    results = results_of(designs, departures(8))
+    case = results.cases[0]
+    status = case.status.copy()
+    status[1, 0] = EventStatus.CRASHED
+    ranking = Ranking.of(results, dataclasses.replace(case, status=status), bootstrap=50)
+    monkeypatch.setattr(LinearMPC, "batch", 20)
+    chosen = chosen_designs(ranking)
+    assert chosen.slow == ("linear_mpc",)
+    assert chosen.unsafe == (designs[1].label,)
+    assert [design.law for design in chosen.designs] == ["none"]
+
+
+def test_stored_numbers_come_back_as_they_were(tmp_path: Path, task: RobustnessTask, found: Robustness) -> None:
+    text = stored.text_of(found)
+    json.loads(text, parse_constant=pytest.fail)  # numbers that JSON knows only
+    (tmp_path / stored.NAME).write_text(text)
+    again = stored.read(tmp_path / stored.NAME)
+    assert again is not None
+    for field in dataclasses.fields(Robustness):
+        a, b = getattr(found, field.name), getattr(again, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+        elif field.name != "margins":
+            assert a == b
+    assert stored.text_of(again) == text
+
+
+def test_numbers_of_something_else_are_worked_out_again(
+    tmp_path: Path, task: RobustnessTask, found: Robustness, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def count(wanted: RobustnessTask) -> Robustness:
+        calls.append(wanted.key)
+        return dataclasses.replace(found, key=wanted.key)
+
+    monkeypatch.setattr(stored, "work_out", count)
+    stored.robustness_of(tmp_path, task)
+    stored.robustness_of(tmp_path, task)
+    assert len(calls) == 1
+    others = [
+        dataclasses.replace(task, plants=task.plants[:4]),
+        dataclasses.replace(task, scenarios=task.scenarios.take(np.arange(5))),
+        dataclasses.replace(task, setting=dataclasses.replace(SETTING, seed=6)),
+        dataclasses.replace(task, chosen=dataclasses.replace(task.chosen, designs=task.chosen.designs[:2],
+                                                             contends=(True, True))),
+    ]  # fmt: skip
+    for other in others:
+        stored.robustness_of(tmp_path, other)
+    assert len(calls) == len(set(calls)) == 5
+    (tmp_path / stored.NAME).write_text("{broken")
+    stored.robustness_of(tmp_path, task)
+    assert len(calls) == 6
