@@ -8,7 +8,7 @@
   function changed() { listener(); }
   function box(title, on, act) {
     var input = el("input", { type: "checkbox", checked: on, change: act || changed });
-    return { input: input, label: el("label", {}, [input, " ", title]) };
+    return { input: input, label: el("label", {}, [input, " ", el("span", {}, title)]) };
   }
   var search = el("input", {
     type: "search", id: "ranking-search", placeholder: "label, id, gain=value", autocomplete: "off", input: function () {
