@@ -309,7 +309,7 @@ def test_figures_are_labelled(drawn: tuple[str, Page]) -> None:
     text, page = drawn
     drawings = re.findall(r"<svg [^>]*>", text)
     assert all('role="img"' in tag and "aria-labelledby" in tag for tag in drawings if "sample" not in tag)
-    assert page.counts["figcaption"] == page.counts["figure"] == 5
+    assert page.counts["figcaption"] == page.counts["figure"] >= 5
     assert 'scope="col"' in text
     assert text.count("<caption>") == page.counts["table"]
     assert "<text" in text  # text in figures stays text
