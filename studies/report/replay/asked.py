@@ -76,5 +76,11 @@ def _help(prefix: str, several: list[str], ids: list[str]) -> str:
     if several:
         more = f" and {len(several) - _LISTED} more" if len(several) > _LISTED else ""
         return f"{len(several)} designs begin like this ({', '.join(several[:_LISTED])}{more}); allowed: more digits"
-    close = difflib.get_close_matches(prefix.lower(), ids, n=1, cutoff=0.0) or ids[:1]
-    return f"no design begins like this, the nearest is {close[0]}; allowed: the first digits of a design's id"
+    given = prefix.lower()
+
+    def likeness(name: str) -> tuple[int, float]:
+        shared = sum(name.startswith(given[:k]) for k in range(1, len(given) + 1))
+        return shared, difflib.SequenceMatcher(None, given, name).ratio()
+
+    close = max(ids, key=likeness)
+    return f"no design begins like this, the nearest is {close}; allowed: the first digits of a design's id"

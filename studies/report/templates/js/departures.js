@@ -155,7 +155,7 @@
   function options() {
     role.appendChild(LDC.el("option", { value: -1 }, "by number"));
     var groups = {};
-    order.forEach(function (k) {
+    about.index.forEach(function (_, k) {
       about.roles[k].forEach(function (one) {
         var group = groups[side(k)] || (groups[side(k)] = []);
         group.push(LDC.el("option", { value: k }, side(k) + ": " + one + " (scenario " + about.index[k] + ")"));

@@ -49,8 +49,9 @@ def test_unknown_designs_are_refused_with_a_near_one(prefix: str) -> None:
 
 def test_a_near_identifier_is_the_one_that_is_meant() -> None:
     wanted = DESIGNS[1].id
-    with pytest.raises(InputError, match=f"nearest is {wanted}"):
-        asked_designs(DESIGNS, ["x" + wanted[1:]])
+    for given in ("x" + wanted[1:], wanted[:5] + "x"):
+        with pytest.raises(InputError, match=f"nearest is {wanted}"):
+            asked_designs(DESIGNS, [given])
 
 
 def test_a_beginning_of_several_is_refused() -> None:
