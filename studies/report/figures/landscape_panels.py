@@ -60,6 +60,11 @@ class Panels:
         return tuple(panel for panel in self.shown if isinstance(panel, Sample))
 
     @property
+    def maps(self) -> tuple[Landscape, ...]:
+        """Those with a cell for each combination of two values."""
+        return tuple(panel for panel in self.shown if isinstance(panel, Landscape) and panel.y is not None)
+
+    @property
     def thinned(self) -> bool:
         """Whether some panel has more designs than points."""
         return any(panel.S.size > MOST_POINTS for panel in self.samples)

@@ -49,7 +49,7 @@ def section(context: Context) -> Section:
         raced=_raced(context),
         landscape=drawings,
         how=_how(context, panels),
-        cells=len(panels.shown) > len(panels.samples),
+        cells=bool(panels.maps),
         panels_of_a_law=PANELS_OF_A_LAW,
         left_out=panels.left_out,
         partial=prose.partial_grids(context.report),
@@ -84,7 +84,9 @@ def _how(context: Context, panels: Panels) -> str:
     """How the panels are read."""
     said = ["Mean S over what the study sweeps; darker is better, on one colour scale for all panels in colour."]
     star = f"the star {context.primary.best_name}"
-    if len(panels.shown) > len(panels.samples):
+    if any(isinstance(panel, Landscape) and panel.y is None for panel in panels.shown):
+        said.append(f"On a line the marked point is the best design of its law, {star}.")
+    if panels.maps:
         missing = "were not run" + (", or given up in the race" if _raced(context) else "")
         said.append(
             "Each value is the least over everything that its panel does not show. A frame marks the best design of "

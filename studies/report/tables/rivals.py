@@ -1,4 +1,4 @@
-"""What the first of the ranking is measured against: the next design, and the best one of another law."""
+"""What the first of the ranking is measured against: the next design, one that may be the best, one of another law."""
 
 from __future__ import annotations
 
@@ -60,12 +60,14 @@ class Rival:
 
 
 def rivals(context: Context) -> tuple[Rival, ...]:
-    """The second of the ranking, and the best design of the first other law that intervenes; none for one design."""
+    """The second of the ranking, the first other design of the set of best, and the best design of another law.
+
+    Some may be the same one; there are none for one design.
+    """
     first, *others = context.primary.rows
-    chosen = others[:1]
-    chosen += [row for row in others[1:] if row.design.law != first.design.law and not is_baseline(row)][:1]
-    if len(chosen) == 2 and chosen[0].design.law != first.design.law:
-        del chosen[1]
+    may_be_best = [row for row in others if row.in_set][:1]
+    other_law = [row for row in others if row.design.law != first.design.law and not is_baseline(row)][:1]
+    chosen = list({row.place: row for row in (*others[:1], *may_be_best, *other_law)}.values())
     side, S = context.scenarios.side, context.S(first)
     found = []
     for row in chosen:

@@ -30,7 +30,8 @@ def enough_sentence(rival: Rival, first: str, n: int) -> Markup:
     -------
     Markup
     """
-    what = ", the best of another law" if rival.other_law else ""
+    what = ", in the set of best" if rival.row.in_set else ""
+    what += ", the best of another law" if rival.other_law else ""
     name = Markup("<b>{}</b> ({}{})").format(design_text(rival.row), rank_text(rival.row), what)
     if rival.same:
         return Markup("{} scores the same as {}: no number of departures tells them apart.").format(name, first)

@@ -84,9 +84,18 @@ def test_rivals_are_the_second_and_the_best_of_another_law(report: ReportInput) 
         critical = one.half_width / one.error  # the ranking's own, for all designs at once
         assert 1.96 < critical < 6.0
         assert one.needed.even == pytest.approx(100 * (one.half_width / one.values.mean()) ** 2, rel=1e-6)
-    laws = [design.law for design in ranking.designs]
-    for one in others:
-        assert one.row.place == next(k for k, law in enumerate(laws) if law not in (laws[0], "none"))
+    laws, places = [design.law for design in ranking.designs], [one.row.place for one in others]
+    other_law = next(k for k, law in enumerate(laws) if law not in (laws[0], "none"))
+    may_be_best = np.flatnonzero(ranking.set_of_best)[1:2].tolist()
+    assert places == sorted({other_law, *may_be_best} - {1})
+
+
+def test_the_next_design_that_may_be_best_is_among_the_rivals(report: ReportInput) -> None:
+    context = Context.of(report)
+    rows = [dataclasses.replace(row, in_set=row.place in (0, 3)) for row in context.primary.rows]
+    changed = dataclasses.replace(context, tables=(dataclasses.replace(context.primary, rows=tuple(rows)),))
+    assert [one.row.place for one in rivals(changed)][:2] == [1, 3]
+    assert "in the set of best" in words(confidence.section(changed).body)
 
 
 def test_the_figure_rings_where_the_width_meets_the_difference() -> None:
