@@ -1,4 +1,3 @@
-
 """Everything on one design, opened and closed with the keyboard; its numbers are those of ranking.csv."""
 
 from __future__ import annotations
