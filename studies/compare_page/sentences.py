@@ -66,7 +66,7 @@ def winners_text(winners: Winners) -> Markup:
         interval_text(winners.low, winners.high), shared,
     )  # fmt: skip
     if winners.same_design:
-        said = Markup("<strong>{}</strong> wins both studies and {}: {}.")
+        said = Markup("<strong>{}</strong> is the winner of both studies and {}: {}.")
         verdict = {
             Verdict.BETTER: "is better now",
             Verdict.WORSE: "is worse now",
