@@ -30,7 +30,7 @@
     self.lines = LDC.svg("g", { "clip-path": "url(#" + id + ")" });
     root.appendChild(LDC.svg("defs", {}, [clip]));
     root.appendChild(self.back);
-    var marks = ticks(y[0], y[1], Math.max(2, Math.round(height / 45)));
+    var marks = ticks(y[0], y[1], Math.max(3, Math.round(height / 36)));
     marks.forEach(function (value) {
       root.appendChild(LDC.svg("line", { "class": "grid", x1: LEFT, x2: LEFT + inner, y1: self.y(value), y2: self.y(value) }));
       root.appendChild(LDC.svg("text", { x: LEFT - 6, y: self.y(value) + 4, "text-anchor": "end" }, LDC.number(value, marks.digits)));
@@ -91,7 +91,7 @@
       panel.back.appendChild(LDC.svg("line", { "class": "end", x1: x(shown.T), x2: x(shown.T), y1: panel.top, y2: panel.top + panel.height }));
     });
     var atEnd = x(shown.T) > LEFT + 0.6 * inner;
-    root.appendChild(LDC.svg("text", { x: x(shown.T) + (atEnd ? -5 : 5), y: top + 12, "text-anchor": atEnd ? "end" : "start" }, "end of the departure"));
+    root.appendChild(LDC.svg("text", { x: x(shown.T) + (atEnd ? -5 : 5), y: (shown.zoom ? top + heights[0] : first.y(shown.far)) - 8, "text-anchor": atEnd ? "end" : "start" }, "end of the departure"));
     ticks(0, end, Math.max(3, Math.round(inner / 90))).forEach(function (t, i, list) {
       root.appendChild(LDC.svg("text", { x: x(t), y: height - 22, "text-anchor": "middle" }, LDC.number(t, list.digits)));
     });

@@ -91,7 +91,8 @@
     var points = [{ color: data.line.color, y: alone.y, delta: NaN, a_y: alone.a_y }];
     var rows = [[uncorrected(), LDC.number(alone.y), "–", LDC.number(alone.a_y, 2)]];
     chosen.forEach(function (d, i) {
-      var line = paths.driven(d, now), here = line ? point(line, recorded, t) : NOWHERE;
+      // Who never takes over leaves the vehicle on the path without control.
+      var line = paths.driven(d, now), here = line || paths.fact("tried", d, now) ? point(line, recorded, t) : NOWHERE;
       points.push({ color: data.designs[d].color, y: here.y, delta: here.delta, a_y: here.a_y });
       rows.push([label(i, d), LDC.number(here.y), LDC.number(here.delta, 2), LDC.number(here.a_y, 2)]);
       spoken.push(data.designs[d].title + " " + LDC.number(here.y, 2) + " m");
