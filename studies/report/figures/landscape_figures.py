@@ -228,8 +228,8 @@ def profile(landscape: Landscape, style: LineStyle, uncorrected: float) -> Figur
         axes.axhline(uncorrected, color="#595959", linewidth=1.2, linestyle=(0, (1.2, 1.4)))
         axes.annotate("no control", (1.0, uncorrected), xycoords=("axes fraction", "data"), xytext=(-2, -3),
                       textcoords="offset points", ha="right", va="top", color="#595959", fontsize=8.5)  # fmt: skip
-        markers = {"marker": style.marker, "markersize": 5} if len(x.values) <= _MARKED_POINTS else {}
-        axes.plot(places, S, **markers, **style.line())
+        marker = style.marker if len(x.values) <= _MARKED_POINTS else None
+        axes.plot(places, S, marker=marker, markersize=5, **style.line())
         best = landscape.best[1]
         axes.plot(places[best], S[best], marker="*" if landscape.winner else "o",
                   markersize=15 if landscape.winner else 10, markerfacecolor="#ffffff" if landscape.winner else "none",

@@ -103,5 +103,5 @@ def two_digits(count: float) -> int:
     >>> two_digits(1234.0), two_digits(7.2)
     (1300, 8)
     """
-    step = 10 ** max(0, math.floor(math.log10(max(count, 1.0))) - 1)
+    step = int(10 ** max(0, math.floor(math.log10(max(count, 1.0))) - 1))
     return math.ceil(count / step) * step

@@ -101,7 +101,16 @@ def sample_figure(sample: Sample, low: float, high: float, uncorrected: float) -
         crosses, dots = shown[worse], shown[~worse]
         if crosses.size:
             axes.plot(*sample.at[crosses].T, linestyle="none", marker="x", markersize=4, color=_WORSE, zorder=2)
-        axes.scatter(*sample.at[dots].T, c=sample.S[dots], cmap=color_map, norm=scale, s=22, linewidths=0, zorder=3)
+        axes.scatter(
+            sample.at[dots, 0],
+            sample.at[dots, 1],
+            c=sample.S[dots],
+            cmap=color_map,
+            norm=scale,
+            s=22,
+            linewidths=0,
+            zorder=3,
+        )
         x, y = sample.at[sample.best]
         axes.plot(x, y, linestyle="none", marker="*" if sample.winner else "o", markersize=14 if sample.winner else 10,
                   markerfacecolor="#ffffff" if sample.winner else "none", markeredgecolor="#000000",
