@@ -96,7 +96,7 @@ def test_from_recordings_to_a_report(tmp_path: Path) -> None:
     assert f"report:  {Path('o') / 'report.html'}" in out
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
         ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",
-        "ranking.md", "report.html", "results", "scenarios.parquet", "timing.json",
+        "ranking.md", "report.html", "results", "robustness.json", "scenarios.parquet", "timing.json",
     ]  # fmt: skip
     with (tmp_path / "o" / "ranking.csv").open(newline="") as stream:
         assert [row["rank"] for row in csv.DictReader(stream)] == ["1", "2", "3"]
@@ -111,6 +111,15 @@ def test_from_recordings_to_a_report(tmp_path: Path) -> None:
     assert (tmp_path / "o" / "ranking.csv").read_bytes() == ranking
     good("report", "o", cwd=tmp_path)
     assert (tmp_path / "o" / "report.html").read_text().lstrip().lower().startswith("<!doctype html>")
+
+    # numbers on other plants: left out, or worked out to the same bytes
+    other_plants = (tmp_path / "o" / "robustness.json").read_bytes()
+    (tmp_path / "o" / "robustness.json").unlink()
+    good("report", "o", "--no-robustness", cwd=tmp_path)
+    assert not (tmp_path / "o" / "robustness.json").exists()
+    assert b"The designs were not driven on other plants." in (tmp_path / "o" / "report.html").read_bytes()
+    good("report", "o", cwd=tmp_path)
+    assert (tmp_path / "o" / "robustness.json").read_bytes() == other_plants
 
     # the same folder with another model is refused, with the same one it resumes
     assert "holds another study (tiny): model: m.json" in bad("run", "s.toml", "-o", "o", cwd=tmp_path)

@@ -16,6 +16,7 @@ from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, VehicleParameters, register, simulate
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.vehicle import Plant
 from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.results import Case, CaseResults, StudyResults
@@ -154,22 +155,15 @@ def test_margins_are_those_of_python_control() -> None:
     assert not found.notes
     model = BicycleModel(VehicleParameters())
     A, B, _ = model.matrices(v)
-    gains = law.prepare(_plant(model, v, dt)).K
+    gains = law.prepare(Plant.build(model, v, dt)).F
     for i in range(2):
-        vehicle = control.ss(A[i], np.reshape(B[i], (4, 1)), np.eye(4), np.zeros((4, 1))).sample(dt)
-        late = control.tf([1.0], [1.0, 0.0], dt)
-        loop = control.ss(-np.atleast_2d(gains[i]) @ vehicle * control.ss(late))
+        vehicle = control.ss(A[i], np.reshape(B[i], (4, 1)), -np.atleast_2d(gains[i]), 0.0).sample(dt)
+        loop = control.series(control.ss(0.0, 1.0, 1.0, 0.0, dt), vehicle)  # one sample late
         gain, phase, _, _, omega, _ = control.stability_margins(loop, method="frd")
         assert found.stable[i]
         assert found.phase[i] == pytest.approx(np.radians(phase), rel=1e-3)
         assert found.gain[i] == pytest.approx(20 * np.log10(gain), rel=1e-3)
         assert found.delay[i] == pytest.approx(np.radians(phase) / omega, rel=2e-3)
-
-
-def _plant(model: BicycleModel, v: np.ndarray, dt: float) -> object:
-    from ldctoolkit.vehicle import Plant
-
-    return Plant.build(model, v, dt)
 
 
 def test_no_control_has_no_loop_and_says_so() -> None:
