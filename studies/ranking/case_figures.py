@@ -13,7 +13,8 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.design import Design
-from studies.ranking.release import ReleaseFigures
+from studies.ranking.companion_figures import companion_figures
+from studies.ranking.release import COLUMNS, ReleaseFigures
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults
@@ -140,6 +141,7 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
     S, S_left, S_right = (_mean(counted, side) for side in rows)
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_figures(counted)
+    companions = companion_figures(case, designs, scenarios.d_y, D_y=D_y)
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
@@ -156,14 +158,14 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
         reduction_left=_reduction(S_left, before_left),
         reduction_right=_reduction(S_right, before_right),
         triggered=(case.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
-        deeper=(case.companions.deepest > D_y).mean(axis=1),
+        deeper=companions["deeper"],
         solver_failed=count(EventStatus.SOLVER_FAILED),
         diverged=count(EventStatus.DIVERGED),
         timed_out=count(EventStatus.TIMED_OUT),
         crashed=count(EventStatus.CRASHED),
         invalid=count(EventStatus.INVALID),
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
-        release=ReleaseFigures.of(case, designs, scenarios.d_y, order=range(len(designs)), D_y=D_y),
+        release=ReleaseFigures(**{name: companions[name] for name in COLUMNS}),
     )
 
 

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, metrics
-from studies.design import Design
-from studies.ranking.masked import masked_max, masked_mean, masked_quantile
-from studies.results import CaseResults, status_among
-
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,35 +78,6 @@ class ReleaseFigures:
     travel_mean: FloatArray
     law_time: FloatArray
 
-    @classmethod
-    def of(
-        cls, case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, order: Sequence[int], D_y: float
-    ) -> ReleaseFigures:
-        """Take the figures of one case.
-
-        Parameters
-        ----------
-        case : CaseResults
-            Scenarios that can be driven only.
-        designs : sequence of Design
-            In the order of `case`.
-        d_y : (n,) [m]
-            Depth of the departures without control.
-        order : sequence of int
-            Which designs, in the order wanted.
-        D_y : float [m]
-            Depth below which a departure needs no intervention.
-        """
-        acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-        acted[[design.is_baseline for design in designs]] = False
-        in_memory = isinstance(case.companions.deepest, np.ndarray)
-        size = max(1, (_BLOCK_ENTRIES if in_memory else _STORED_ENTRIES) // max(1, d_y.size))
-        rows = [np.asarray(order[first : first + size], dtype=np.int64) for first in range(0, len(order), size)]
-        with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(rows)))) as pool:
-            blocks = list(pool.map(lambda some: _figures(case, acted, some, d_y, D_y), rows))
-        columns: dict[str, Any] = {name: np.concatenate([block[name] for block in blocks]) for name in COLUMNS}
-        return cls(**columns)
-
     def take(self, order: Sequence[int] | npt.NDArray[np.int64]) -> ReleaseFigures:
         """The same for some of the designs, in the order given."""
         changes: dict[str, Any] = {name: getattr(self, name)[order] for name in COLUMNS}
@@ -147,78 +110,3 @@ COLUMNS: Final = {
     "law_time": "law_time_us",
 }
 """Figure -> its column in a table, with the unit or the word share at the end."""
-
-
-_BLOCK_ENTRIES: Final = 500_000
-"""Runs whose companions are looked at at once (4 MB each); no figure depends on it."""
-
-_STORED_ENTRIES: Final = 2_500_000
-"""The same where companions are read from a study's folder (20 MB each): a file is opened for many designs at once."""
-
-_MOST_THREADS: Final = 2
-"""Blocks at once: each takes the memory of several companions."""
-
-
-def _figures(
-    case: CaseResults, acted: BoolArray, rows: npt.NDArray[np.int64], d_y: FloatArray, D_y: float
-) -> dict[str, Any]:
-    """All figures of some designs by name; `acted` tells where each took over."""
-    acted = acted[rows]
-
-    def value(name: str) -> FloatArray:
-        result: FloatArray = getattr(case.companions, name)[rows].astype(np.float64, copy=False)
-        return result
-
-    # one companion after the other: all of them together would be the largest thing in memory
-    return {
-        "needless": metrics.needless_share(acted, d_y, D_y),
-        "law_time": 1e6 * case.law_time[rows],
-        **_of_deepest(value("deepest")),
-        **_of_distance(value("dtle")),
-        **_of_overshoot(value("overshoot"), acted),
-        **_of_way_back(value("t_back"), acted),
-        **_of_motion(value("a_y_peak"), value("jerk_peak"), acted),
-        "delta_peak_max": masked_max(value("delta_peak"), acted),
-        "delta_rate_peak_max": masked_max(value("delta_rate_peak"), acted),
-        "effort_mean": masked_mean(value("effort"), acted),
-        "travel_mean": masked_mean(value("travel"), acted),
-    }
-
-
-def _of_deepest(deepest: FloatArray) -> dict[str, Any]:
-    return {"deepest_mean": deepest.mean(axis=1), "deepest_p95": np.quantile(deepest, 0.95, axis=1)}
-
-
-def _of_distance(dtle: FloatArray) -> dict[str, Any]:
-    return {
-        "dtle_mean": dtle.mean(axis=1),
-        "dtle_p5": np.quantile(dtle, 0.05, axis=1),
-        "dtle_min": dtle.min(axis=1),
-        "within_dtle": metrics.share_within_dtle(dtle),
-    }
-
-
-def _of_overshoot(overshoot: FloatArray, acted: BoolArray) -> dict[str, Any]:
-    return {
-        "overshoot_share": metrics.overshoot_share(overshoot, acted),
-        "overshoot_max": masked_max(overshoot, acted),
-    }
-
-
-def _of_way_back(t_back: FloatArray, acted: BoolArray) -> dict[str, Any]:
-    return {
-        "back_inside": metrics.back_inside_share(t_back, acted),
-        "t_back_median": masked_quantile(t_back, acted, 0.5),
-    }
-
-
-def _of_motion(a_y_peak: FloatArray, jerk_peak: FloatArray, acted: BoolArray) -> dict[str, Any]:
-    return {
-        "a_y_peak_mean": masked_mean(a_y_peak, acted),
-        "a_y_peak_p95": masked_quantile(a_y_peak, acted, 0.95),
-        "a_y_peak_max": masked_max(a_y_peak, acted),
-        "jerk_peak_mean": masked_mean(jerk_peak, acted),
-        "jerk_peak_p95": masked_quantile(jerk_peak, acted, 0.95),
-        "jerk_peak_max": masked_max(jerk_peak, acted),
-        "comfortable": metrics.comfortable_share(a_y_peak, jerk_peak, acted),
-    }

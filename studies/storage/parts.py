@@ -9,9 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,17 +111,6 @@ def checked_content(path: Path) -> bytes:
     if not path.stem.endswith(f"-{_checksum(data)}"):
         raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
     return data
-
-
-def contents_ahead(paths: Iterable[Path]) -> Iterator[tuple[Path, Future[bytes]]]:
-    """`checked_content` of parts, the next one worked out by another thread while one is looked at."""
-    with ThreadPoolExecutor(1) as pool:
-        waiting: deque[tuple[Path, Future[bytes]]] = deque()
-        for path in paths:
-            waiting.append((path, pool.submit(checked_content, path)))
-            if len(waiting) > 1:
-                yield waiting.popleft()
-        yield from waiting
 
 
 def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:

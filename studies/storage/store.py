@@ -32,11 +32,12 @@ from studies.design import Design
 from studies.racing.race_log import read_race
 from studies.results import StudyResults
 from studies.running.tasks import FailedRun, RunKey, TaskResult
+from studies.storage.ahead import ahead
 from studies.storage.design_table import DESIGNS, read_designs, write_designs
 from studies.storage.failures import FAILURES, read_failures, write_failures
 from studies.storage.files import read_scenarios, scenario_table, write_parquet
 from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
-from studies.storage.parts import PATTERN, contents_ahead, parse_part, write_part
+from studies.storage.parts import PATTERN, checked_content, parse_part, write_part
 from studies.storage.run_table import AllFailedError, RunTable
 from studies.storage.stored_columns import PartIndex
 from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times
@@ -169,7 +170,7 @@ class Store:
         table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, stored=stored)
         messages = []
         windows = self._study.simulation.window
-        for path, content in contents_ahead(sorted((self.folder / "results").glob(PATTERN))):
+        for path, content in ahead(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
                 results = list(parse_part(path, content.result(), windows, n, companions=stored is None))
                 for result in results:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import StoreError
 from studies.running.tasks import RunKey, TaskResult
+from studies.storage.ahead import ahead
 from studies.storage.parts import read_column
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+_THREADS: Final = 2
+"""That read parts; more would wait for the one that takes in what they read."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,27 +52,32 @@ class PartIndex:
             first += size
         self._parts.append((path, _signature(path)))
 
-    def read(self, column: str, keys: Sequence[RunKey], n: int) -> FloatArray:
-        """A column of some runs on all n scenarios, (k, n).
+    def read(self, column: str, keys: Sequence[RunKey], n: int, out: FloatArray | None = None) -> FloatArray:
+        """A column of some runs on all n scenarios, (k, n); in `out` where that is given.
 
         Raises
         ------
         StoreError
             If a part was changed or taken away since it was checked.
         """
-        table = np.full((len(keys), n), np.nan)
+        table = np.empty((len(keys), n)) if out is None else out
         wanted: dict[int, list[tuple[int, _Stretch]]] = {}
         for i, key in enumerate(keys):
             for stretch in self._stretches.get(key, ()):
                 wanted.setdefault(stretch.part, []).append((i, stretch))
-        for part in sorted(wanted):  # as they were read at first: where two hold the same, the last one counts
-            path, signature = self._parts[part]
-            values = read_column(path, column)
-            if _signature(path) != signature:
-                raise StoreError(f"{path}: changed since it was checked; read the study again")
+        # in the order in which they were checked: where two hold the same run, the last one counts
+        for part, future in ahead(lambda part: self._column(part, column), sorted(wanted), threads=_THREADS):
+            values = future.result()
             for i, stretch in wanted[part]:
                 table[i, stretch.scenarios] = values[stretch.first : stretch.first + stretch.size]
         return table
+
+    def _column(self, part: int, column: str) -> FloatArray:
+        path, signature = self._parts[part]
+        values = read_column(path, column)
+        if _signature(path) != signature:
+            raise StoreError(f"{path}: changed since it was checked; read the study again")
+        return values
 
 
 def _signature(path: Path) -> tuple[int, int]:
@@ -117,6 +127,14 @@ class StoredColumn(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __repr__(self) -> str:
         return f"<{self._name} of {self.shape[0]:,} designs on {self.shape[1]:,} scenarios, read when used>"
+
+    def read(self, rows: slice, room: FloatArray) -> FloatArray:
+        """Some designs, (k, m), in `room`, (k n or more,), where possible: memory is cleared when it is used first."""
+        if self._columns is not None:
+            result: FloatArray = self[rows]
+            return result
+        keys = self._keys[rows]
+        return self._index.read(self._name, keys, self._n, room[: len(keys) * self._n].reshape(len(keys), self._n))
 
     def _read(self, rows: Sequence[int]) -> FloatArray:
         table = self._index.read(self._name, [self._keys[i] for i in rows], self._n)

@@ -176,8 +176,7 @@ def test_every_column_is_checked_though_it_is_not_kept(
     shutil.copytree(folder, tmp_path / "copy")
     part = max((tmp_path / "copy" / "results").iterdir())
     table = pl.read_parquet(checked_content(part)).with_columns(travel_rad=pl.lit(np.nan))
-    monkeypatch.setattr("studies.storage.parts._checksum", lambda data: part.stem[-16:])
-    monkeypatch.setattr("studies.storage.parts.checked_content", lambda path: path.read_bytes())
+    monkeypatch.setattr(store, "checked_content", lambda path: path.read_bytes())
     table.write_parquet(part)
     with pytest.raises(StoreError, match=f"{part.name}: broken: column travel_rad holds a value that is not finite"):
         read_results(tmp_path / "copy")
