@@ -7,8 +7,10 @@
 
   // The design as a table of a study file.
   function snippet(i) {
-    var one = designs.place(i), gains = designs.gains(i).filter(function (gain) { return gain.swept || gain.changed; })
-      .filter(function (gain) { return !(gain.name === "convention" && !gain.changed); });
+    var one = designs.place(i), gains = designs.gains(i).filter(function (gain) {
+      // A reading of its own is written even where it is the law's default: else the study's case decides it.
+      return gain.name === "convention" ? gain.toml !== "\"case\"" : gain.swept || gain.changed;
+    });
     var lines = ["[[design]]", "law = " + JSON.stringify(one.law), "y_s = " + one.y_s_toml];
     if (gains.length) lines.push("", "[design.gains]");
     return lines.concat(gains.map(function (gain) { return gain.name + " = " + gain.toml; })).join("\n") + "\n";
