@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Final
 
@@ -10,7 +11,6 @@ from studies.report.context import Context
 from studies.report.figures.law_intervals import Line, law_intervals_figure
 from studies.report.rendering import render
 from studies.report.section import Drawing, Section
-from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import is_baseline
 from studies.report.words import prose, text
 from studies.report.words.answer import answer
@@ -28,8 +28,9 @@ class Tile:
     detail: str
 
 
-def _tiles(table: CaseTable) -> list[Tile]:
-    best, shown = table.best, text.number
+def _tiles(context: Context) -> list[Tile]:
+    table, shown = context.primary, text.number
+    best = table.best
     interval = f"{text.percent(table.confidence, 0)} interval {prose.between(best.fresh or best.S)}"
     if best.fresh is not None:
         scenarios = f"mean score S of {table.best_name} on {table.fresh_scenarios:,} fresh departures"
@@ -50,6 +51,7 @@ def _tiles(table: CaseTable) -> list[Tile]:
         deep = f"of departures deeper than {text.compact(table.D_y)}\u00a0m"
         before = f"{text.percent(table.uncorrected_deeper)} without control"
         tiles.append(Tile(shown(100 * best.deeper, 1), "%", deep, before))
+        tiles += _comfort(context)
     if table.winner is None:
         of = f"of {text.plural(len(table.rows), 'design')}"
         ranked = f"{of}, {table.ranked:,} where designs were chosen"
@@ -66,8 +68,17 @@ def _tiles(table: CaseTable) -> list[Tile]:
     return tiles
 
 
+def _comfort(context: Context) -> Iterator[Tile]:
+    """What the score is paid for with."""
+    figures, place = context.ranking.release, context.primary.best.place
+    share = float(figures.comfortable[place])
+    if math.isfinite(share):
+        said = f"lateral acceleration up to {text.number(float(figures.a_y_peak_max[place]), 1)}\u00a0m/s\u00b2"
+        yield Tile(text.number(100 * share, 1), "%", "of interventions within the comfort limits of ISO 11270", said)
+
+
 def _laws(context: Context) -> Iterator[Drawing]:
-    """The best design of each law, and the paper's controller."""
+    """The first design of each law, and the paper's controller."""
     table = context.primary
     rows = [row for row in table.best_of_each_law if not is_baseline(row)][:_MOST_LAWS]
     paper = table.paper_design
@@ -87,7 +98,7 @@ def _laws(context: Context) -> Iterator[Drawing]:
         for row in sorted(rows, key=lambda row: row.place)
     ]
     yield Drawing(
-        "best-of-each-law", "Mean S of the best design of each law, with intervals, against no control",
+        "best-of-each-law", "Mean S law by law, with intervals, against no control",
         law_intervals_figure(lines, table.uncorrected),
     )  # fmt: skip
 
@@ -104,7 +115,7 @@ def section(context: Context) -> Section:
         tables=context.tables,
         primary=primary,
         warnings=[one for one in warnings if one not in elsewhere or one in primary.warnings],
-        tiles=_tiles(primary),
+        tiles=_tiles(context),
         answer=answer(context),
         plant=prose.plant(report),
         laws=laws,
