@@ -245,7 +245,6 @@ class Made:
 
     def _fit(self, folder: Path) -> Path:
         folder.mkdir()
-        model = self._make_fit.make_model()
-        return Path(
-            write_fit_page(folder / "fit.html", model, self._make_fit.skewed(self._make_fit.make_departures(model)))
-        )
+        model, page = self._make_fit.make_model(), folder / "fit.html"
+        write_fit_page(page, model, self._make_fit.skewed(self._make_fit.make_departures(model)))
+        return page
