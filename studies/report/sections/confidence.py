@@ -83,7 +83,8 @@ def _convergence(context: Context) -> Iterator[Drawing]:
             Curve(f"{printable(row.title)}, {rank_text(row)}", style, context.S(row) - S_best)
             for row, style in zip(others, _styles(context, others), strict=True)
         ]
-        title, label = f"Paired difference to {table.best_name}", "Mean paired difference of S [m·s]"
+        beside = table.best_name if table.ranked or table.winner else "the lowest mean S"
+        title, label = f"Paired difference to {beside}", "Mean paired difference of S [m·s]"
         figure = convergence_figure(named, order, title, label)
         yield Drawing("convergence-difference", f"Running mean of the paired difference to {table.best_name}", figure)
 
