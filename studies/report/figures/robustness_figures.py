@@ -56,6 +56,7 @@ def bump_figure(lines: Sequence[Line], plants: Sequence[str]) -> Figure:
         width, height = 3.9 + 0.5 * len(plants), 1.75 + 0.33 * max(len(lines), 3)
         figure, axes = new_panel(width, height)
         x = np.arange(len(plants))
+        named: dict[tuple[float, float, str], list[str]] = {}  # designs of one rank share a place
         for line in lines:
             known = np.flatnonzero(np.isfinite(line.values))
             if not known.size:
@@ -63,9 +64,10 @@ def bump_figure(lines: Sequence[Line], plants: Sequence[str]) -> Figure:
             axes.plot(x, line.values, marker=line.style.marker, markersize=6, markeredgecolor="#ffffff",
                       markeredgewidth=0.7, **line.style.line())  # fmt: skip
             for at, shift, side in ((known[0], -0.25, "right"), (known[-1], 0.25, "left")):
-                text = wrap(line.label, 30).replace("\n", " ") if side == "left" else ""
-                axes.text(at + shift, line.values[at], text or _short(line.label), ha=side, va="center", fontsize=8.5,
-                          color="#222222")  # fmt: skip
+                text = wrap(line.label, 30).replace("\n", " ") if side == "left" else _short(line.label)
+                named.setdefault((at + shift, float(line.values[at]), side), []).append(text)
+        for (at, rank, side), texts in named.items():
+            axes.text(at, rank, "\n".join(texts), ha=side, va="center", fontsize=8.5, color="#222222", linespacing=1.0)
         most = max([1, *(int(np.nanmax(line.values)) for line in lines if np.isfinite(line.values).any())])
         axes.axvline(0.5, color="#767676", linewidth=0.8)
         axes.set_ylim(most + 0.6, 0.4)
