@@ -17,7 +17,8 @@ PAGES = (
 )  # fmt: skip
 
 SECTIONS = (
-    "answer", "ranking", "trade-offs", "landscape", "departures", "distributions", "confidence", "failures", "settings",
+    "answer", "ranking", "trade-offs", "landscape", "departures", "distributions", "confidence", "model", "robustness",
+    "failures", "settings",
 )  # fmt: skip
 
 
