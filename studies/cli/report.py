@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from studies.cli._console import Subparsers
-from studies.cli._robustness import add_option, robustness_of_study
+from studies.cli._report import add_report_options
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -14,17 +14,13 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "report",
         help="write the report of a study that was run",
-        description="Write DIR/report.html, DIR/ranking.csv and DIR/ranking.md from the stored results of a study.",
+        description="Write report.html, figures/, ranking.csv and ranking.md from the stored results of a study, into its "
+        "folder.",
     )
-    parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
-    add_option(parser)
     parser.add_argument(
-        "--departures",
-        action="append",
-        metavar="FILE.parquet",
-        help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
-        "generated ones with them; repeatable",
+        "study", metavar="STUDY", help="folder that ldc run wrote, or the name of a study that ran into out/NAME"
     )
+    add_report_options(parser)
     parser.add_argument(
         "--departure",
         action="append",
@@ -45,18 +41,24 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import source_departures, write_ranking, write_study_report
+    from studies.cli._report import ReportOptions, write_study_report
+    from studies.cli._results import write_ranking
     from studies.ranking.ranking import rank_study
     from studies.report.replay.asked import asked_departures, asked_designs
     from studies.storage.store import Store
 
-    source = source_departures(chosen.departures)
-    store = Store.open(chosen.folder)
+    options = ReportOptions.of(chosen, chosen.departure, chosen.design)
+    folder = _folder(chosen.study)
+    store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
-    asked_departures(results.drivable().scenarios, chosen.departure)  # refused before the work begins
-    asked_designs(results.designs, chosen.design)
-    rankings, folder = rank_study(results, study), Path(chosen.folder)
+    asked_departures(results.drivable().scenarios, options.departures)  # refused before the work begins
+    asked_designs(results.designs, options.designs)
+    rankings = rank_study(results, study)
     print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings)}")
-    asked = {"departures": chosen.departure, "shown_designs": chosen.design}
-    asked |= {"robustness": robustness_of_study(chosen, folder, study, results, rankings[0])}
-    print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, source, **asked)}")
+    print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, options)}")
+
+
+def _folder(name: str) -> Path:
+    """The folder itself, or where `ldc run` puts a study of that name by default."""
+    default = Path("out") / name
+    return default if not Path(name).exists() and (default / "manifest.json").exists() else Path(name)

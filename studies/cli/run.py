@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from studies.cli._console import Subparsers, number, positive_number
-from studies.cli._robustness import add_option, robustness_of_study
+from studies.cli._report import add_report_options
 
 if TYPE_CHECKING:
     from studies.running.progress import Progress
@@ -19,9 +19,9 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "run",
         help="run a study: rank designs, write the report",
-        description="Run every design of a study on the same scenarios. Writes DIR/report.html and DIR/ranking.csv; "
-        "running again into the same DIR computes only what is missing. Exit code 3: done, but the law of some design "
-        "failed; the ranking and the report name it.",
+        description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv and "
+        "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but the "
+        "law of some design failed; the ranking and the report name it.",
     )
     parser.add_argument(
         "study",
@@ -43,19 +43,12 @@ def add_parser(commands: Subparsers) -> None:
         help="seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)",
     )
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
-    add_option(parser)
+    add_report_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     parser.add_argument(
         "--json",
         action="store_true",
         help="one JSON object a line on stdout: progress, then the result; no bar and no table",
-    )
-    parser.add_argument(
-        "--departures",
-        action="append",
-        metavar="FILE.parquet",
-        help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
-        "generated ones with them; repeatable",
     )
     parser.set_defaults(run=run)
 
@@ -67,7 +60,8 @@ SOME_FAILED = 3
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from studies.cli._race_table import print_race
-    from studies.cli._results import print_rankings, source_departures, write_ranking, write_study_report
+    from studies.cli._report import ReportOptions, write_study_report
+    from studies.cli._results import print_rankings, write_ranking
     from studies.cli._summary import json_summary
     from studies.ranking.ranking import rank_study
     from studies.running.runner import TIME_LIMIT, run_study
@@ -75,7 +69,7 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.study_file.ready import load_study
 
     study = load_study(chosen.study)
-    source = source_departures(chosen.departures)
+    options = ReportOptions.of(chosen)
     folder = Path(chosen.output or Path("out") / study.name)
     results = run_study(
         study,
@@ -99,8 +93,7 @@ def run(chosen: argparse.Namespace) -> int:
         )
     # files last: what they are called is the last thing on the screen
     ranking_path = write_ranking(folder, study, manifest, results, rankings)
-    robustness = robustness_of_study(chosen, folder, study, results, rankings[0])
-    report_path = write_study_report(folder, study, manifest, results, rankings, source, robustness=robustness)
+    report_path = write_study_report(folder, study, manifest, results, rankings, options)
     if chosen.json:
         print(json_summary(results, rankings[0], manifest, ranking_path, report_path))
     else:

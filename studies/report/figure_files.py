@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from studies.report.look.style import figure_settings
-from studies.report.look.svg import file_svg
 from studies.report.section import Drawing
 from studies.storage.files import stored_file, write_text
 
@@ -39,7 +38,7 @@ def write_figures(drawings: Iterable[Drawing], folder: Path) -> tuple[Path, ...]
     written = []
     for drawing in drawings:
         path = folder / f"{drawing.name}.svg"
-        write_text(path, file_svg(drawing.figure))
+        write_text(path, drawing.document)
         picture = io.BytesIO()
         with figure_settings():
             drawing.figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": None})

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from studies.report.look.svg import inline_svg
+from studies.report.look.svg import file_svg, inline_document
 from studies.report.words.text import printable
 
 if TYPE_CHECKING:
@@ -36,10 +37,17 @@ class Drawing:
     figure: Figure
     note: Markup = dataclasses.field(default_factory=Markup)
 
+    @cached_property
+    def document(self) -> str:
+        """The figure as an SVG document, drawn once."""
+        document = file_svg(self.figure)
+        self.figure.set_layout_engine("none")  # the layout is found: what draws the figure again keeps it
+        return document
+
     @property
     def svg(self) -> Markup:
         """The figure as an ``svg`` element."""
-        return inline_svg(self.figure, self.name, printable(self.title))
+        return inline_document(self.document, self.name, printable(self.title))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -87,7 +87,7 @@ def needed_scenarios(n: int, difference: float, half_width: float, error: float)
     Examples
     --------
     >>> needed_scenarios(100, 0.5, 1.0, 0.5)
-    Needed(even=400.0, likely=1076.95...)
+    Needed(even=400.0, likely=1076.889856)
     """
     if difference == 0.0 or not math.isfinite(half_width):
         return Needed(math.inf, math.inf)

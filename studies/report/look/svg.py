@@ -38,9 +38,14 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
     Markup
         ``<svg role="img" ...>``; its text stays text, in the page's own font.
     """
+    return inline_document(file_svg(figure), prefix, title)
+
+
+def inline_document(document: str, prefix: str, title: str) -> Markup:
+    """`inline_svg` of a figure that was drawn already, by `file_svg`."""
     from markupsafe import Markup
 
-    root = ET.fromstring(file_svg(figure))
+    root = ET.fromstring(document)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
         for key in list(element.attrib):

@@ -122,7 +122,7 @@ def source_of_side(
         return Source(
             "none",
             reason="The model’s file sums up all of its source departures and not those that meet the study’s "
-            "conditions; a departures table (--departures) would be compared under them",
+            "conditions; a departures table (--source) would be compared under them",
         )
     return Source("summary", summary.departures, summary.effective, summary=summary)
 

@@ -44,7 +44,7 @@ def section(context: Context) -> Section:
 
 
 def default_axes(context: Context) -> tuple[str, str]:
-    """Two figures of the study's Pareto front that tell designs apart; without one, S and what passengers feel of it."""
+    """Two figures of the study's Pareto front that tell designs apart; without one, S and what passengers feel."""
     figures = tuple(dict.fromkeys(context.ranking.pareto_figures))
     if len(figures) < 2:
         return ("S", "a_y_peak_p95") if figures in ((), ("S",)) else ("S", figures[0])

@@ -1,0 +1,120 @@
+"""The report of a study's folder, as the commands that write one need it."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from ldctoolkit.departures import Departures
+    from studies.ranking.ranking import Ranking
+    from studies.results import StudyResults
+    from studies.robustness.robustness import Robustness
+    from studies.storage.manifest import Manifest
+    from studies.study_file.spec import Study
+
+
+def add_report_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what every command that writes a report takes."""
+    parser.add_argument(
+        "--source",
+        action="append",
+        metavar="FILE.parquet",
+        help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
+        "generated ones with them; repeatable",
+    )
+    parser.add_argument(
+        "--no-robustness",
+        action="store_true",
+        help="leave out the report's section on other plants: a few designs are driven again on each of them, which "
+        "takes some seconds the first time",
+    )
+    parser.add_argument(
+        "--no-figures", action="store_true", help="write no figures/: the report's figures as SVG and PNG files"
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportOptions:
+    """What the command line says of the report.
+
+    Attributes
+    ----------
+    source : Departures or None
+        What the scenario model was fitted to.
+    robustness : bool
+        Whether to drive designs on other plants.
+    figures : bool
+        Whether to write the figures as files.
+    departures : tuple of int
+        Scenario numbers to be put into the explorer.
+    designs : tuple of str
+        Beginnings of ids of designs to be put into the explorer.
+    """
+
+    source: Departures | None = None
+    robustness: bool = True
+    figures: bool = True
+    departures: tuple[int, ...] = ()
+    designs: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, chosen: argparse.Namespace, departures: Sequence[int] = (), designs: Sequence[str] = ()) -> Self:
+        """Read what the options name.
+
+        Raises
+        ------
+        LdcError
+            If a table of departures cannot be read.
+        """
+        source = None
+        if chosen.source:
+            from ldctoolkit.scenario_model import read_all_departures
+
+            source = read_all_departures(chosen.source)[0]
+        return cls(source, not chosen.no_robustness, not chosen.no_figures, tuple(departures), tuple(designs))
+
+
+def write_study_report(
+    folder: Path,
+    study: Study,
+    manifest: Manifest,
+    results: StudyResults,
+    rankings: tuple[Ranking, ...],
+    options: ReportOptions,
+) -> Path:
+    """Write DIR/report.html and DIR/figures/.
+
+    Raises
+    ------
+    StoreError
+        If one cannot be written.
+    """
+    from ldctoolkit.errors import StoreError
+    from studies.report import write_report
+    from studies.report.of_study import report_input
+
+    report = report_input(
+        folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
+        shown_designs=options.designs,
+        robustness=_robustness(folder, study, results, rankings[0]) if options.robustness else None,
+    )  # fmt: skip
+    path = folder / "report.html"
+    try:
+        return write_report(report, path, figures=folder / "figures" if options.figures else None)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
+    """What DIR/robustness.json holds, worked out first where need be; None where there is nothing to drive."""
+    if not results.designs or not results.drivable().scenarios.n:
+        return None
+    from studies.robustness.robustness import RobustnessTask
+    from studies.robustness.setting import Setting
+    from studies.robustness.stored import robustness_of
+
+    return robustness_of(folder, RobustnessTask.of(results, ranking, Setting.of(study, ranking.case)))

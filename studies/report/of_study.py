@@ -1,0 +1,127 @@
+"""What a report shows of a study that was run: everything that its folder and its study file tell."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ldctoolkit.departures import Departures
+from studies.ranking.ranking import Ranking
+from studies.report.inputs import ReportInput
+from studies.results import StudyResults
+from studies.robustness.robustness import Robustness
+from studies.sensitivity.sensitivity import sensitivity
+from studies.storage.manifest import Manifest
+from studies.storage.model_notes import WARNING
+from studies.storage.stored_model import read_model
+from studies.study_file.plant_table import plant_settings
+from studies.study_file.spec import Study
+from studies.study_file.toml_text import toml_text
+
+
+def report_input(
+    folder: Path,
+    study: Study,
+    manifest: Manifest,
+    results: StudyResults,
+    rankings: tuple[Ranking, ...],
+    *,
+    source: Departures | None = None,
+    departures: Sequence[int] = (),
+    shown_designs: Sequence[str] = (),
+    robustness: Robustness | None = None,
+) -> ReportInput:
+    """Gather the input of a report.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    study : Study
+    manifest : Manifest
+    results : StudyResults
+    rankings : tuple of Ranking
+        One a case.
+    source : Departures, optional
+        What the scenario model was fitted to.
+    departures : sequence of int
+        Scenario numbers to be put into the explorer.
+    shown_designs : sequence of str
+        Beginnings of ids of designs to be put into the explorer.
+    robustness : Robustness, optional
+        Numbers on other plants.
+
+    Raises
+    ------
+    StoreError
+        If the folder's scenario model is broken.
+    """
+    return ReportInput(
+        title=study.title or study.name,
+        study_name=study.name,
+        results=results,
+        rankings=rankings,
+        vehicle=study.vehicle,
+        dt=study.simulation.dt,
+        initial_yaw_rate=study.simulation.initial_yaw_rate,
+        options=study.plant,
+        settle=study.simulation.settle,
+        seed=study.seed,
+        settings=tuple(_settings(study, manifest)),
+        versions=tuple(_versions(manifest)),
+        model_notes=manifest.model_notes,
+        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
+        synthetic=manifest.model_synthetic,
+        command=manifest.command,
+        sensitivity=sensitivity(results, study),
+        robustness=robustness,
+        study_file=toml_text(study),
+        model=read_model(folder, manifest),
+        model_name=manifest.model,
+        given=study.scenarios.given,
+        source_departures=source,
+        departures=tuple(departures),
+        shown_designs=tuple(shown_designs),
+    )
+
+
+def _of_the_model(manifest: Manifest) -> Iterator[str]:
+    """What the fit of the scenario model warned of, in one sentence."""
+    notes = [note.removeprefix(WARNING) for note in manifest.model_notes if note.startswith(WARNING)]
+    if notes:
+        yield f"Of the scenario model: {'; '.join(notes)}."
+
+
+def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield "study", f"{study.name} (content {manifest.study_hash})"
+    yield "scenario model", f"{manifest.model} (content {manifest.model_hash[:16]})"
+    yield "scenarios", f"{study.scenarios.left} left, {study.scenarios.right} right"
+    yield "seed", str(study.seed)
+    yield "designs", str(len(study.designs))
+    yield "sample time dt", f"{study.simulation.dt:g} s"
+    yield "windows of S", ", ".join(study.simulation.window)
+    yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
+    yield "initial yaw rate", study.simulation.initial_yaw_rate
+    yield "settling after the end", f"{study.simulation.settle:g} s"
+    yield "plant", "ideal" if study.plant.ideal else "not ideal"
+    yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
+    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
+    for field in dataclasses.fields(study.vehicle):
+        yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
+    yield "deep departures, D_y", f"{study.report.D_y:g} m"
+    yield "bootstrap", f"{study.ranking.bootstrap} resamples, {100 * study.ranking.confidence:g} % intervals"
+    yield "baseline", study.ranking.baseline or "no control, where it is among the designs"
+    yield "requirements", ", ".join(study.ranking.require) or "none"
+    yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
+    yield "finalists on fresh departures", f"{study.ranking.finalists} at most"
+    yield "race", "yes" if study.race else "no"
+    yield "finished", manifest.finished or "not finished"
+    yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
+
+
+def _versions(manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield from manifest.versions.items()
+    yield "Python", manifest.python
+    machine = manifest.machine
+    yield "machine", f"{machine.system}, {machine.architecture}, {machine.processor}, {machine.cores} cores"
