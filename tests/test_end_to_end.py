@@ -124,6 +124,6 @@ def test_planted_departures_to_a_report(tmp_path: Path) -> None:
     assert sampled.stdout
     assert pl.read_csv(tmp_path / "s.csv").height == 50
     (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
-    ldc("run", "small.toml", "-o", "out", "--workers", "1", cwd=tmp_path)
+    ldc("run", "small.toml", "-o", "out", "--workers", "1", "--no-robustness", "--no-figures", cwd=tmp_path)
     check_study(tmp_path / "out", designs=6)
     ldc("rank", "out", cwd=tmp_path)

@@ -61,7 +61,20 @@ def test_the_command_uses_its_own_packages(user_folder: Path, path: str | None) 
 
 @pytest.mark.slow
 def test_workers_use_the_toolkits_packages(user_folder: Path) -> None:
-    done = python("-m", "ldctoolkit", "run", "s.toml", "-o", "o", "--workers", "2", cwd=user_folder, path=".")
+    done = python(
+        "-m",
+        "ldctoolkit",
+        "run",
+        "s.toml",
+        "-o",
+        "o",
+        "--workers",
+        "2",
+        "--no-robustness",
+        "--no-figures",
+        cwd=user_folder,
+        path=".",
+    )
     assert done.returncode == 0, done.stderr
     assert (user_folder / "o" / "report.html").is_file()
 
@@ -76,7 +89,19 @@ def test_workers_that_start_afresh_use_the_toolkits_packages(user_folder: Path) 
         "    multiprocessing.set_start_method('spawn')\n"
         "    sys.exit(main())\n"
     )
-    done = python("main.py", "run", "s.toml", "-o", "o", "--workers", "2", cwd=user_folder, path=".")
+    done = python(
+        "main.py",
+        "run",
+        "s.toml",
+        "-o",
+        "o",
+        "--workers",
+        "2",
+        "--no-robustness",
+        "--no-figures",
+        cwd=user_folder,
+        path=".",
+    )
     assert done.returncode == 0, done.stderr
 
 

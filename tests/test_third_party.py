@@ -76,7 +76,20 @@ def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) ->
     assert listed.returncode == 0, listed.stderr
     assert "K_rate" in listed.stdout
 
-    ran = process("-m", "ldctoolkit", "run", "sweep.toml", "-o", "out", "--workers", "2", cwd=project, env=env)
+    ran = process(
+        "-m",
+        "ldctoolkit",
+        "run",
+        "sweep.toml",
+        "-o",
+        "out",
+        "--workers",
+        "2",
+        "--no-robustness",
+        "--no-figures",
+        cwd=project,
+        env=env,
+    )
     assert ran.returncode == 0, ran.stderr
     assert "Offset" in ran.stdout
     rows = ranking(project / "out")
@@ -180,7 +193,20 @@ def broken(project: Path) -> Path:
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_broken_laws_are_named_and_stop_nothing(broken: Path, tmp_path: Path, workers: str) -> None:
     env = install(broken, tmp_path / "site")
-    ran = process("-m", "ldctoolkit", "run", "sweep.toml", "-o", "out", "--workers", workers, cwd=broken, env=env)
+    ran = process(
+        "-m",
+        "ldctoolkit",
+        "run",
+        "sweep.toml",
+        "-o",
+        "out",
+        "--workers",
+        workers,
+        "--no-robustness",
+        "--no-figures",
+        cwd=broken,
+        env=env,
+    )
     assert ran.returncode == 3, ran.stderr
     assert "Traceback" not in ran.stderr
     assert "8 designs failed and are not ranked:" in ran.stdout
@@ -204,7 +230,20 @@ def test_broken_laws_are_named_and_stop_nothing(broken: Path, tmp_path: Path, wo
     parts = {path: path.stat().st_mtime_ns for path in (broken / "out" / "results").iterdir()}
     text = BROKEN.replace("return Law(self.how)", "return Law('no_number')")
     (broken / "lane_laws" / "broken.py").write_text(text, encoding="utf-8")
-    ran = process("-m", "ldctoolkit", "run", "sweep.toml", "-o", "out", "--workers", workers, cwd=broken, env=env)
+    ran = process(
+        "-m",
+        "ldctoolkit",
+        "run",
+        "sweep.toml",
+        "-o",
+        "out",
+        "--workers",
+        workers,
+        "--no-robustness",
+        "--no-figures",
+        cwd=broken,
+        env=env,
+    )
     assert ran.returncode == 0, ran.stderr
     assert parts.items() <= {path: path.stat().st_mtime_ns for path in (broken / "out" / "results").iterdir()}.items()
     assert not any(row["failure"] for row in ranking(broken / "out"))

@@ -123,7 +123,7 @@ def test_from_recordings_to_a_report(tmp_path: Path) -> None:
 
     # the same folder with another model is refused, with the same one it resumes
     assert "holds another study (tiny): model: m.json" in bad("run", "s.toml", "-o", "o", cwd=tmp_path)
-    good("run", "s.toml", "--model", "m.json", "-o", "o", "--quiet", cwd=tmp_path)
+    good("run", "s.toml", "--model", "m.json", "-o", "o", "--quiet", "--no-robustness", "--no-figures", cwd=tmp_path)
 
 
 def test_a_fit_keeps_to_the_criteria_of_the_extraction(tmp_path: Path) -> None:
@@ -351,7 +351,9 @@ def test_the_stored_command_holds_no_absolute_path(tmp_path: Path, form: str) ->
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
     folder = tmp_path / "deep" / "out"
     words = [form, str(folder)] if form == "-o" else [form.replace("X", "") + str(folder)]
-    good("run", tmp_path / "s.toml", *words, "--workers", "1", "--quiet", cwd=tmp_path)
+    good(
+        "run", tmp_path / "s.toml", *words, "--workers", "1", "--quiet", "--no-robustness", "--no-figures", cwd=tmp_path
+    )
     command = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["command"]
     assert command.startswith("ldc run s.toml ")
     assert "/" not in command

@@ -269,7 +269,7 @@ def study_file(tmp_path: Path) -> Path:
 
 def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert main(["run", str(study_file), "-o", str(out), "--workers", "1"]) == 3
+    assert main(["run", str(study_file), "-o", str(out), "--workers", "1", "--no-robustness", "--no-figures"]) == 3
     said = capsys.readouterr()
     assert "2 designs failed and are not ranked:" in said.out
     assert "(Broken step, y_s=0.05 m, K=1): IndexError: no [row] " in said.out  # brackets are no markup
@@ -434,7 +434,10 @@ def test_words_of_a_law_are_no_markup(
     assert " [rad] " in said
     assert "ends [/m] and :car: [rad]" in said
 
-    assert main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert (
+        main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1", "--no-robustness", "--no-figures"])
+        == 0
+    )
     said = capsys.readouterr().out
     assert "Odd [/b] [red]law, y_s=0.05 m, K=1 in" in said  # the warning
     assert "[m s]" in said  # a heading

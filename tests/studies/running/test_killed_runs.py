@@ -46,7 +46,19 @@ k = [1.0, 2.0]
 
 def start(folder: Path, name: str, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "-o", name, "--quiet", *words],
+        [
+            sys.executable,
+            "-m",
+            "ldctoolkit",
+            "run",
+            "s.toml",
+            "-o",
+            name,
+            "--quiet",
+            "--no-robustness",
+            "--no-figures",
+            *words,
+        ],
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
