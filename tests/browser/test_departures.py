@@ -130,7 +130,7 @@ def test_the_pointer_moves_the_time(explorer: Explorer) -> None:
 def test_a_design_chosen_elsewhere_is_drawn(explorer: Explorer) -> None:
     def choose(place: int) -> None:
         explorer.page.evaluate(
-            "(k) => document.dispatchEvent(new CustomEvent('ldc:design', {detail: {place: k}}))", place
+            "(k) => document.dispatchEvent(new CustomEvent('ldc:departures', {detail: {place: k}}))", place
         )
 
     for k in range(explorer.boxes.count()):

@@ -199,7 +199,7 @@
   });
   zoom.addEventListener("change", draw);
   time.addEventListener("input", clock);
-  document.addEventListener("ldc:design", function (event) {
+  document.addEventListener("ldc:departures", function (event) {
     var d = data.designs.findIndex(function (one) { return one.place === event.detail.place; });
     var said = "";
     if (d < 0) said = "The explorer holds no paths of that design; the report can be written again with its id after --design.";

@@ -118,7 +118,8 @@
       el("p", {}, [el("code", {}, one.law), " · design ", el("code", {}, one.id)].concat(LDC.table.tags(i))),
       requirements(i), compared(i),
       el("div", { "class": "controls" }, el("button", { type: "button", click: function () {
-        back = document.getElementById("departures");  // The explorer there heard of the design when it was chosen.
+        back = document.getElementById("departures");
+        document.dispatchEvent(new CustomEvent("ldc:departures", { detail: { place: i } }));
         dialog.close();
       }, hidden: !document.getElementById("departures") }, "Show in departures")),
       gainsTable(i), figuresTable(i),

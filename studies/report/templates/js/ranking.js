@@ -78,6 +78,21 @@
     if (page * size >= order.length) page = 0;
     draw();
   }
+  // On paper a page of the table is a hundred designs at least.
+  var kept = null;
+  window.addEventListener("beforeprint", function () {
+    if (kept === null) kept = [page, size];
+    page = 0;
+    size = Math.max(size, 100);
+    draw();
+  });
+  window.addEventListener("afterprint", function () {
+    if (kept === null) return;
+    page = kept[0];
+    size = kept[1];
+    kept = null;
+    draw();
+  });
   LDC.filters.onchange(function () { page = 0; update(); });
   LDC.filters.onreset = function () { sort = { key: "rank", down: false }; page = 0; };
   update();
