@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import importlib.resources
 from collections.abc import Iterator
 
-import jinja2
 from markupsafe import Markup
 
 from studies.compare_page import figures, sentences, table
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.report.embedded.packed import script_json
-from studies.report.rendering import asset
+from studies.report.rendering import asset, render
 from studies.report.section import Drawing
 from studies.report.words import text
 from studies.results import FailedDesign
+
+_PACKAGE = "studies.compare_page"
 
 SECTIONS = (
     ("answer", "Answer"),
@@ -59,32 +58,6 @@ class CaseTexts:
     laws: tuple[str, ...]
 
 
-@functools.cache
-def _environment() -> jinja2.Environment:
-    loaders = [jinja2.PackageLoader(package) for package in ("studies.compare_page", "studies.report")]
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(loaders),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {
-        "number": text.number,
-        "percent": text.percent,
-        "symbols": text.symbols,
-        "printable": text.printable,
-    }
-    environment.globals |= {"plural": text.plural}
-    return environment
-
-
-def _own(name: str) -> Markup:
-    """A file under ``templates/``, one of our own and not a user's: it goes into the page as it is."""
-    folder = importlib.resources.files("studies.compare_page") / "templates"
-    return Markup((folder / name).read_text(encoding="utf-8"))
-
-
 def make_page(comparison: Comparison) -> str:
     """The page as one HTML document; the same comparison gives the same text.
 
@@ -99,10 +72,10 @@ def make_page(comparison: Comparison) -> str:
     cases = tuple(_texts(comparison, case) for case in comparison.cases)
     data = {"compare": {"verdicts": [str(v) for v in table.VERDICTS], "marks": [table.MARKS[v] for v in table.VERDICTS],
                         "cases": table.table_data(comparison)}}  # fmt: skip
-    return (
-        _environment()
-        .get_template("compare.html")
-        .render(
+    return str(
+        render(
+            "compare.html",
+            _PACKAGE,
             comparison=comparison,
             sections=SECTIONS,
             lead=sentences.lead(comparison),
@@ -114,8 +87,8 @@ def make_page(comparison: Comparison) -> str:
             most_changed=figures.MOST_CHANGED,
             most_static=table.MOST_STATIC,
             most_listed=MOST_LISTED,
-            style=Markup("\n").join((asset("report.css"), _own("compare.css"))),
-            script=Markup("\n").join((asset("js/ldc.js"), _own("js/compare.js"))),
+            style=Markup("\n").join((asset("report.css"), asset("compare.css", _PACKAGE))),
+            script=Markup("\n").join((asset("js/ldc.js"), asset("js/compare.js", _PACKAGE))),
             data=Markup(script_json(data)),
         )
     )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.resources
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jinja2
 import numpy.typing as npt
 from markupsafe import Markup
 
@@ -21,6 +19,7 @@ from studies.fit_page import content, figures, figures_pairs
 from studies.fit_page.picture import picture
 from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS
 from studies.report.look.svg import inline_svg, line_sample
+from studies.report.rendering import asset, render
 from studies.report.words import text
 from studies.storage.files import stored_file, write_text
 from studies.storage.model_notes import WARNING, model_notes
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Progress = Callable[[str, int, int], None]
+
+_PACKAGE = "studies.fit_page"
 
 SECTIONS = (
     ("warnings", "Warnings"),
@@ -124,43 +125,11 @@ def _selection(panel: _Panels, sides: tuple[content.Side, ...]) -> list[Panel]:
     return out
 
 
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("studies.fit_page"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {
-        "number": text.number,
-        "signed": text.signed,
-        "percent": text.percent,
-        "symbols": text.symbols,
-        "printable": text.printable,
-        "compact": text.compact,
-    }
-    environment.globals |= {
-        "plural": text.plural,
-        "verdict": content.verdict,
-        "bounds_of": content.parameters_text,
-        "is_off": strip_is_off,
-    }
-    return environment
-
-
 def _style() -> Markup:
-    # our own files, not a user's: they go into <style> as they are
-    parts = (("studies.report", "report.css"), ("studies.fit_page", "fit.css"))
-    return Markup(
-        "\n".join(
-            (importlib.resources.files(package) / "templates" / name).read_text(encoding="utf-8")
-            for package, name in parts
-        )
-    )
+    return Markup("\n").join((asset("report.css"), asset("fit.css", _PACKAGE)))
 
 
-def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
+def render_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
     """The page as one HTML document; the same input gives the same text.
 
     Parameters
@@ -180,7 +149,12 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: b
     """
     sides = content.sides_of(model, found)
     panel = _Panels()
-    return _environment().get_template("fit.html").render(
+    html = render(
+        "fit.html",
+        _PACKAGE,
+        verdict=content.verdict,
+        bounds_of=content.parameters_text,
+        is_off=strip_is_off,
         sections=SECTIONS,
         style=_style(),
         colors=COLORS,
@@ -211,6 +185,7 @@ def render(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: b
             if len(side.found.names) > 1
         },
     )  # fmt: skip
+    return str(html)
 
 
 def write_page(
@@ -226,7 +201,7 @@ def write_page(
 ) -> None:
     """Check, render and write; see `studies.fit_page.write_fit_page`."""
     found = diagnose_model(model, departures, seed=seed, weights=weights, progress=progress)
-    page = render(model, found, seed=seed, drawn=drawn)
+    page = render_page(model, found, seed=seed, drawn=drawn)
     image = None if png is None else picture(content.sides_of(model, found))
     write_text(target, page)
     if png is not None and image is not None:

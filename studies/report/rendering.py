@@ -1,4 +1,4 @@
-"""Templates of the report, and what they may call."""
+"""Templates of the report and its sister pages, and what they may call."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from markupsafe import Markup
 from studies.report.tables.row import is_baseline
 from studies.report.words import prose, text
 
+_REPORT = "studies.report"
+
 
 @functools.cache
-def _environment() -> jinja2.Environment:
+def _environment(package: str) -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("studies.report"),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(name) for name in dict.fromkeys((package, _REPORT))]),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -40,11 +42,20 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def render(template: str, **values: object) -> Markup:
-    """A template under ``templates/`` as HTML; every string in `values` is escaped unless it is Markup."""
-    return Markup(_environment().get_template(template).render(**values))
+def render(template: str, package: str = _REPORT, **values: object) -> Markup:
+    """A template as HTML; every string in `values` is escaped unless it is Markup.
+
+    Parameters
+    ----------
+    template : str
+        Name under ``templates/`` of the package, or of the report.
+    package : str
+    **values
+        What the template asks for.
+    """
+    return Markup(_environment(package).get_template(template).render(**values))
 
 
-def asset(name: str) -> Markup:
+def asset(name: str, package: str = _REPORT) -> Markup:
     """A file under ``templates/``, one of our own and not a user's: it goes into the page as it is."""
-    return Markup((importlib.resources.files("studies.report") / "templates" / name).read_text(encoding="utf-8"))
+    return Markup((importlib.resources.files(package) / "templates" / name).read_text(encoding="utf-8"))
