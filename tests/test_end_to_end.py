@@ -39,11 +39,14 @@ def check_study(folder: Path, designs: int) -> None:
     for section in (
         "answer",
         "ranking",
+        "trade-offs",
         "limits",
         "landscape",
-        "sides",
-        "paths",
-        "convergence",
+        "departures",
+        "distributions",
+        "confidence",
+        "model",
+        "robustness",
         "failures",
         "settings",
     ):

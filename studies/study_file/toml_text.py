@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,7 +45,9 @@ def _on_one_line(found: re.Match[str]) -> str:
 
 
 def _without_none(value: Any) -> Any:
-    """TOML has no null: what is not set is left out."""
+    """TOML has no null: what is not set is left out, and the open end of a range is infinite."""
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None}
-    return [_without_none(item) for item in value] if isinstance(value, list) else value
+    if isinstance(value, list):
+        return [(-math.inf, math.inf)[bool(i)] if item is None else _without_none(item) for i, item in enumerate(value)]
+    return value

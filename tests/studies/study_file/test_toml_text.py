@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from studies.study_file.ready import catalog_names, load_study
+from studies.study_file.spec import Study
 from studies.study_file.toml_text import toml_text
 
 
@@ -25,6 +26,14 @@ def test_hard_text_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "first.toml"
     path.write_text(toml_text(load_study("paper").model_copy(update={"title": title})), encoding="utf-8")
     assert load_study(str(path)).title == title
+
+
+@pytest.mark.parametrize("given", [(25.0, None), (None, 25.0), 25.0])
+def test_conditions_with_an_open_end_come_back(given: object, tmp_path: Path) -> None:
+    study = Study.from_dict({**load_study("paper").content(), "scenarios": {"left": 3, "given": {"v_mean": given}}})
+    path = tmp_path / "given.toml"
+    path.write_text(toml_text(study), encoding="utf-8")
+    assert load_study(str(path)).content() == study.content()
 
 
 def test_lists_stand_on_a_line_and_texts_keep_their_spaces(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ PRIMARY = Case("departure", "consistent")
 @pytest.fixture(autouse=True)
 def _undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes seconds and has its own tests."""
-    monkeypatch.setattr("studies.report.section.inline_svg", lambda *_: Markup("<svg></svg>"))
+    monkeypatch.setattr("studies.report.section.Drawing.svg", Markup("<svg></svg>"))
 
 
 class Text(HTMLParser):
