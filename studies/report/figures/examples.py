@@ -10,8 +10,6 @@ from studies.report.replay.paths import DesignPaths, Replay
 from studies.report.replay.picks import REDUCTIONS, SIDE_NAMES, reductions
 from studies.report.words.text import number, printable
 
-__all__ = ["SIDE_NAMES", "examples"]
-
 
 def examples(context: Context, replayed: Replay) -> tuple[Example, ...]:
     """Examples of departures in which the first design took over, the left side first.
