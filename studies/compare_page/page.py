@@ -10,6 +10,7 @@ from markupsafe import Markup
 from studies.compare_page import figures, sentences, table
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
+from studies.ranking.sentences import SCORE
 from studies.report.embedded.packed import script_json
 from studies.report.rendering import asset, render
 from studies.report.section import Drawing
@@ -77,6 +78,7 @@ def make_page(comparison: Comparison) -> str:
             "compare.html",
             _PACKAGE,
             comparison=comparison,
+            score=SCORE.replace("'", "\u2019"),
             sections=SECTIONS,
             lead=sentences.lead(comparison),
             cases=cases,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from studies.ranking.markdown_text import markdown_table, markdown_text
-from studies.ranking.sentences import failures, marks, ranking_sentences
+from studies.ranking.sentences import SCORE, failures, marks, ranking_sentences
 from studies.storage.files import write_text
 
 if TYPE_CHECKING:
@@ -109,9 +109,11 @@ def _blocks(rankings: Sequence[Ranking], head: StudyHead) -> Iterator[str]:
     yield _table(first, places)
     if len(places) < len(first):
         yield f"{len(places):,} of {len(first):,} designs; all of them are in `ranking.csv`.\n"
+    window = "the whole departure" if first.case.window == "departure" else "the time under control"
     yield (
-        "S is the area beyond the lane line. Intervals stand in parentheses, for all designs of a column at once. "
-        "Reduction: against no control. Failed: scenarios, which count at least as bad as without control.\n"
+        f"{markdown_text(SCORE)}; here over {window}. Intervals stand in parentheses, for all designs of a column at "
+        "once. Reduction: against no control, on the scenarios that designs were chosen on. Failed: scenarios, which "
+        "count at least as bad as without control.\n"
     )
     if first.failed:
         yield "## Failed designs\n"

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
     from studies.ranking.ranking import Ranking
+
+SCORE: Final = (
+    "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"
+)
+"""What every score means; no full stop, the window may follow."""
 
 
 def ranking_sentences(ranking: Ranking) -> Iterator[str]:
@@ -75,13 +80,23 @@ def _winner(ranking: Ranking) -> str:
 
 
 def _gains(ranking: Ranking, i: int) -> Iterator[str]:
-    share = float(ranking.reduction[i])
-    if np.isfinite(share) and not ranking.designs[i].is_baseline:
+    b, fresh_share = ranking.baseline, float(ranking.fresh_reduction[i])
+    known = b is not None and b != i and np.isfinite(fresh_share)
+    if b is not None and known:
         yield (
-            f"Against no control ({ranking.S_uncorrected[i]:.4f} m s) that is {100.0 * abs(share):.1f} % "
-            f"{'less' if share >= 0 else 'more'} on the scenarios that designs were chosen on."
+            f"On the same scenarios that is {_change(fresh_share)} than {ranking.designs[b].label} "
+            f"({ranking.fresh_S[b]:.4f} m s)."
         )
-    b = ranking.baseline
+    share = float(ranking.reduction[i])
+    told = b is not None and known and ranking.designs[b].is_baseline
+    if np.isfinite(share) and not told and not ranking.designs[i].is_baseline:
+        if np.isfinite(ranking.fresh_S[i]):
+            yield (
+                f"On the scenarios that designs were chosen on it has mean S {ranking.S[i]:.4f} m s, {_change(share)} "
+                f"than no control ({ranking.S_uncorrected[i]:.4f} m s)."
+            )
+        else:
+            yield f"That is {_change(share)} than no control ({ranking.S_uncorrected[i]:.4f} m s)."
     if b is None or b == i:
         return
     fresh = bool(np.isfinite(ranking.fresh_baseline_difference[i]))
@@ -104,6 +119,10 @@ def _set_of_best(ranking: Ranking) -> Iterator[str]:
         yield f"Set of best: {size:,} designs, which these scenarios do not tell apart; it holds the best with {level}."
     else:
         yield f"Set of best: one design; with {level} no other ranked design is better."
+
+
+def _change(reduction: float) -> str:
+    return f"{100.0 * abs(reduction):.1f} % {'less' if reduction >= 0 else 'more'}"
 
 
 def _count(number: int, one: str) -> str:

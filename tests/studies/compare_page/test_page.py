@@ -155,6 +155,12 @@ def test_the_answer_says_winners_and_counts(comparison: Comparison) -> None:
     assert "Preview P" in page.text["only"]
 
 
+def test_says_what_the_score_is(comparison: Comparison) -> None:
+    text = Parsed(make_page(comparison)).text["answer"]
+    assert "S is the integral over time of |ey|, the distance of the vehicle’s centre from the lane’s centre" in text
+    assert "beyond the line" not in text
+
+
 def test_one_file_with_all_sections_that_asks_the_network_for_nothing(comparison: Comparison) -> None:
     page = make_page(comparison)
     parsed = Parsed(page)

@@ -1,0 +1,86 @@
+"""What a ranking says: each figure belongs to the scenarios that the sentence names."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ldctoolkit import Scenarios
+from ldctoolkit.metrics import Companions
+from studies import Case, CaseResults, Design, Ranking, StudyResults
+from studies.ranking.sentences import SCORE, ranking_sentences
+
+NONE = Design.from_gains("none", 0.1, {})
+LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))
+
+
+def results_of(shift: float, designs: tuple[Design, ...], fresh: StudyResults | None = None) -> StudyResults:
+    """No control has 4 m s, the designs 1, 2, ... m s, all moved by a shift and with a little noise."""
+    n = 60
+    noise = 0.01 * np.random.default_rng(1).normal(size=(len(designs), n))
+    S = np.array([4.0 if one.is_baseline else 1.0 + k for k, one in enumerate(designs)])[:, None] + shift + noise
+    case = CaseResults(
+        case=Case("departure", "consistent"),
+        S=S,
+        S_uncorrected=np.full(S.shape, 4.0 + shift),
+        status=np.zeros(S.shape, dtype=np.int8),
+        companions=Companions(**{f.name: np.ones(S.shape, np.float32) for f in dataclasses.fields(Companions)}),
+        failed_solves=np.zeros(S.shape, dtype=np.int32),
+        law_time=np.full(len(designs), np.nan),
+    )
+    side = np.where(np.arange(n) < 30, 1, -1)
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side)
+    return StudyResults(designs, scenarios, (case,), fresh=fresh)
+
+
+def said(results: StudyResults, baseline: str = "") -> tuple[Ranking, list[str]]:
+    ranking = Ranking.of(results, results.cases[0], bootstrap=100, baseline=baseline)
+    return ranking, list(ranking_sentences(ranking))
+
+
+def test_score_is_the_integral_of_the_distance_from_the_centre() -> None:
+    assert "integral over time of |e_y|" in SCORE
+    assert "centre" in SCORE
+    assert "beyond" not in SCORE
+
+
+def test_on_the_same_scenarios_without_fresh_ones() -> None:
+    ranking, sentences = said(results_of(0.0, (*LAWS, NONE)))
+    share = 100 * (1 - ranking.S[0] / 4.0)
+    assert sentences[1] == f"That is {share:.1f} % less than no control (4.0000 m s)."
+
+
+def test_a_fresh_score_is_compared_with_fresh_no_control() -> None:
+    """On the fresh scenarios no control has 8 m s: the share is that of 5 to 8, and 4 m s is not mentioned."""
+    designs = (*LAWS, NONE)
+    ranking, sentences = said(results_of(0.0, designs, results_of(4.0, designs)))
+    assert ranking.winner == 0
+    assert f"mean S {ranking.fresh_S[0]:.4f} m s on 60 fresh scenarios" in sentences[0]
+    none = ranking.fresh_S[2]
+    assert abs(none - 8.0) < 0.01
+    assert sentences[1] == (
+        f"On the same scenarios that is {100 * (1 - ranking.fresh_S[0] / none):.1f} % less than "
+        f"{NONE.label} ({none:.4f} m s)."
+    )
+    assert "37.5 %" in sentences[1] or "37.4 %" in sentences[1] or "37.6 %" in sentences[1]
+    assert "4.0000" not in " ".join(sentences)
+
+
+def test_without_fresh_no_control_both_figures_are_those_of_the_search() -> None:
+    ranking, sentences = said(results_of(0.0, LAWS, results_of(4.0, LAWS)))
+    assert ranking.baseline is None
+    share = 100 * (1 - ranking.S[0] / 4.0)
+    assert sentences[1] == (
+        f"On the scenarios that designs were chosen on it has mean S {ranking.S[0]:.4f} m s, {share:.1f} % less than "
+        "no control (4.0000 m s)."
+    )
+
+
+def test_a_law_as_baseline_is_compared_on_the_fresh_scenarios() -> None:
+    ranking, sentences = said(results_of(0.0, LAWS, results_of(4.0, LAWS)), baseline=LAWS[1].id)
+    share = 100 * (1 - ranking.fresh_S[0] / ranking.fresh_S[1])
+    assert sentences[1] == (
+        f"On the same scenarios that is {share:.1f} % less than {LAWS[1].label} ({ranking.fresh_S[1]:.4f} m s)."
+    )
+    assert sentences[2].startswith("On the scenarios that designs were chosen on it has mean S")
