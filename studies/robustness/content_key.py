@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ldctoolkit import Scenarios
     from studies.robustness.chosen_designs import ChosenDesigns
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 """To be raised with whatever changes the numbers or the file."""
 
 

@@ -68,6 +68,9 @@ class Robustness:
     change, low, high : (p, d) [m s]
         Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few scenarios
         changed, the change too where the law raised.
+    excess, excess_low, excess_high : (p, d) [m s]
+        Paired difference of mean S to no control on the same plant, above 0 where the design is worse, and its
+        interval. NaN as above.
     rival : (p,) int
         The best of the other designs that contend; -1 where there is none.
     lead, lead_low, lead_high : (p,) [m s]
@@ -101,6 +104,9 @@ class Robustness:
     change: FloatArray
     low: FloatArray
     high: FloatArray
+    excess: FloatArray
+    excess_low: FloatArray
+    excess_high: FloatArray
     rival: IntArray
     lead: FloatArray
     lead_low: FloatArray
@@ -193,6 +199,7 @@ def work_out(task: RobustnessTask) -> Robustness:
     S = _means(drives.S)
     failed = status_among(drives.status, FAILED_STATUSES)
     change, low, high = _changes(drives.S, side)
+    excess, excess_low, excess_high = _excesses(drives, side)
     rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side)
     return Robustness(
         key=task.key,
@@ -215,6 +222,9 @@ def work_out(task: RobustnessTask) -> Robustness:
         change=change,
         low=low,
         high=high,
+        excess=excess,
+        excess_low=excess_low,
+        excess_high=excess_high,
         rival=rival,
         lead=lead,
         lead_low=lead_low,
@@ -261,6 +271,18 @@ def _changes(S: FloatArray, side: IntArray) -> tuple[FloatArray, FloatArray, Flo
         found = paired_means(S[0, i], S[k + 1, i], side, CONFIDENCE)
         for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
             end[k + 1, i] = values
+    return ends[0], ends[1], ends[2]
+
+
+def _excesses(drives: Drives, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Difference to no control on the same plant and its interval, (p, d) each."""
+    p, d, n = drives.S.shape
+    ends = [np.full((p, d), np.nan) for _ in range(3)]
+    known = np.all(np.isfinite(drives.S), axis=2)
+    if known.any() and n:
+        found = paired_means(drives.S_uncorrected[known], drives.S[known], side, CONFIDENCE)
+        for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
+            end[known] = values
     return ends[0], ends[1], ends[2]
 
 

@@ -19,7 +19,7 @@ from studies.report.rendering import render
 from studies.report.section import Drawing, Section
 from studies.report.tables.row import Row
 from studies.report.words.prose import rank_text
-from studies.report.words.robustness import change_text, reduction_text, robustness_sentences
+from studies.report.words.robustness import change_text, is_not_shown, is_worse, reduction_text, robustness_sentences
 from studies.report.words.text import number, printable
 from studies.robustness.robustness import CONFIDENCE, Robustness
 
@@ -41,7 +41,9 @@ class Cell:
         Whether the interval of the change excludes 0.
     failures, diverged : int
     worse : bool
-        Than no control.
+        Than no control, beyond chance.
+    not_shown : bool
+        Worse than no control by what may be chance.
     raised : str
         Why there are no numbers.
     """
@@ -55,6 +57,7 @@ class Cell:
     failures: int
     diverged: int
     worse: bool
+    not_shown: bool
     raised: str
 
 
@@ -160,7 +163,8 @@ def _cell(found: Robustness, k: int, i: int, raised: str) -> Cell:
         told=low > 0 or high < 0,
         failures=int(found.failures[k, i]),
         diverged=int(found.diverged[k, i]),
-        worse=bool(found.S[k, i] > found.S_uncorrected[k, i]),
+        worse=is_worse(found, k, i),
+        not_shown=is_not_shown(found, k, i),
         raised=raised,
     )
 

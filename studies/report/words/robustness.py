@@ -10,6 +10,7 @@ from markupsafe import Markup
 from studies.report.tables.row import Row, is_baseline
 from studies.report.words.prose import design_text
 from studies.report.words.text import number, percent, plural, signed, symbols
+from studies.robustness.paired_interval import SAME
 from studies.robustness.robustness import Robustness
 
 TOGETHER = ("together", "ideal")
@@ -151,13 +152,13 @@ def _fails(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Mark
 
 
 def _worse(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Iterator[Markup]:
-    """Designs that are worse than no control somewhere, though not on the study's plant."""
+    """Designs that are worse than no control somewhere, beyond chance, though not on the study's plant."""
     told = []
     for i, row in enumerate(rows):
         if is_baseline(row):
             continue
-        bad = found.S[:, i] > found.S_uncorrected[:, i]
-        where = [found.titles[k] for k in range(1, len(found.plants)) if bad[k] and not bad[0]]
+        bad = [is_worse(found, k, i) for k in range(len(found.plants))]
+        where = [title for title, here in zip(found.titles, bad, strict=True) if here and not bad[0]]
         if where:
             few = ", ".join(where[:_NAMED]) + (f" and {len(where) - _NAMED} more" if len(where) > _NAMED else "")
             told.append(Markup("{} on <em>{}</em>").format(symbols(names[i]), few))
@@ -173,6 +174,16 @@ def _ordinal(rank: int) -> str:
 
 def _interval(low: float, high: float) -> str:
     return f"interval {number(low)} to {number(high)}" if np.isfinite([low, high]).all() else "interval not known"
+
+
+def is_worse(found: Robustness, k: int, i: int) -> bool:
+    """Whether a design is worse than no control on a plant, beyond chance."""
+    return bool(found.excess_low[k, i] > SAME)
+
+
+def is_not_shown(found: Robustness, k: int, i: int) -> bool:
+    """Whether it came out worse there, but by no more than chance may do."""
+    return bool(found.excess[k, i] > SAME) and not is_worse(found, k, i)
 
 
 def change_text(found: Robustness, k: int, i: int) -> str:

@@ -98,6 +98,15 @@ def test_numbers_are_those_of_plain_simulations(task: RobustnessTask, found: Rob
             assert found.S[k, i] == pytest.approx(counted.mean(), rel=1e-12)
             assert found.S_uncorrected[k, i] == pytest.approx(out.S_uncorrected.mean(), rel=1e-12)
             assert found.failures[k, i] == bad.sum()
+            worse = counted - out.S_uncorrected
+            error = np.sqrt(sum(12 * worse[part].var(ddof=1) for part in (slice(0, 12), slice(12, 24)))) / 24
+            half = stats.t.ppf(0.975, 22) * error if (np.abs(worse) > 1e-6).any() else 0.0
+            assert found.excess[k, i] == pytest.approx(worse.mean(), abs=1e-12)
+            if (np.abs(worse) > 1e-6).sum() > 5 or not half:
+                assert found.excess_low[k, i] == pytest.approx(worse.mean() - half, rel=1e-9, abs=1e-12)
+                assert found.excess_high[k, i] == pytest.approx(worse.mean() + half, rel=1e-9, abs=1e-12)
+            else:
+                assert np.isnan(found.excess_low[k, i])
             scores.append(counted.mean())
         assert found.rank[k].tolist() == stats.rankdata(np.round(scores, 7), method="min").tolist()
         assert found.rival[k] == 1 + int(np.argmin(scores[1:]))

@@ -82,7 +82,7 @@ def test_table_holds_the_numbers(driven: ReportInput) -> None:
             a, b = found.rank[0, i], found.rank[k, i]
             assert (f"rank {a} → {b}" if a != b else f"rank {b}") in cell
             assert (f"{found.failures[k, i]} failed" in cell) == bool(found.failures[k, i])
-            assert ("worse than none" in cell) == bool(found.S[k, i] > found.S_uncorrected[k, i])
+            assert ("worse than none" in cell) == bool(found.excess_low[k, i] > 0)
             if k:
                 change = 100 * (found.S[k, i] / found.S[0, i] - 1)
                 assert float(re.findall(r"([+−]?[\d.]+)\xa0%", cell)[0].replace("−", "-")) == pytest.approx(
@@ -104,7 +104,7 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     rank = np.tile(np.arange(1, d + 1), (p, 1))
     nothing = np.zeros((p, d), dtype=np.int64)
     calm = {"rank": rank, "failures": nothing, "diverged": nothing, "lead_low": np.full(p, -0.2),
-            "S_uncorrected": found.S + 9.0}  # fmt: skip
+            "excess": np.full((p, d), -9.0), "excess_low": np.full((p, d), -9.5)}  # fmt: skip
     said = changed(driven, **calm)
     assert f"the winner, stays first on all {p - 1} other plants" in said
     assert "No design fails in more departures" in said
@@ -117,10 +117,10 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     rank[2, 0], failures[2, 0], diverged[2, 0] = 3, 7, 5
     lead, lead_low, lead_high = np.full(p, -0.3), np.full(p, -0.5), np.full(p, -0.1)
     lead[2], lead_low[2], lead_high[2] = 0.4, 0.3, 0.5
-    worse = found.S + 9.0
-    worse[2, 0] = 2.0
+    excess, excess_low = calm["excess"].copy(), calm["excess_low"].copy()
+    excess[2, 0], excess_low[2, 0] = 0.5, 0.1
     said = changed(driven, rank=rank, failures=failures, diverged=diverged, change=change, low=low, high=high, S=S,
-                   lead=lead, lead_low=lead_low, lead_high=lead_high, S_uncorrected=worse)  # fmt: skip
+                   lead=lead, lead_low=lead_low, lead_high=lead_high, excess=excess, excess_low=excess_low)  # fmt: skip
     assert f"is first on {p - 2} of the {p - 1} other plants and is behind on 1" in said
     assert "On Actuator lag it is third:" in said
     assert "is better by 0.400 m·s (interval 0.300 to 0.500)" in said
@@ -132,6 +132,22 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     said = changed(driven, rank=rank, lead=lead, lead_low=lead_low, lead_high=lead_high)
     assert "cannot be told from the first on 1" in said
     assert "that may be chance" in said
+
+
+def test_worse_than_no_control_is_said_beyond_chance_only(driven: ReportInput) -> None:
+    found = found_of(driven)
+    excess, low = np.full(found.S.shape, -9.0), np.full(found.S.shape, -9.5)
+    for estimate, lowest, worse, not_shown in (
+        (0.5, 0.1, 1, 0),
+        (0.5, -0.1, 0, 1),
+        (0.5, np.nan, 0, 1),
+        (-0.5, -1.0, 0, 0),
+        (0.0, 0.0, 0, 0),
+    ):
+        excess[2, 0], low[2, 0] = estimate, lowest
+        said = changed(driven, excess=excess, excess_low=low)
+        assert said.count("worse than none") == said.count("Worse than no control") == worse
+        assert said.count("not shown better than none") == not_shown
 
 
 def test_without_numbers_it_says_how_to_get_them(report: ReportInput) -> None:
