@@ -94,6 +94,24 @@ def test_a_logarithmic_axis_is_one(scatter: Scatter, made: Any) -> None:
     check(scatter, rows, "log", "S_m_s")
 
 
+def test_swapped_axes_keep_their_logarithm_only_where_it_exists(scatter: Scatter) -> None:
+    logs = [
+        scatter.section.get_by_role("checkbox", name=f"{name} axis logarithmic") for name in ("Horizontal", "Vertical")
+    ]
+    scatter.section.get_by_role("checkbox", name="all points").check()
+    scatter.across.select_option("effort_mean")
+    scatter.up.select_option("reduction")  # below zero for some, 0 for no control
+    logs[0].check()
+    swap = scatter.section.get_by_role("button", name="Swap axes")
+    swap.click()
+    assert [log.is_enabled() for log in logs] == [False, True]
+    assert [log.is_checked() for log in logs] == [False, True]
+    assert all(np.isfinite(place[1:]).all() for place in scatter.points())
+    swap.click()
+    assert [log.is_checked() for log in logs] == [True, False]
+    assert [log.is_enabled() for log in logs] == [True, False]
+
+
 def test_points_outside_are_counted(scatter: Scatter) -> None:
     note = scatter.note.inner_text()
     box = scatter.section.get_by_role("checkbox", name="all points")

@@ -26,6 +26,7 @@
   // Ticks as {at, text}; `at` in the numbers of `range`.
   function ticks(ends, log, most) {
     var span = ends[1] - ends[0], found = [], unit, step, k;
+    if (!Number.isFinite(span)) return found;
     if (log && span > 0.9) {
       var some = span > 3 ? [1] : span > 1.6 ? [1, 3] : [1, 2, 5];
       for (k = Math.floor(ends[0]); k <= ends[1]; k++) {

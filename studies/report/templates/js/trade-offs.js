@@ -29,6 +29,7 @@
     y.value = name;
     logX.input.checked = logY.input.checked;
     logY.input.checked = on;
+    relog();
     draw();
   } }, "Swap axes");
   var legend = el("ul", { "class": "legend laws", "aria-label": "Laws" });
