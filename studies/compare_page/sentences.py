@@ -1,4 +1,3 @@
-# ruff: noqa: RUF001 - the page shows true minus signs, dashes and Greek letters
 """What a comparison found, in sentences with their intervals."""
 
 from __future__ import annotations
@@ -11,23 +10,7 @@ from markupsafe import Markup
 from studies.comparison.comparison import PHRASES, CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.comparison.winners import Winners
-from studies.report.words.text import number, percent, plural, signed, symbols
-
-_SMALL = 1e-3
-"""A difference below this [m s] is shown with two digits of its own, not with three decimals."""
-
-
-def difference_text(value: float) -> str:
-    """A difference of S with its sign, and with two digits however small it is.
-
-    Examples
-    --------
-    >>> difference_text(-0.0123), difference_text(0.00002), difference_text(0.0)
-    ('−0.0123', '+2.0e−05', '0')
-    """
-    if value == 0.0 or not math.isfinite(value):
-        return "0" if value == 0.0 else signed(value)
-    return signed(value, 4) if abs(value) >= _SMALL else f"{value:+.1e}".replace("-", "−")
+from studies.report.words.text import difference_text, number, percent, plural, signed, symbols
 
 
 def interval_text(low: float, high: float) -> str:

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from studies.compare_page.sentences import difference_text, interval_text
+from studies.compare_page.sentences import interval_text
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.report.embedded.packed import packed
-from studies.report.words.text import number
+from studies.report.words.text import difference_text, number
 
 MOST_STATIC = 100
 """Rows that stand in the page without its script; the script shows all."""

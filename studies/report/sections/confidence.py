@@ -23,8 +23,8 @@ from studies.report.tables.finalists import FinalistRow, finalist_rows
 from studies.report.tables.rivals import Rival, rivals
 from studies.report.tables.row import Row, is_baseline
 from studies.report.words.enough_scenarios import enough_sentence
-from studies.report.words.prose import rank_text
-from studies.report.words.text import printable
+from studies.report.words.prose import between_differences, rank_text
+from studies.report.words.text import difference_text, printable
 
 MOST_OF_SET: Final = 12
 """Designs of the set of best in the table of frequencies."""
@@ -61,6 +61,8 @@ def section(context: Context) -> Section:
         often=often[:MOST_OF_SET],
         rest=often[MOST_OF_SET:],
         rest_share=math.fsum(one.share for one in often[MOST_OF_SET:]),
+        difference_text=difference_text,
+        between_differences=between_differences,
         outside=1.0 - math.fsum(one.share for one in often),
     )
     drawings = (*convergence, *precision, *fresh)

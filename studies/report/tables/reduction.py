@@ -8,6 +8,7 @@ import statistics
 import numpy as np
 import numpy.typing as npt
 
+from studies.ranking.standard_error import spread_is_known
 from studies.report.tables.row import Interval
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,7 +29,7 @@ def ratio_interval(S: FloatArray, S_0: FloatArray, side: IntArray, confidence: f
     Returns
     -------
     Interval
-        Zero width where there was nothing to reduce.
+        Zero width where there was nothing to reduce. NaN ends where a side has one departure: its spread is not known.
 
     Notes
     -----
@@ -44,13 +45,15 @@ def ratio_interval(S: FloatArray, S_0: FloatArray, side: IntArray, confidence: f
     if not total > 0:
         return Interval(0.0, 0.0, 0.0)
     ratio = float(np.mean(S)) / total
+    if not spread_is_known(side):
+        return Interval(1.0 - ratio, math.nan, math.nan)
     z = statistics.NormalDist().inv_cdf(0.5 + 0.5 * confidence)
     error = z * standard_error(S - ratio * S_0, side) / total
     return Interval(1.0 - ratio, 1.0 - ratio - error, 1.0 - ratio + error)
 
 
 def standard_error(values: FloatArray, side: IntArray) -> float:
-    """Standard error of the mean, stratified by side; a side with one departure adds nothing."""
+    """Standard error of the mean, stratified by side, each of two departures or more."""
     strata = [values[side == one] for one in np.unique(side)]
-    variance = sum(part.size * float(np.var(part, ddof=1)) for part in strata if part.size > 1)
+    variance = sum(part.size * float(np.var(part, ddof=1)) for part in strata)
     return math.sqrt(variance) / values.size

@@ -56,15 +56,16 @@ class Rival:
     @property
     def apart(self) -> bool:
         """Whether the interval leaves zero out."""
-        return self.difference.low > 0.0
+        return self.difference.low > 0.0 or self.difference.high < 0.0
 
 
 def rivals(context: Context) -> tuple[Rival, ...]:
     """The second of the ranking, the first other design of the set of best, and the best design of another law.
 
-    Some may be the same one; there are none for one design.
+    Some may be the same one; there are none for one design. While anything is ranked, all of them are.
     """
     first, *others = context.primary.rows
+    others = [row for row in others if row.rank or not first.rank]
     may_be_best = [row for row in others if row.in_set][:1]
     other_law = [row for row in others if row.design.law != first.design.law and not is_baseline(row)][:1]
     chosen = list({row.place: row for row in (*others[:1], *may_be_best, *other_law)}.values())

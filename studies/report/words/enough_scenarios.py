@@ -8,8 +8,8 @@ from markupsafe import Markup
 
 from studies.report.figures.precision import two_digits
 from studies.report.tables.rivals import Rival
-from studies.report.words.prose import between, design_text, rank_text
-from studies.report.words.text import number
+from studies.report.words.prose import between_differences, design_text, rank_text
+from studies.report.words.text import difference_text
 
 _TOO_FEW, _TOO_MANY = 20, 10_000_000
 """Outside these a number would say more than is known: of few departures no spread is known."""
@@ -39,8 +39,9 @@ def enough_sentence(rival: Rival, first: str, n: int) -> Markup:
         return Markup("{}: one departure of a side alone shows no spread, so there is no interval to {}.").format(
             name, first
         )
-    above = f"mean S is {number(rival.difference.value)} m\u00b7s above that of {first}"
-    seen = f"{above}, interval {between(rival.difference)}"
+    size = difference_text(abs(rival.difference.value), 3).removeprefix("+")
+    where = "above" if rival.difference.value > 0.0 else "below"
+    seen = f"mean S is {size} m\u00b7s {where} that of {first}, difference {between_differences(rival.difference)}"
     even, likely = (_about(count) for count in (rival.needed.even, rival.needed.likely))
     if rival.apart:
         return Markup(

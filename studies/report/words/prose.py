@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from markupsafe import Markup
@@ -11,7 +12,7 @@ from studies.report.inputs import ReportInput
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Interval, Row, is_baseline
 from studies.report.tables.tabulate import tried
-from studies.report.words.text import compact, number, percent, plural, symbols
+from studies.report.words.text import compact, difference_text, number, percent, plural, symbols
 from studies.study_file.plant_table import differences
 
 _NB = "\u00a0"
@@ -25,13 +26,23 @@ def design_text(row: Row) -> Markup:
 
 
 def between(interval: Interval, digits: int = 3) -> str:
-    """``1.20 to 1.27``."""
-    return f"{number(interval.low, digits)} to {number(interval.high, digits)}"
+    """``1.20 to 1.27``, or that it is not known."""
+    return _ends(interval, number(interval.low, digits), number(interval.high, digits))
+
+
+def between_differences(interval: Interval) -> str:
+    """``−0.012 to +0.00034``, of a difference."""
+    return _ends(interval, difference_text(interval.low, 3), difference_text(interval.high, 3))
 
 
 def between_percent(interval: Interval) -> str:
     """``31.2 % to 33.0 %``."""
-    return f"{percent(interval.low)} to {percent(interval.high)}"
+    return _ends(interval, percent(interval.low), percent(interval.high))
+
+
+def _ends(interval: Interval, low: str, high: str) -> str:
+    known = math.isfinite(interval.low) and math.isfinite(interval.high)
+    return f"{low} to {high}" if known else "not known"
 
 
 def rank_text(row: Row) -> str:

@@ -25,6 +25,9 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 MINUS = "−"
 
+_SMALL = 1e-3
+"""A difference below this [m s] is shown with two digits of its own, not with decimals."""
+
 
 def printable(text: str) -> str:
     """The text without characters that XML forbids."""
@@ -104,6 +107,19 @@ def signed(value: float, digits: int = 3) -> str:
     """Like `number`, with a plus sign for what is greater than zero."""
     shown = number(value, digits)
     return f"+{shown}" if math.isfinite(value) and value > 0 and float(f"{value:.{digits}f}") != 0 else shown
+
+
+def difference_text(value: float, digits: int = 4) -> str:
+    """A difference of S with its sign, and with two digits however small it is.
+
+    Examples
+    --------
+    >>> difference_text(-0.0123), difference_text(0.00002), difference_text(0.0)
+    ('−0.0123', '+2.0e−05', '0')
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return "0" if value == 0.0 else signed(value)
+    return signed(value, digits) if abs(value) >= _SMALL else f"{value:+.1e}".replace("-", MINUS)
 
 
 def percent(value: float, digits: int = 1) -> str:
