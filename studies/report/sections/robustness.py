@@ -19,7 +19,14 @@ from studies.report.rendering import render
 from studies.report.section import Drawing, Section
 from studies.report.tables.row import Row
 from studies.report.words.prose import rank_text
-from studies.report.words.robustness import change_text, is_not_shown, is_worse, reduction_text, robustness_sentences
+from studies.report.words.robustness import (
+    change_text,
+    gap_text,
+    is_not_shown,
+    is_worse,
+    reduction_text,
+    robustness_sentences,
+)
 from studies.report.words.text import number, printable
 from studies.robustness.robustness import CONFIDENCE, Robustness
 
@@ -157,7 +164,7 @@ def _cell(found: Robustness, k: int, i: int, raised: str) -> Cell:
     return Cell(
         S=number(float(found.S[k, i])),
         change=change_text(found, k, i) if k else "",
-        interval=f"{number(low)} to {number(high)}" if k and np.isfinite([low, high]).all() else "\u2013",
+        interval=f"{gap_text(low)} to {gap_text(high)}" if k and np.isfinite([low, high]).all() else "\u2013",
         reduction=reduction_text(found, k, i),
         rank=rank,
         told=low > 0 or high < 0,

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from studies.report.tables.row import Row, is_baseline
 from studies.report.words.prose import design_text
-from studies.report.words.text import number, percent, plural, signed, symbols
+from studies.report.words.text import figure, number, percent, plural, signed, symbols
 from studies.robustness.paired_interval import SAME
 from studies.robustness.robustness import Robustness
 
@@ -20,7 +20,7 @@ _NAMED = 3
 _LISTED = 5
 _WHOLE = 100.0  # [%] from which decimals say nothing
 
-_ORDINALS = {1: "first", 2: "second", 3: "third"}
+_SMALL = 1e-3  # [m s] which three decimals do not tell from nothing
 
 
 def robustness_sentences(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str) -> list[Markup]:
@@ -50,51 +50,63 @@ def robustness_sentences(found: Robustness, rows: Sequence[Row], names: Sequence
 
 
 def _stays(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str) -> Markup:
-    """Where the first design is first, where it may be, and where it is not."""
+    """Where the first design is clearly first, where it is level with the best other one, and where it is behind."""
     reference = Markup("<strong>{}</strong>, {},").format(design_text(rows[0]), of)
     if not (found.rival >= 0).any() or len(found.plants) < 2:
         return Markup("{} stands alone here: there is no other design to change ranks with.").format(reference)
     others = range(1, len(found.plants))
-    first = [k for k in others if found.rank[k, 0] == 1]
-    behind = [k for k in others if found.rank[k, 0] == 0 or found.lead_low[k] > 0]
-    close = [k for k in others if k not in first and k not in behind]
-    on = plural(found.n, "departure")
-    if len(first) == len(others):
-        said = Markup("{} stays first on all {} other plants, by mean S on the same {}.").format(
-            reference, len(first), on
-        )
-    else:
-        parts = [f"is first on {len(first) or 'none'} of the {plural(len(others), 'other plant')}"]
-        parts += [f"cannot be told from the first on {len(close)}"] if close else []
-        parts += [f"is behind on {len(behind)}"] if behind else []
-        words = " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1])))
-        said = Markup("{} {}, by mean S on the same {}.").format(reference, words, on)
-    if found.rank[0, 0] > 1:
-        words = " On these departures it is {} on the study\u2019s own plant too{}."
-        gap = "" if found.lead_low[0] > 0 else ", but cannot be told from the first"
-        said += Markup(words).format(_ordinal(int(found.rank[0, 0])), gap)
-    named = sorted(behind, key=lambda k: (-found.rank[k, 0], k))
-    # what is behind by less than a hundredth is not worth a sentence
-    named += [k for k in close if found.lead[k] > 0.01 * found.S[k, 0]]
-    for k in named[:_NAMED]:
-        said += Markup(" ") + _behind(found, names, k)
-    if len(named) > _NAMED:
-        said += Markup(" The table has the other {}.").format(len(named) - _NAMED)
+    first = [k for k in others if _is_first(found, k)]
+    behind = [k for k in others if _is_behind(found, k)]
+    level = [k for k in others if k not in first and k not in behind]
+    rivals = {int(found.rival[k]) for k in level}
+    rival = symbols(names[rivals.pop()]) if len(rivals) == 1 else "the best other design"
+    parts: list[Markup] = []
+    for words, plants in (
+        (Markup("clearly first on"), first),
+        (Markup("level with {} on").format(rival), level),
+        (Markup("behind on"), behind),
+    ):
+        if plants:
+            whole = f"all {len(others)} other plants" if len(plants) == len(others) > 1 else ""
+            of_all = f" of the {plural(len(others), 'other plant')}" if not parts else ""
+            parts.append(Markup("{} {}").format(words, whole or f"{len(plants)}{of_all}"))
+    if behind:
+        parts[-1] += _ranks(found, behind)
+    told = Markup(" and ").join([one for one in (Markup(", ").join(parts[:-1]), parts[-1]) if one])
+    said = Markup("{} is {}, by mean S on the same {}.").format(reference, told, plural(found.n, "departure"))
+    if not _is_first(found, 0):
+        word = "behind" if _is_behind(found, 0) else "level with"
+        best = Markup("its law raised") if found.rival[0] < 0 else symbols(names[int(found.rival[0])])
+        said += Markup(" On the study\u2019s own plant it is {} {} in these departures.").format(word, best)
+    worst = max((k for k in behind if np.isfinite(found.lead[k])), key=lambda k: (found.lead[k], -k), default=None)
+    if worst is not None:
+        said += Markup(" On <em>{}</em> {} is better by {}\u00a0m·s ({}).").format(
+            found.titles[worst], symbols(names[int(found.rival[worst])]), gap_text(float(found.lead[worst])),
+            _interval(float(found.lead_low[worst]), float(found.lead_high[worst])),
+        )  # fmt: skip
     return said
 
 
-def _behind(found: Robustness, names: Sequence[str], k: int) -> Markup:
-    if found.rank[k, 0] == 0:
-        return Markup("On <em>{}</em> its law raised.").format(found.titles[k])
-    told = "" if found.lead_low[k] > 0 else "; that may be chance"
-    return Markup("On <em>{}</em> it is {}: {} is better by {}\u00a0m·s ({}{}).").format(
-        found.titles[k],
-        _ordinal(int(found.rank[k, 0])),
-        symbols(names[int(found.rival[k])]),
-        number(float(found.lead[k])),
-        _interval(float(found.lead_low[k]), float(found.lead_high[k])),
-        told,
-    )
+def _is_first(found: Robustness, k: int) -> bool:
+    """Better than every other design beyond chance, or the only one whose law did not raise."""
+    alone = found.rival[k] < 0 and np.isfinite(found.S[k, 0])
+    return bool(alone or found.lead_high[k] < -SAME)
+
+
+def _is_behind(found: Robustness, k: int) -> bool:
+    """Worse than the best other design beyond chance, or without a score."""
+    return bool(np.isnan(found.S[k, 0]) or found.lead_low[k] > SAME)
+
+
+def _ranks(found: Robustness, plants: Sequence[int]) -> Markup:
+    """Names of plants with the rank of the first design, the last rank first."""
+    order = sorted(plants, key=lambda k: (np.isfinite(found.S[k, 0]), -found.rank[k, 0], k))
+    told = [
+        Markup("<em>{}</em>, {}").format(found.titles[k], f"rank {found.rank[k, 0]}" if found.rank[k, 0] else "no rank")
+        for k in order[:_NAMED]
+    ]
+    more = f"; and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
+    return Markup(" ({}{})").format(Markup("; ").join(told), more)
 
 
 def _hurts(found: Robustness) -> Iterator[Markup]:
@@ -168,12 +180,19 @@ def _worse(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Iter
         )
 
 
-def _ordinal(rank: int) -> str:
-    return _ORDINALS.get(rank, f"{rank}th")
-
-
 def _interval(low: float, high: float) -> str:
-    return f"interval {number(low)} to {number(high)}" if np.isfinite([low, high]).all() else "interval not known"
+    return f"interval {gap_text(low)} to {gap_text(high)}" if np.isfinite([low, high]).all() else "interval not known"
+
+
+def gap_text(value: float) -> str:
+    """A difference of scores; a small one with two significant digits, so that it is not shown as none.
+
+    Examples
+    --------
+    >>> gap_text(-0.2), gap_text(0.00031), gap_text(0.0)
+    ('−0.200', '3.1e−4', '0')
+    """
+    return figure(value, 2) if abs(value) < _SMALL else number(value)
 
 
 def is_worse(found: Robustness, k: int, i: int) -> bool:

@@ -103,10 +103,11 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     p, d = found.rank.shape
     rank = np.tile(np.arange(1, d + 1), (p, 1))
     nothing = np.zeros((p, d), dtype=np.int64)
-    calm = {"rank": rank, "failures": nothing, "diverged": nothing, "lead_low": np.full(p, -0.2),
+    calm = {"rank": rank, "failures": nothing, "diverged": nothing, "lead_low": np.full(p, -0.4),
+            "lead_high": np.full(p, -0.2),
             "excess": np.full((p, d), -9.0), "excess_low": np.full((p, d), -9.5)}  # fmt: skip
     said = changed(driven, **calm)
-    assert f"the winner, stays first on all {p - 1} other plants" in said
+    assert f"the winner, is clearly first on all {p - 1} other plants, by mean S" in said
     assert "No design fails in more departures" in said
     assert "Worse than no control" not in said
 
@@ -121,17 +122,44 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     excess[2, 0], excess_low[2, 0] = 0.5, 0.1
     said = changed(driven, rank=rank, failures=failures, diverged=diverged, change=change, low=low, high=high, S=S,
                    lead=lead, lead_low=lead_low, lead_high=lead_high, excess=excess, excess_low=excess_low)  # fmt: skip
-    assert f"is first on {p - 2} of the {p - 1} other plants and is behind on 1" in said
-    assert "On Actuator lag it is third:" in said
+    assert f"is clearly first on {p - 2} of the {p - 1} other plants and behind on 1 (Actuator lag, rank 3), by" in said
+    rival = next(iter(re.findall(r"On Actuator lag (.*?) is better by", said)))
+    assert rival.startswith(("Preview P", "LQR", "No control"))
     assert "is better by 0.400 m·s (interval 0.300 to 0.500)" in said
     assert "Of single options Actuator lag" in said
     assert "1.000 → 2.500 m·s, +150 % (interval 100 to 200 %)" in said
     assert "on Actuator lag in 7 of 16 departures (none on the study’s plant, 5 of them left ±20 m)" in said
     assert "Worse than no control, though not on the study’s plant: LQR on Actuator lag." in said
-    lead_low[2] = -0.1
-    said = changed(driven, rank=rank, lead=lead, lead_low=lead_low, lead_high=lead_high)
-    assert "cannot be told from the first on 1" in said
-    assert "that may be chance" in said
+
+
+def test_what_may_be_chance_is_level(driven: ReportInput) -> None:
+    found = found_of(driven)
+    p, d = found.rank.shape
+    rank = np.tile(np.r_[2, 1, 3 : d + 1], (p, 1))  # second by estimate everywhere
+    lead, low, high = np.full(p, 2e-4), np.full(p, -1e-4), np.full(p, 5e-4)
+    one = np.full(p, 1)
+    name = Tables(section(Context.of(driven)).body).tables[0][0][2]
+    said = changed(driven, rank=rank, lead=lead, lead_low=low, lead_high=high, rival=one)
+    assert f"is level with {name} on all {p - 1} other plants" in said
+    assert f"On the study’s own plant it is level with {name}" in said
+    assert "is better by" not in said
+    # behind on one plant, by less than three decimals show; first on another; equal to the last bit but one on a third
+    low[3], high[3] = 1e-4, 3.1e-4
+    low[4], high[4] = -0.3, -0.1
+    lead[5] = low[5] = high[5] = 3e-9
+    two = changed(driven, rank=rank, lead=lead, lead_low=low, lead_high=high, rival=one)
+    assert f"is clearly first on 1 of the {p - 1} other plants, level with {name} on {p - 3} and behind on 1 (" in two
+    assert f"({found.titles[3]}, rank 2)" in two
+    assert f"On {found.titles[3]} {name} is better by 2.0e−4 m·s (interval 1.0e−4 to 3.1e−4)." in two
+    several = changed(driven, rank=rank, lead=lead, lead_low=low, lead_high=high, rival=1 + np.arange(p) % 2)
+    assert f"level with the best other design on {p - 3}" in several
+
+
+def test_small_changes_are_not_shown_as_none(driven: ReportInput) -> None:
+    found = found_of(driven)
+    low, high = found.low.copy(), found.high.copy()
+    low[2, 0], high[2, 0] = -1.2e-5, 4e-4
+    assert "−1.2e−5 to 4.0e−4" in changed(driven, low=low, high=high)
 
 
 def test_worse_than_no_control_is_said_beyond_chance_only(driven: ReportInput) -> None:
