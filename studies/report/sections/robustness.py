@@ -132,7 +132,7 @@ def _names(context: Context, rows: tuple[Row, ...]) -> tuple[str, ...]:
     names = []
     for row in rows:
         of_paper = paper is not None and row.index == paper.index
-        more = " (Table I)" if of_paper else (f", {rank_text(row)}" if count[row.title] > 1 else "")
+        more = " (Table I)" if of_paper else (f" ({rank_text(row)})" if count[row.title] > 1 else "")
         names.append(printable(row.title) + more)
     return tuple(names)
 
@@ -217,9 +217,17 @@ def _margin_lines(found: Robustness, names: tuple[str, ...], dt: float) -> Itera
             _worst(np.degrees(one.phase), found.v, np.degrees(limits.phase_margin), "\u00b0", 1.0),
             _worst(one.delay, found.v, np.array(limits.delay_margin) * dt, "ms", 1e3),
         )
-        lost = found.v[~one.stable]
-        unstable = f"at {number(float(lost[0]), 1)} to {number(float(lost[-1]), 1)} m/s" if lost.size else "no"
-        yield MarginLine(name, cells, unstable, one.notes)
+        yield MarginLine(name, cells, _unstable(one.stable, found.v), one.notes)
+
+
+def _unstable(stable: npt.NDArray[np.bool_], v: FloatArray) -> str:
+    """Speeds without a stable loop; neighbours as a range."""
+    lost = np.flatnonzero(~stable)
+    if not lost.size:
+        return "no"
+    runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+    told = (" to ".join(number(float(v[i]), 1) for i in dict.fromkeys((run[0], run[-1]))) for run in runs)
+    return f"at {', '.join(told)} m/s"
 
 
 def _worst(

@@ -17,7 +17,7 @@ TOGETHER = ("together", "ideal")
 """Plants that differ in more than one option."""
 
 _NAMED = 3
-_LISTED = 5
+_LISTED = 3
 _WHOLE = 100.0  # [%] from which decimals say nothing
 
 _SMALL = 1e-3  # [m s] which three decimals do not tell from nothing
@@ -151,16 +151,26 @@ def _fails(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Mark
     lines.sort()
     told = []
     for _, i, k, plants in lines[:_LISTED]:
-        lost = f", {found.diverged[k, i]} of them left \u00b120\u00a0m" if found.diverged[k, i] else ""
-        others = f"; also on {plural(plants - 1, 'other plant')}" if plants > 1 else ""
         told.append(
-            Markup("{} on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant{}{})").format(
+            Markup("{} fails on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant){}{}.").format(
                 symbols(names[i]), found.titles[k], found.failures[k, i], found.n, found.failures[0, i] or "none",
-                lost, others,
+                _lost(int(found.diverged[k, i]), int(found.failures[k, i])),
+                f", and also on {plural(plants - 1, 'other plant')}" if plants > 1 else "",
             )
         )  # fmt: skip
-    rest = f", and {plural(len(lines) - _LISTED, 'other design')}" if len(lines) > _LISTED else ""
-    return Markup("<strong>Failures:</strong> {}{}.").format(Markup("; ").join(told), rest)
+    if len(lines) > _LISTED:
+        rest = len(lines) - _LISTED
+        told.append(
+            Markup("{} more often on some plant.").format(plural(rest, "other design fails", "other designs fail"))
+        )
+    return Markup("<strong>Failures.</strong> {}").format(Markup(" ").join(told))
+
+
+def _lost(diverged: int, failures: int) -> str:
+    if not diverged:
+        return ""
+    who = "it" if failures == 1 else (f"all {failures}" if diverged == failures else f"{diverged} of these")
+    return f"; {who} left \u00b120\u00a0m"
 
 
 def _worse(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Iterator[Markup]:

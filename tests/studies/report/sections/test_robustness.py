@@ -128,7 +128,7 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     assert "is better by 0.400 m·s (interval 0.300 to 0.500)" in said
     assert "Of single options Actuator lag" in said
     assert "1.000 → 2.500 m·s, +150 % (interval 100 to 200 %)" in said
-    assert "on Actuator lag in 7 of 16 departures (none on the study’s plant, 5 of them left ±20 m)" in said
+    assert "LQR fails on Actuator lag in 7 of 16 departures (none on the study’s plant); 5 of these left ±20 m." in said
     assert "Worse than no control, though not on the study’s plant: LQR on Actuator lag." in said
 
 
@@ -160,6 +160,46 @@ def test_small_changes_are_not_shown_as_none(driven: ReportInput) -> None:
     low, high = found.low.copy(), found.high.copy()
     low[2, 0], high[2, 0] = -1.2e-5, 4e-4
     assert "−1.2e−5 to 4.0e−4" in changed(driven, low=low, high=high)
+
+
+def test_failures_are_told_in_short_sentences(driven: ReportInput) -> None:
+    found = found_of(driven)
+    failures, diverged = np.zeros(found.S.shape, dtype=np.int64), np.zeros(found.S.shape, dtype=np.int64)
+    name = Tables(section(Context.of(driven)).body).tables[0][0][2]
+    failures[3, 1] = diverged[3, 1] = 9
+    failures[4, 1], failures[0, 1] = 5, 2
+    said = changed(driven, failures=failures, diverged=diverged)
+    where = f"{name} fails on {found.titles[3]} in 9 of 16 departures (2 on the study’s plant)"
+    assert f"{where}; all 9 left ±20 m, and also on 1 other plant." in said
+    diverged[3, 1], failures[4, 1] = 0, 2
+    assert f"{where}." in changed(driven, failures=failures, diverged=diverged)
+    failures[3], diverged[3] = 1, 1
+    failures[0] = 0
+    said = changed(driven, failures=failures, diverged=diverged)
+    assert "in 1 of 16 departures (none on the study’s plant); it left ±20 m." in said
+    assert f"{found.S.shape[1] - 3} other design" in said
+
+
+def test_two_designs_of_a_law_are_told_apart_by_their_rank(driven: ReportInput) -> None:
+    heads = Tables(section(Context.of(driven)).body).tables[0][0]
+    assert "Preview P (Table I)" in heads
+    assert any(re.fullmatch(r"Preview P \(rank \d+\)", head) for head in heads)
+
+
+def test_unstable_speeds_are_those(driven: ReportInput) -> None:
+    found = found_of(driven)
+    v = np.linspace(10.0, 34.0, 7)
+    for unstable, told in (
+        ([], "no"),
+        ([0], "at 10.0 m/s"),
+        ([0, 1, 2], "at 10.0 to 18.0 m/s"),
+        ([0, 3, 5, 6], "at 10.0, 22.0, 30.0 to 34.0 m/s"),
+    ):
+        stable = np.ones(7, dtype=np.bool_)
+        stable[unstable] = False
+        margins = (dataclasses.replace(found.margins[0], stable=stable), *found.margins[1:])
+        shown = dataclasses.replace(driven, robustness=dataclasses.replace(found, v=v, margins=margins))
+        assert Tables(section(Context.of(shown)).body).tables[-1][1][5] == told
 
 
 def test_worse_than_no_control_is_said_beyond_chance_only(driven: ReportInput) -> None:
