@@ -127,7 +127,7 @@ def test_the_pointer_moves_the_time(explorer: Explorer) -> None:
     assert 0.3 * float(explorer.time.get_attribute("max")) < middle < 0.7 * float(explorer.time.get_attribute("max"))
 
 
-def test_a_design_chosen_elsewhere_is_drawn(explorer: Explorer) -> None:
+def test_a_design_chosen_elsewhere_is_drawn(explorer: Explorer, made: Any) -> None:
     def choose(place: int) -> None:
         explorer.page.evaluate(
             "(k) => document.dispatchEvent(new CustomEvent('ldc:departures', {detail: {place: k}}))", place
@@ -139,8 +139,34 @@ def test_a_design_chosen_elsewhere_is_drawn(explorer: Explorer) -> None:
     assert explorer.boxes.nth(0).is_checked()
     assert explorer.paths() == 5
     held = explorer.page.evaluate("() => LDC.data('departures').designs.map((one) => one.place)")
-    choose(next(k for k in range(100) if k not in held))
-    assert "holds no paths of that design" in explorer.region.locator("#explorer-refused").inner_text()
+    missing = next(k for k in range(100) if k not in held)
+    choose(missing)
+    identity = made("ordinary").rows()[missing]["design"]
+    refused = explorer.region.locator("#explorer-refused")
+    assert f"holds no paths of design {identity}; ldc report DIR --design {identity} " in refused.inner_text()
+    explorer.region.get_by_role("button", name="Next").click()
+    assert refused.inner_text() == ""
+    choose(missing)
+    explorer.time.press("End")
+    assert refused.inner_text() == ""
+
+
+def test_a_fifth_design_takes_the_place_of_the_last(explorer: Explorer) -> None:
+    held = explorer.page.evaluate("() => LDC.data('departures').designs")
+    assert len(held) > 4
+    for k in range(len(held)):
+        explorer.boxes.nth(k).uncheck()
+    for k in range(4):
+        explorer.boxes.nth(k).check()
+    explorer.page.evaluate(
+        "(k) => document.dispatchEvent(new CustomEvent('ldc:departures', {detail: {place: k}}))", held[4]["place"]
+    )
+    said = explorer.region.locator("#explorer-refused")
+    assert f"{held[4]['id']}, takes the place of" in said.inner_text()
+    assert held[3]["id"] in said.inner_text()
+    explorer.boxes.nth(3).click()
+    explorer.boxes.nth(4).uncheck()
+    assert said.inner_text() == ""
 
 
 def test_the_drawing_follows_the_width(open_page: Callable[..., Any], made: Any) -> None:

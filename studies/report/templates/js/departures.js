@@ -145,7 +145,10 @@
     }
     refresh();
   }
+  // What was said about designs goes with the next action.
+  function note(text) { find("refused").textContent = text; }
   function refresh() {
+    note("");
     chosen = boxes.filter(function (box) { return box.checked; }).map(function (box) { return Number(box.value); });
     draw();
     tables();
@@ -193,26 +196,27 @@
     box.addEventListener("change", function () {
       var over = boxes.filter(function (one) { return one.checked; }).length > MOST;
       if (over) box.checked = false;
-      find("refused").textContent = over ? "Four designs at most are drawn at once: take one away first." : "";
       refresh();
+      if (over) note("Four designs at most are drawn at once: take one away first.");
     });
   });
-  zoom.addEventListener("change", draw);
-  time.addEventListener("input", clock);
+  zoom.addEventListener("change", function () { note(""); draw(); });
+  time.addEventListener("input", function () { note(""); clock(); });
   document.addEventListener("ldc:departures", function (event) {
     var d = data.designs.findIndex(function (one) { return one.place === event.detail.place; });
-    var said = "";
-    if (d < 0) said = "The explorer holds no paths of that design; the report can be written again with its id after --design.";
+    var said = "", id = event.detail.id || (LDC.designs ? LDC.designs.place(event.detail.place).id : "ID");
+    if (d < 0) said = "The explorer holds no paths of design " + id + "; ldc report DIR --design " + id + " writes the page with them.";
     else if (!boxes[d].checked) {
       var on = boxes.filter(function (one) { return one.checked; });
       if (on.length >= MOST) {
         on[MOST - 1].checked = false;
-        said = "It takes the place of " + data.designs[Number(on[MOST - 1].value)].title + ": four designs at most are drawn at once.";
+        var gone = data.designs[Number(on[MOST - 1].value)];
+        said = data.designs[d].title + ", " + data.designs[d].id + ", takes the place of " + gone.title + ", " + gone.id + ": four designs at most are drawn at once.";
       }
       boxes[d].checked = true;
       refresh();
     }
-    find("refused").textContent = said;
+    note(said);
   });
   var width = 0;
   window.addEventListener("resize", function () {
