@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from studies.report.context import Context
 from studies.report.embedded.packed import packed, script_json
-from studies.report.replay.paths import Replay, most_departures
-from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick
+from studies.report.replay.paths import Replay
+from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick, most_departures
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ BUDGET: Final = 1_000_000
 MOST: Final = 1_150_000
 """The same, for what they weigh once they are driven."""
 
-COUNTS: Final = (120, 90, 60, 40)
+COUNTS: Final = (120, 110, 100, 80, 60, 40)
 """Numbers of departures that are tried until they fit."""
 
 COARSEST: Final = 0.2

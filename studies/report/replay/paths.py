@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios
+from ldctoolkit import BicycleModel, EventStatus, Scenarios
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.report.context import Context
 from studies.report.replay.acceleration import path_acceleration
-from studies.report.replay.picks import Chosen, Pick
+from studies.report.replay.picks import Chosen, Pick, most_departures
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -82,11 +82,6 @@ class Replay:
         rows = np.arange(len(self.picks))[some]
         scenarios, recorded = self.scenarios.take(rows), self.recorded.take(rows)
         return Replay(self.picks[some], scenarios, recorded, designs, self.mismatch)
-
-
-def most_departures(chosen: Chosen) -> int | None:
-    """On how many departures a law is driven again; None for all: those that take long say so by a small batch."""
-    return chosen.row.design.batch if chosen.row.design.batch < Controller.batch else None
 
 
 def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:

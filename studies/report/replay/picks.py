@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus
+from ldctoolkit import Controller, EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
+from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
 from studies.report.replay.asked import asked_departures, asked_designs
 from studies.report.tables.row import Row, is_baseline
@@ -20,10 +21,13 @@ IntArray = npt.NDArray[np.int64]
 SIDE_NAMES = {LEFT: "Left", RIGHT: "Right"}
 MOST_LAWS = 8
 """Laws whose best designs are driven again."""
+MOST_DESIGNS = 12
+"""Designs that finalists and the Pareto front fill up."""
 
 _GOLDEN = 0.6180339887498949
 """Multiples of it, without their whole parts, are spread evenly wherever they are cut off."""
 
+FINALIST, PARETO = "finalist", "on the Pareto front"
 PAPER = "the paper\u2019s Table I"
 REDUCTIONS = ("least reduction", "median reduction", "greatest reduction")
 STATUS_WORDS = {
@@ -62,17 +66,28 @@ class Chosen:
     ----------
     row : Row
     why : str
-        Winner, second of the ranking, best of its law, baseline, Table I, or that it was asked for.
+        Winner, second of the ranking, best of its law, baseline, Table I, that it was asked for, finalist or Pareto.
     """
 
     row: Row
     why: str
 
+    @property
+    def further(self) -> bool:
+        """Whether it is there only as long as there is room."""
+        return self.why in (FINALIST, PARETO)
+
+
+def most_departures(chosen: Chosen) -> int | None:
+    """On how many departures a law is driven again; None for all: those that take long say so by a small batch."""
+    return chosen.row.design.batch if chosen.row.design.batch < Controller.batch else None
+
 
 def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     """The best, the second, the best of each law, the baseline, Table I and those asked for; no control is none.
 
-    The first one is the one that departures are chosen by.
+    Finalists and then the Pareto front, by rank, fill up to `MOST_DESIGNS`, unless they take long. The first one is the
+    one that departures are chosen by.
     """
     table = context.primary
     by_index = {row.index: row for row in table.rows}
@@ -82,7 +97,7 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     reasons = (
         (table.best_name.removeprefix("the "), (first,)),
         ("second of the ranking", second),
-        ("best of its law", others),
+        ("best of its law", (*others, table.best_of(PAPER_LAW))),
         ("baseline", (table.baseline,)),
         (PAPER, (table.paper_design,)),
         ("asked for", (by_index[i] for i in asked if i in by_index)),
@@ -92,6 +107,11 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
         for row in rows:
             if row is not None and not is_baseline(row):
                 kept.setdefault(row.index, Chosen(row, why))
+    finalists = (Chosen(row, FINALIST) for row in table.rows if row.fresh is not None)
+    pareto = (Chosen(row, PARETO) for row in table.rows if row.pareto)
+    for one in (*finalists, *pareto):
+        if len(kept) < MOST_DESIGNS and not is_baseline(one.row) and most_departures(one) is None:
+            kept.setdefault(one.row.index, one)
     return tuple(kept.values())
 
 

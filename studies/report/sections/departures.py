@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
 from ldctoolkit import EventStatus
+from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
-from studies.report.embedded.departures import BUDGET, MOST, bytes_of, embedded_departures, grids, trimmed, weight
+from studies.report.embedded.fitting import fitted_departures
 from studies.report.figures.examples import examples
 from studies.report.figures.path_figures import Example, path_figure, path_limits
 from studies.report.look.style import RECORDED, LineStyle
 from studies.report.look.svg import line_sample
 from studies.report.rendering import render
-from studies.report.replay.paths import Replay, most_departures, replay
-from studies.report.replay.picks import PAPER, Chosen, chosen_designs, picked_departures
+from studies.report.replay.picks import Chosen, chosen_designs, most_departures
 from studies.report.section import Drawing, Section
+from studies.report.tables.row import Row
 from studies.report.words.prose import design_text
 from studies.report.words.text import percent, printable, symbols
 
-_ALIKE: tuple[tuple[float, ...], ...] = ((1.0, 1.2), (8.0, 1.5, 1.0, 1.5, 1.0, 1.5), (3.0, 3.0), (10.0, 4.0))
+_ALIKE: tuple[tuple[float, ...], ...] = (
+    (1.0, 1.2), (8.0, 1.5, 1.0, 1.5, 1.0, 1.5), (3.0, 3.0), (10.0, 4.0), (5.0, 1.5), (1.0, 3.0), (12.0, 2.0, 4.0, 2.0),
+)  # fmt: skip
 """Dashes of further designs of one law."""
 
 
@@ -50,7 +53,8 @@ def section(context: Context) -> Section:
     if not took_over:
         body = render("sections/departures.html", report=context.report, replayed=None)
         return Section("departures", "Departures", body)
-    every, replayed, data = _replayed(context, designs)
+    every, replayed, data = fitted_departures(context, designs)
+    designs = tuple(paths.chosen for paths in replayed.designs)
     styles = _styles(context, designs)
     found = examples(context, replayed)
     drawings = tuple(_drawings(found))
@@ -60,7 +64,7 @@ def section(context: Context) -> Section:
         replayed=replayed,
         paths=drawings,
         legend=_legend(context),
-        choices=_choices(designs, styles),
+        choices=_choices(context, designs, styles),
         recorded=line_sample(RECORDED.color, RECORDED.dash),
         every=every,
         total=context.scenarios.n,
@@ -82,23 +86,6 @@ def section(context: Context) -> Section:
     )
 
 
-def _replayed(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Replay, dict[str, object]]:
-    """The step, the departures that fit into the page, driven again, and what the script reads of them."""
-    every, picks = 1, picked_departures(context, designs, 0)
-    for grid in grids(context.report.dt):
-        every, picks = grid.every, picked_departures(context, designs, grid.count)
-        if weight(context, picks, designs, every) <= BUDGET:
-            break
-    else:
-        picks = trimmed(context, picks, designs, every)
-    replayed = replay(context, picks, designs)
-    data = embedded_departures(context, replayed, every)
-    while bytes_of(data) > MOST and len(replayed.picks) > max(1, len(context.report.departures)):
-        replayed = replayed.first(max(1, len(context.report.departures), int(0.8 * len(replayed.picks))))
-        data = embedded_departures(context, replayed, every)
-    return every, replayed, data
-
-
 def _styles(context: Context, designs: tuple[Chosen, ...]) -> list[LineStyle]:
     """Each law's own; further designs of a law have its colour and another dash."""
     seen: dict[str, int] = {}
@@ -110,14 +97,26 @@ def _styles(context: Context, designs: tuple[Chosen, ...]) -> list[LineStyle]:
     return styles
 
 
-def _choices(designs: tuple[Chosen, ...], styles: list[LineStyle]) -> list[Choice]:
-    """The first one is drawn from the start, beside it the baseline, else the paper's design, else the next."""
-    beside = [k for why in ("baseline", PAPER) for k, one in enumerate(designs) if one.why == why]
-    shown = {0, *(beside or [1])[:1]}
+def _choices(context: Context, designs: tuple[Chosen, ...], styles: list[LineStyle]) -> list[Choice]:
+    """The first one is drawn from the start, and beside it the paper's controller or what differs otherwise."""
+    shown = {0, _beside(context, designs)}
     return [
         Choice(line_sample(style.color, style.dash), design_text(one.row), one.why, k in shown)
         for k, (one, style) in enumerate(zip(designs, styles, strict=True))
     ]
+
+
+def _beside(context: Context, designs: tuple[Chosen, ...]) -> int:
+    """Table I, else the best of the paper's law, else the baseline, else the next law, else the next design."""
+    paper, baseline, law = context.primary.paper_design, context.primary.baseline, designs[0].row.design.law
+    rules: tuple[Callable[[Row], bool], ...] = (
+        lambda row: paper is not None and row.index == paper.index,
+        lambda row: row.design.law == PAPER_LAW != law,
+        lambda row: baseline is not None and row.index == baseline.index,
+        lambda row: row.design.law != law,
+    )
+    others = [(k, one.row) for k, one in enumerate(designs)][1:]
+    return next((k for rule in rules for k, row in others if rule(row)), min(1, len(others)))
 
 
 def _design(one: Chosen, style: LineStyle) -> dict[str, object]:

@@ -18,6 +18,8 @@ from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.report import ReportInput
 from studies.report.context import Context
+from studies.report.embedded.departures import bytes_of, weight
+from studies.report.embedded.fitting import fitted_departures
 from studies.report.replay.picks import chosen_designs, picked_departures
 from studies.report.section import Section
 from studies.report.sections.departures import section
@@ -124,6 +126,59 @@ def test_designs_are_the_winner_the_second_and_the_best_of_each_law(report: Repo
     assert dict(paper.row.design.gains)["K_y"] == -0.005
     best = min(k for k, d in enumerate(ranking.designs) if d.law == "preview_proportional")
     assert best in [one.row.place for one in chosen]
+
+
+def test_finalists_and_the_pareto_front_fill_up_by_rank(report: ReportInput) -> None:
+    context = Context.of(report)
+    table = context.primary
+    fresh = table.rows[9].S
+    rows = tuple(
+        dataclasses.replace(row, pareto=row.place in (4, 5, 11), fresh=fresh if row.place == 7 else None)
+        for row in table.rows
+    )
+    context = dataclasses.replace(context, tables=(dataclasses.replace(table, rows=rows, winner=rows[0]),))
+    core = [one.row.place for one in chosen_designs(Context.of(report)) if not one.further]
+    chosen = chosen_designs(context)
+    assert [one.row.place for one in chosen] == core + [k for k in (7, 4, 5, 11) if k not in core]
+    assert [one.why for one in chosen if one.row.place == 7] == ["finalist"]
+    crowd = tuple(dataclasses.replace(row, pareto=True) for row in rows)
+    context = dataclasses.replace(context, tables=(dataclasses.replace(table, rows=crowd, winner=crowd[0]),))
+    assert len(chosen_designs(context)) == 12
+
+
+def test_further_designs_give_way_to_departures(report: ReportInput, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = Context.of(report)
+    rows = tuple(dataclasses.replace(row, pareto=True) for row in context.primary.rows)
+    context = dataclasses.replace(context, tables=(dataclasses.replace(context.primary, rows=rows),))
+    every = chosen_designs(context)
+    core = tuple(one for one in every if not one.further)
+    assert len(core) + 3 < len(every)
+    monkeypatch.setattr("studies.report.embedded.fitting.BUDGET", 10_000_000)
+    monkeypatch.setattr("studies.report.embedded.fitting.MOST", 10_000_000)
+    assert len(fitted_departures(context, every)[1].designs) == len(every)
+    picks = picked_departures(context, core, 120)
+    two_more = weight(context, picks, every[: len(core) + 2], 1)
+    monkeypatch.setattr("studies.report.embedded.fitting.BUDGET", two_more + 1.0)
+    step, replayed, data = fitted_departures(context, every)
+    assert (step, len(replayed.picks)) == (1, 100)
+    assert [one.chosen for one in replayed.designs] == list(every[: len(core) + 2])
+    monkeypatch.setattr("studies.report.embedded.fitting.MOST", bytes_of(data) - 1)
+    _, replayed, _ = fitted_departures(context, every)
+    assert (len(replayed.designs), len(replayed.picks)) == (len(core) + 1, 100)
+
+
+def test_the_paper_stands_beside_the_winner(report: ReportInput, make: ModuleType) -> None:
+    def drawn(given: ReportInput) -> list[str]:
+        one = section(Context.of(given))
+        assert one.data is not None
+        boxes = re.findall(r'name="explorer-design" value="\d+"( checked)?', str(one.body))
+        return [d["id"] for d, box in zip(one.data["designs"], boxes, strict=True) if box]  # type: ignore[call-overload]
+
+    winner, table = report.rankings[0].designs[0].id, Design.of(PreviewProportional(), 0.2).id
+    assert drawn(report) == [winner, table]
+    hers, worse, other = Design.of(LQR(), 0.05), Design.of(LQR(), 0.2), Design.of(PreviewProportional(), 0.3)
+    assert set(drawn(only(make, hers, worse, other))) == {hers.id, other.id}  # the best of the paper's law
+    assert set(drawn(only(make, hers, worse))) == {hers.id, worse.id}
 
 
 def test_departures_and_designs_that_were_asked_for(report: ReportInput) -> None:
