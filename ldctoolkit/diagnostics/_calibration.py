@@ -9,15 +9,11 @@ import numpy as np
 from ldctoolkit.diagnostics._marginals import ModelMarginal
 from ldctoolkit.diagnostics.parts import Calibration, FloatArray
 
-_DRAWS: Final = 1999
-_MOST: Final = 2_000
-"""Events of a bootstrap draw; beyond them the distance falls as 1/sqrt(n) to better than 1 %."""
-
 LEVEL: Final = 0.95
 _GRID: Final = 201
 
 
-def kolmogorov_limit(effective_events: float, parameters: int, seed: int) -> float:
+def kolmogorov_limit(effective_events: float, parameters: int) -> float:
     """Kolmogorov distance that events drawn from the model itself exceed in one parameter of d or more in 5 % of cases.
 
     Parameters
@@ -25,9 +21,7 @@ def kolmogorov_limit(effective_events: float, parameters: int, seed: int) -> flo
     effective_events : float
         Kish's effective number.
     parameters : int
-        d; each is given 0.05/d (Bonferroni).
-    seed : int
-        Seed of the 1,999 bootstrap draws.
+        d; each is given 0.05/d (Bonferroni), so that it is 5 % or fewer whatever their dependence.
 
     Returns
     -------
@@ -35,25 +29,21 @@ def kolmogorov_limit(effective_events: float, parameters: int, seed: int) -> flo
 
     Notes
     -----
-    A parametric bootstrap: F(x) of an event from the model is uniform, so uniform numbers are drawn. The model is not
-    fitted again to each draw: against events that it was fitted to, a right model stays below this limit more often
-    than 95 %.
+    The exact distribution of the distance for whole numbers of events, between them a straight line. The model is not
+    fitted again: against events that it was fitted to, a right model stays below this limit more often than 95 %.
 
     Examples
     --------
-    >>> abs(kolmogorov_limit(1000, 1, seed=0) - 1.358 / 1000**0.5) < 2e-3
-    True
+    >>> round(kolmogorov_limit(1000, 1), 4), kolmogorov_limit(149.25, 8) > kolmogorov_limit(150, 8)
+    (0.0427, True)
     """
-    n = max(1, int(min(effective_events, _MOST)))
-    rng = np.random.default_rng([seed, 1])
-    step = np.arange(n + 1) / n
-    distances = np.empty(_DRAWS)
-    for i in range(_DRAWS):
-        u = np.sort(rng.random(n))
-        distances[i] = max(float((step[1:] - u).max()), float((u - step[:-1]).max()))
-    return float(np.quantile(distances, 1.0 - (1.0 - LEVEL) / parameters)) * float(
-        np.sqrt(n / max(effective_events, 1.0))
-    )
+    # SciPy's distributions take long to import
+    from scipy.stats import kstwo
+
+    n = max(effective_events, 1.0)
+    whole = np.floor(n)
+    below, above = kstwo.isf((1.0 - LEVEL) / parameters, [whole, whole + 1.0])
+    return float(below + (n - whole) * (above - below))
 
 
 def calibrate(name: str, column: FloatArray, weight: FloatArray, model: ModelMarginal, limit: float) -> Calibration:

@@ -56,7 +56,7 @@ def diagnose(
     names : sequence of str, optional
         Parameters; by default those of the side or of the mixture, else ``x0``, ``x1``, ...
     seed : int
-        Seed of the model's sample, the bootstrap and the split of the comparison.
+        Seed of the model's sample and the split of the comparison.
     weights : (n,), optional
         Events that each row stands for.
     summary : SideSummary, optional
@@ -82,7 +82,7 @@ def diagnose(
     -----
     Marginals of a truncated mixture have no closed form. Shares next to bounds are integrated; a distribution
     function is integrated at 15 values and follows a sample of `n_model` events between them, to 0.0003; joint
-    densities are those of the sample. The Kolmogorov limit is a parametric bootstrap without a refit: see
+    densities are those of the sample. The Kolmogorov limit is that of fresh events, without a refit: see
     `Calibration` and ``docs/fit-page.md``.
 
     Examples
@@ -106,7 +106,7 @@ def diagnose(
     x, share = events.x, events.share
     tell("margins", 0, _STEPS)
     drawn, _ = distribution.sample(int(n_model), int(seed))
-    limit = kolmogorov_limit(events.effective, len(chosen), int(seed))
+    limit = kolmogorov_limit(events.effective, len(chosen))
     marginals: list[Marginal] = []
     calibrations: list[Calibration] = []
     for j, name in enumerate(chosen):

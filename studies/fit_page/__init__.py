@@ -37,7 +37,7 @@ def write_fit_page(
     departures : Departures
         What it was fitted to, both sides together.
     seed : int
-        Seed of model samples, bootstrap draws and the split of the comparison.
+        Seed of model samples and the split of the comparison.
     weights : (n,), optional
         Events that each departure stands for, as in the fit.
     png : Path, optional

@@ -21,6 +21,10 @@ FloatArray = npt.NDArray[np.float64]
 
 MODEL_DASH: Final = (4.0, 2.0)
 
+_TICKS: Final = 10
+_LABELS: Final = 11.5
+"""Sizes of the text beside pairs [pt]: the grid of seven by seven is shown smaller than it is drawn on many screens."""
+
 _SHADES: Final = (0.22, 0.5, 0.95)
 """Of the generated departures' colour: all cells, those that hold the densest 90 %, and 50 %."""
 
@@ -74,11 +78,11 @@ def pairs_figure(side: SideMatch) -> Figure:
                 _draw_pair(axes, by_name[names[j], names[i + 1]], side.key, 72.0 * size * axes.get_position().width)
                 axes.xaxis.set_major_locator(MaxNLocator(2, prune="both") if i == d - 1 else NullLocator())
                 axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if j == 0 else NullLocator())
-                axes.tick_params(labelsize=8)
+                axes.tick_params(labelsize=_TICKS)
                 if i == d - 1:
-                    axes.set_xlabel(axis_label(names[j]))
+                    axes.set_xlabel(axis_label(names[j]), fontsize=_LABELS)
                 if j == 0:
-                    axes.set_ylabel(axis_label(names[i + 1]))
+                    axes.set_ylabel(axis_label(names[i + 1]), fontsize=_LABELS)
                     axes.yaxis.set_label_coords(-0.62 / (size * axes.get_position().width), 0.5)
         return figure
 

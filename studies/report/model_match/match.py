@@ -22,6 +22,7 @@ from ldctoolkit.scenario_model.source_summary import (
     weighted_ranks,
 )
 from studies.report.model_match.parts import Distance, Drawing, Margin, Pair, SideMatch
+from studies.report.model_match.rank_chance import rank_limits
 from studies.report.model_match.source import Source, source_of_side
 
 FloatArray = npt.NDArray[np.float64]
@@ -102,13 +103,15 @@ def _side(
     )
     drawn = None if half is None or not names else _drawn(half, wanted, key)
     counts = (0.0 if drawn is None else n, n * source.effective / (n + source.effective))
-    limits = tuple(kolmogorov_limit(count, len(names), 0) if names and count else 1.0 for count in counts)
+    limits = tuple(kolmogorov_limit(count, len(names)) if names and count else 1.0 for count in counts)
     margins = tuple(_margin(name, x[name], source, half, drawn, limits) for name in names)
     reference = source.summary
     if source.origin == "none" and drawn is not None:
         columns = [drawn[0][:, drawn_column(half, name)] for name in names]
         reference = summarize(np.column_stack(columns), names=names)
-    pairs = _pairs(names, x, reference) if n >= _LEAST_PAIRED and reference is not None else ()
+    # without source departures the reference is drawn from the model
+    behind = source.effective if source.origin != "none" else float(_DRAWN)
+    pairs = _pairs(names, x, reference, behind) if n >= _LEAST_PAIRED and reference is not None else ()
     drawing = None
     if model is not None and half is not None:
         redrawn = model.redrawn_share(side) if fitted is None else fitted.redrawn_share
@@ -222,7 +225,9 @@ def _to_model(column: FloatArray, model: ModelMarginal) -> float:
     return float(max((step[1:] - u).max(), (u - step[:-1]).max(), 0.0))
 
 
-def _pairs(names: tuple[str, ...], x: dict[str, FloatArray], reference: SourceSummary | None) -> tuple[Pair, ...]:
+def _pairs(
+    names: tuple[str, ...], x: dict[str, FloatArray], reference: SourceSummary | None, behind: float
+) -> tuple[Pair, ...]:
     n = x["T"].size
     share = np.full(n, 1.0 / n)
     ranks = {name: weighted_ranks(x[name], share) for name in names}
@@ -234,6 +239,7 @@ def _pairs(names: tuple[str, ...], x: dict[str, FloatArray], reference: SourceSu
         for name in names
     }
     places = {name: places_between(x[name], edges[name]) for name in names}
+    compared = math.comb(len(set(names) & set(known)), 2)
     out = []
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
@@ -245,6 +251,7 @@ def _pairs(names: tuple[str, ...], x: dict[str, FloatArray], reference: SourceSu
             at = sorted((known.index(first), known.index(second))) if both else [0, 0]
             turned = both and known.index(first) > known.index(second)
             other = reference.pair(*at) if both and reference is not None else None
+            rank = reference.rank_correlation(*at) if both and reference is not None else None
             out.append(
                 Pair(
                     first,
@@ -254,7 +261,8 @@ def _pairs(names: tuple[str, ...], x: dict[str, FloatArray], reference: SourceSu
                     cells,
                     other.T if other is not None and turned else other,
                     rank_correlation(ranks[first], ranks[second], share),
-                    reference.rank_correlation(*at) if both and reference is not None else None,
+                    rank,
+                    None if rank is None else rank_limits(rank, n, behind, compared),
                 )
             )
     return tuple(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal
 
 import numpy as np
@@ -70,6 +71,8 @@ class Pair:
         Shares in each cell; the reference are the source departures or, where these are not known, the model.
     generated_rank, reference_rank : float
         Spearman's rank correlation.
+    limits : (low, high), optional
+        What chance takes the generated one beyond in 5 % of cases in one of the pairs or more.
     """
 
     first: str
@@ -80,6 +83,21 @@ class Pair:
     reference: FloatArray | None
     generated_rank: float
     reference_rank: float | None
+    limits: tuple[float, float] | None
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the rank correlations differ by more than chance."""
+        return self.limits is not None and not self.limits[0] <= self.generated_rank <= self.limits[1]
+
+    @property
+    def off(self) -> float:
+        """Distance of the generated rank correlation from the reference's; 1 is where chance ends, 0 if not known."""
+        if self.limits is None or self.reference_rank is None:
+            return 0.0
+        gap = self.generated_rank - self.reference_rank
+        reach = self.limits[1] - self.reference_rank if gap > 0.0 else self.reference_rank - self.limits[0]
+        return abs(gap) / reach if reach > 0.0 else (math.inf if gap else 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,6 +161,6 @@ class SideMatch:
 
     @property
     def widest_pair(self) -> Pair | None:
-        """The pair whose rank correlation is furthest from the reference's."""
+        """The pair whose rank correlation is furthest from the reference's, measured by what chance makes."""
         known = [pair for pair in self.pairs if pair.reference_rank is not None]
-        return max(known, key=lambda pair: abs(pair.generated_rank - (pair.reference_rank or 0.0)), default=None)
+        return max(known, key=lambda pair: pair.off, default=None)

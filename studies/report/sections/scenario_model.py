@@ -125,7 +125,16 @@ def _verdicts(side: SideMatch) -> Iterator[str]:
     pair = side.widest_pair
     if pair is not None and pair.reference_rank is not None:
         whose = "source departures" if side.origin != "none" else "model"
+        low, high = (text.signed(end, 2) for end in pair.limits or (-1.0, 1.0))
+        count = sum(one.beyond for one in side.pairs)
+        if count:
+            said = (
+                f"{count} of {len(side.pairs)} rank correlations differ from those of the {whose} by more than chance"
+            )
+        else:
+            said = f"rank correlations differ from those of the {whose} by no more than chance makes"
         yield (
-            f"{TITLES[side.key]}: the rank correlation that is furthest off is that of {pair.first} and {pair.second}: "
-            f"{text.signed(pair.generated_rank, 2)} generated, {text.signed(pair.reference_rank, 2)} in the {whose}."
+            f"{TITLES[side.key]}: {said}; the furthest off is that of {pair.first} and {pair.second}: "
+            f"{text.signed(pair.generated_rank, 2)} generated, {text.signed(pair.reference_rank, 2)} in the {whose}, "
+            f"chance reaches from {low} to {high}."
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -121,9 +123,20 @@ def test_weights_count_as_repetitions() -> None:
 
 @pytest.mark.parametrize(("n", "parameters"), [(40, 1), (700, 1), (30_000, 1), (700, 8)])
 def test_kolmogorov_limit_is_the_known_quantile(n: int, parameters: int) -> None:
-    want = stats.kstwo(n).ppf(1.0 - 0.05 / parameters)
-    # a bootstrap quantile of 1,999 draws: about 2 % at the 95 % quantile, 4 % at the 99.4 % one
-    assert kolmogorov_limit(n, parameters, seed=0) == pytest.approx(want, rel=0.03 if parameters == 1 else 0.08)
+    """By drawing: events of the model are uniform numbers, and the limit is exceeded in 5 % of the draws."""
+    repetitions = 4000 if n < 1000 else 400
+    u = np.sort(np.random.default_rng(n).random((repetitions, n)), axis=1)
+    step = np.arange(n + 1) / n
+    distance = np.maximum((step[1:] - u).max(axis=1), (u - step[:-1]).max(axis=1))
+    share = 0.05 / parameters
+    error = np.sqrt(share * (1.0 - share) / repetitions)
+    assert np.mean(distance > kolmogorov_limit(n, parameters)) == pytest.approx(share, abs=4.0 * error)
+
+
+def test_kolmogorov_limit_falls_with_the_effective_number() -> None:
+    limits = [kolmogorov_limit(n, 8) for n in (0.0, 1.0, 1.5, 149.25, 149.9, 150.0, 150.5, 2000.0, 1e6)]
+    assert limits[0] == limits[1]
+    assert all(one > other for one, other in itertools.pairwise(limits[1:]))
 
 
 def test_strips_count_and_integrate() -> None:

@@ -13,6 +13,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, load_model, summarize
 from studies.report.model_match.match import match, within_bounds
+from studies.report.model_match.rank_chance import rank_limits
 
 
 def table(scenarios: Scenarios, **changed: np.ndarray) -> Departures:
@@ -66,6 +67,10 @@ def test_a_departures_table_is_compared_exactly(model: ScenarioModel, generated:
             bins=(pair.first_edges, pair.second_edges),
         )  # fmt: skip
         assert pair.generated == pytest.approx(counts / 300)
+        assert pair.limits == pytest.approx(rank_limits(pair.reference_rank, 300, 900, 28))
+        assert pair.limits[0] < pair.reference_rank < pair.limits[1]
+    assert left.widest_pair is max(left.pairs, key=lambda pair: pair.off)
+    assert [pair.beyond for pair in left.pairs] == [pair.off > 1.0 for pair in left.pairs]
 
 
 def test_the_models_summary_stands_for_the_departures(model: ScenarioModel, generated: Scenarios) -> None:

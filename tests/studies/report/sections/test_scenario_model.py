@@ -17,8 +17,8 @@ from studies.design import Design
 from studies.report.context import Context
 from studies.report.model_match.match import match
 from studies.report.section import Section
-from studies.report.sections.scenario_model import section
-from studies.report.words.text import percent
+from studies.report.sections.scenario_model import _verdicts, section
+from studies.report.words.text import percent, signed
 from studies.results import Case
 
 WORDS = "<script>alert(1)</script>"
@@ -76,6 +76,27 @@ def test_numbers_are_those_of_the_comparison(make: ModuleType, model: ScenarioMo
     assert "the model is synthetic" in text
     assert WORDS not in found.body
     assert "&lt;script&gt;" in found.body
+
+
+def test_rank_correlations_are_told_with_what_chance_makes(make: ModuleType, model: ScenarioModel) -> None:
+    text = said(made(make, model, (60, 40)))
+    pair = match(load_model("reference").sample(60, 40, seed=4), model)[0].widest_pair
+    assert pair is not None
+    assert pair.limits is not None
+    assert not pair.beyond
+    assert "Left: rank correlations differ from those of the source departures by no more than chance makes" in text
+    assert f"chance reaches from {signed(pair.limits[0], 2)} to {signed(pair.limits[1], 2)}." in text
+    # the same columns, each in an order of its own: no rank correlation is left
+    shuffled = load_model("reference").sample(400, 0, seed=4)
+    rng = np.random.default_rng(0)
+    columns = {name: rng.permutation(getattr(shuffled, name)) for name in PARAMETER_NAMES}
+    other = dataclasses.replace(shuffled, **columns)
+    (left,) = match(other, model)
+    assert left.widest_pair is not None
+    assert left.widest_pair.beyond
+    count = sum(one.beyond for one in left.pairs)
+    assert next(_verdicts(left)).startswith("Left: the generated departures differ from the source departures by no")
+    assert f"{count} of 28 rank correlations differ" in list(_verdicts(left))[-1]
 
 
 def test_figures_are_light_and_refer_to_nothing(make: ModuleType, model: ScenarioModel) -> None:
