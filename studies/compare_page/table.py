@@ -10,7 +10,7 @@ from studies.compare_page.sentences import interval_text
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.report.embedded.packed import packed
-from studies.report.words.text import difference_text, number
+from studies.report.words.text import difference_text, number, printable
 
 MOST_STATIC = 100
 """Rows that stand in the page without its script; the script shows all."""
@@ -109,7 +109,7 @@ def table_data(comparison: Comparison) -> list[dict[str, object]]:
         every.append(
             {
                 "laws": laws,
-                "labels": [case.designs[i].label for i in order],
+                "labels": [printable(case.designs[i].label) for i in order],
                 "law": packed([laws.index(case.designs[i].law) for i in order], "u2"),
                 "verdict": packed([VERDICTS.index(S.verdict[i]) for i in order], "u1"),
                 "S_old": packed(S.S_old[order]),

@@ -33,7 +33,8 @@ def markdown_text(text: str) -> str:
     1\. K\_y
     """
     line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
-    line = re.sub("[\ud800-\udfff]", "\ufffd", line)
+    # halves of characters, and what turns the direction of the text that follows
+    line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
     shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
     # no address, emoji or mention: a mark inside the word ends what would be one
     shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")

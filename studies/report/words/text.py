@@ -21,7 +21,7 @@ SYMBOL = re.compile(
 )
 """A symbol with an index, as the code writes it: ``y_s``, ``K_psi``."""
 
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 
 MINUS = "−"
 
@@ -30,7 +30,7 @@ _SMALL = 1e-3
 
 
 def printable(text: str) -> str:
-    """The text without characters that XML forbids."""
+    """The text without characters that XML forbids, and without those that turn the direction of what follows."""
     return _NOT_XML.sub("\ufffd", text)
 
 

@@ -20,6 +20,7 @@ from studies.design import Design
 from studies.ranking.markdown_text import markdown_text
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_markdown import MOST_ROWS, StudyHead, listed_places, ranking_markdown, write_markdown
+from studies.report.words.text import printable
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 
 EVIL = "<script>alert(1)</script>"
@@ -139,12 +140,20 @@ def test_other_cases_have_a_line_each_and_the_text_is_the_same_each_time(tmp_pat
     assert len(table(text)) == 4
 
 
+@pytest.mark.parametrize("turn", "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+def test_no_text_turns_what_follows(turn: str) -> None:
+    assert markdown_text(f"a{turn}b") == "a\ufffdb"
+    assert printable(f"a{turn}b") == "a\ufffdb"
+    assert printable("\u05d0\u200f\u2029") == "\u05d0\u200f\u2029"
+
+
 @given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=40))
 def test_any_text_stays_what_it_is(text: str) -> None:
     """A Markdown parser gives the text back, in a cell as in a line of a list."""
     shown = markdown_text(text)
     assert "\n" not in shown
     parser = MarkdownIt("commonmark").enable("table")
+    text = re.sub("[\u202a-\u202e\u2066-\u2069]", "\ufffd", text)
     expected = " ".join(text.replace("\u2028", " ").replace("\u2029", " ").split(" ")).strip()
     for block in (f"| a |\n| --- |\n| {shown} |\n", f"- {shown}\n"):
         inline = [token for token in parser.parse(block) if token.type == "inline"]
