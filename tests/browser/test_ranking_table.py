@@ -183,6 +183,47 @@ def test_words_are_searched(table: Table, made: Any) -> None:
     assert len(table.cells()) == 28
 
 
+def test_gains_are_searched_as_numbers(table: Table, made: Any) -> None:
+    rows = made("ordinary").rows()
+    field = table.filters.get_by_role("searchbox", name="Search")
+
+    def ranks(holds: Callable[[dict[str, str]], bool]) -> list[str]:
+        return [shown_rank(row) for row in rows if holds(row)]
+
+    def r_delta(row: dict[str, str]) -> float:
+        (column,) = (name for name in row if name.startswith("gain_r_delta"))
+        return value(row, column)
+
+    for text, holds in (
+        ("r_delta=10", lambda row: r_delta(row) == 10),
+        ("rδ = 10", lambda row: r_delta(row) == 10),
+        ("r_delta=1e2", lambda row: r_delta(row) == 100),
+        ("r_delta > 10", lambda row: r_delta(row) > 10),
+        (
+            "Kψ\u00a0=\u00a0−0.20 ys >= 0.2",
+            lambda row: row["gain_K_psi_rad_per_rad"] == "-0.2" and value(row, "y_s_m") > 0.1,
+        ),
+        ("LQR y_s<0.1", lambda row: row["law"] == "lqr" and value(row, "y_s_m") < 0.1),
+        ("winner", lambda row: row["winner"] == "true"),
+        ("baseline", lambda row: row["law"] == "none"),
+        ("misses", lambda row: row["unmet"] or row["fresh_unmet"]),
+    ):
+        field.fill(text)
+        found = ranks(holds)  # type: ignore[arg-type]
+        assert table.column("Rank") == found, text
+        assert 0 < len(found) < 28
+
+
+def test_the_papers_design_is_found_by_its_tag(open_page: Callable[..., Any], made: Any) -> None:
+    table = Table(open_page(made("thousand").path))
+    tagged = [one for one in table.column("Design") if "Table I" in one.split(" Preview")[0]]
+    table.filters.get_by_role("searchbox", name="Search").fill("table i")
+    table.page.wait_for_timeout(300)
+    found = table.column("Design")
+    assert len(found) >= max(1, len(tagged))
+    assert all("Table I" in one for one in found)
+
+
 def test_tags_and_requirements_are_filtered(table: Table, made: Any) -> None:
     rows = made("ordinary").rows()
     for name, kept in (

@@ -34,7 +34,10 @@ def section(context: Context) -> Section:
         "Ranking",
         body,
         data=designs_data(context),
-        scripts=("designs.js", "table-columns.js", "table-filters.js", "ranking.js", "sorting.js", "details.js"),
+        scripts=(
+            *("designs.js", "table-columns.js", "table-search.js", "table-filters.js"),
+            *("ranking.js", "sorting.js", "details.js"),
+        ),
         styles=("ranking.css", "details.css"),
     )
 

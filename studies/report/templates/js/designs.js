@@ -5,7 +5,7 @@
   if (!data) return;
   var FLAGS = { set_of_best: 1, pareto: 2, winner: 4, baseline: 8, paper: 16, passive: 32, best_of_law: 64 };
   var FAILURES = ["solver_failed", "diverged", "timed_out", "crashed"];
-  var n = data.count, columns = {}, ends = {}, byName = {}, shown = [], texts = [];
+  var n = data.count, columns = {}, ends = {}, byName = {}, shown = [];
 
   // A column of all designs, from all numbers, one number for all, or a few with their places.
   function expand(column) {
@@ -86,21 +86,19 @@
     }
     return shown[i];
   }
-  // What a search looks through; gains with names, as people type them.
-  function haystack(i) {
-    if (texts[i] === undefined) {
-      var one = place(i), said = gains(i).map(function (gain) { return gain.name + "=" + gain.text; });
-      texts[i] = [one.label, one.law, one.id].concat(said).join(" ").toLowerCase().replace(/\u2212/g, "-");
-    }
-    return texts[i];
+  // Words beside a design's name.
+  function tags(i) {
+    var wins = is("winner", i);
+    return [[is("paper", i), "Table I"], [wins, "winner"], [is("set_of_best", i) && !wins, "set of best"], [is("pareto", i), "Pareto"],
+      [is("baseline", i), "baseline"]].filter(function (one) { return one[0]; }).map(function (one) { return one[1]; });
   }
   function failures(i) {
     return FAILURES.reduce(function (sum, name) { return sum + figure(name)[i]; }, invalid[i]);
   }
   // A figure with its digits, scaled to the unit that is shown.
   function shownValue(name, i) {
-    var one = byName[name];
-    var value = figure(name)[i] * one.scale;
+    var one = byName[name], value = figure(name)[i] * one.scale;
+    if (Number.isNaN(value)) return name === "law_time" && data.laws[law[i]].linear ? "linear" : LDC.number(value);
     return one.unit === "%" ? LDC.number(value, one.digits) + "\u00a0%" : LDC.number(value, one.digits);
   }
   function withUnit(one) { return one.unit && one.unit !== "%" ? one.title + " [" + one.unit + "]" : one.title; }
@@ -113,13 +111,14 @@
   LDC.styles = data.styles;
   LDC.designs = {
     count: n, data: data, laws: data.laws, figures: data.figures, place: place, figure: figure, interval: interval,
-    is: is, gains: gains, named: named, haystack: haystack, failures: failures, shown: shownValue,
+    is: is, gains: gains, named: named, tags: tags, failures: failures, shown: shownValue,
     law: function (i) { return law[i]; },
     rank: function (i) { return rank[i]; },
     unmet: function (i) { return data.unmet.sets[unmet[i]]; },
     freshUnmet: function (i) { return data.fresh_unmet.sets[freshUnmet[i]]; },
     described: function (name) { return byName[name]; },
     titled: withUnit, axis: axis, compact: compact,
+    ranked: rank.filter(function (one) { return one > 0; }).length,
     winner: only("winner"), baseline: only("baseline"), passive: only("passive"),
     choose: function (i) { document.dispatchEvent(new CustomEvent("ldc:design", { detail: { place: i } })); }
   };

@@ -21,18 +21,11 @@
     mark.style.setProperty("--h", share(S.high[i]));
     return mark;
   }
-  function tag(text, strong) { return el("span", { "class": strong ? "tag strong" : "tag" }, text); }
   // Tags of a design, as nodes with spaces between them.
   function tags(i) {
-    var found = [];
-    function add(on, text, strong) { if (on) found.push(document.createTextNode(" "), tag(text, strong)); }
-    var wins = designs.is("winner", i);
-    add(designs.is("paper", i), "Table I");
-    add(wins, "winner", true);
-    add(designs.is("set_of_best", i) && !wins, "set of best");
-    add(designs.is("pareto", i), "Pareto");
-    add(designs.is("baseline", i), "baseline");
-    return found;
+    return designs.tags(i).reduce(function (found, text) {
+      return found.concat(document.createTextNode(" "), el("span", { "class": text === "winner" ? "tag strong" : "tag" }, text));
+    }, []);
   }
   function missed(i) {
     var said = [];
@@ -109,11 +102,10 @@
     paired("optimism", "Optimism [m·s]")
   ].filter(function (one) { return one !== null; });
   function ofFigure(figure) {
-    var values = designs.figure(figure.name), idle = figure.name === "triggered";
+    var values = designs.figure(figure.name);
     return {
-      key: figure.name, title: designs.titled(figure), group: data.groups[figure.group],
-      value: function (i) { return idle && designs.is("passive", i) ? Number.NaN : values[i]; },
-      cell: function (i) { return cell(idle && designs.is("passive", i) ? "–" : designs.shown(figure.name, i)); }
+      key: figure.name, title: designs.titled(figure), group: data.groups[figure.group], value: function (i) { return values[i]; },
+      cell: function (i) { return cell(designs.shown(figure.name, i)); }
     };
   }
   var FIRST = ["triggered", "deeper"], failures = {

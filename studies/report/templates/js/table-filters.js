@@ -11,7 +11,7 @@
     return { input: input, label: el("label", {}, [input, " ", el("span", {}, title)]) };
   }
   var search = el("input", {
-    type: "search", id: "ranking-search", placeholder: "label, id, gain=value", autocomplete: "off", input: function () {
+    type: "search", id: "ranking-search", placeholder: "label, tag, id, gain=value", autocomplete: "off", input: function () {
       clearTimeout(timer);
       timer = setTimeout(changed, designs.count > 1000 ? 150 : 0);
     }
@@ -83,14 +83,11 @@
     onreset: function () {},
     // Places of the designs that pass, in the order of the ranking.
     passing: function () {
-      var words = search.value.toLowerCase().replace(/\u2212/g, "-").split(/\s+/).filter(Boolean);
+      var wanted = LDC.search(search.value);
       var asked = tests.filter(function (one) { return one.input.checked; }), found = [];
       var allowed = laws.map(function (one) { return one.input.checked; });
       for (var i = 0; i < designs.count; i++) {
-        if (allowed[designs.law(i)] && asked.every(function (one) { return one.holds(i); })) {
-          var text = words.length ? designs.haystack(i) : "";
-          if (words.every(function (word) { return text.indexOf(word) >= 0; })) found.push(i);
-        }
+        if (allowed[designs.law(i)] && asked.every(function (one) { return one.holds(i); }) && wanted(i)) found.push(i);
       }
       return found;
     },
