@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows dashes
 """Everything on one design, opened and closed with the keyboard; its numbers are those of ranking.csv."""
 
 from __future__ import annotations
@@ -47,6 +48,44 @@ def test_its_table_of_a_study_file_makes_it_again(open_page: Callable[..., Any],
         (design,) = Study.from_dict({"name": "one", **tomllib.loads(text)}).designs
         assert design.id == row["design"]
         page.get_by_role("dialog").get_by_role("button", name="Close the details").click()
+
+
+def test_what_a_design_does_not_have_is_a_dash(open_page: Callable[..., Any], made: Any) -> None:
+    page, rows = open_page(made("ordinary").path), made("ordinary").rows()
+    body = page.locator("#ranking").get_by_role("region").first.locator("tbody tr")
+
+    def said(k: int) -> dict[str, str]:
+        """Figure -> text of this design."""
+        body.nth(k).get_by_role("button").click()
+        details = page.get_by_role("dialog")
+        lines = details.get_by_role("region", name="Figures").locator("tbody tr:not(.group)")
+        found = dict(lines.evaluate_all("(all) => all.map((r) => [r.cells[0].innerText, r.cells[1].innerText])"))
+        found["kind"] = details.locator(".kind").inner_text().lower()
+        page.keyboard.press("Escape")
+        return found
+
+    idle = said(next(k for k, row in enumerate(rows) if row["law"] == "none"))
+    for title in ("Taken over", "Needless interventions", "Back inside", "Time of the law per command [µs]"):
+        assert idle[title] == "–"
+    assert not any("–\u00a0%" in text for text in idle.values())
+    first = said(0)
+    assert first["Time of the law per command [µs]"] == "linear"
+    assert "%" in first["Taken over"]
+    ranked = sum(int(row["rank"] or 0) > 0 for row in rows)
+    assert 0 < ranked < len(rows)
+    assert first["kind"] == f"rank 1 of {ranked} ranked designs"
+
+
+def test_the_explorer_is_offered_where_it_holds_paths(open_page: Callable[..., Any], made: Any) -> None:
+    page, rows = open_page(made("ordinary").path), made("ordinary").rows()
+    held = page.evaluate("LDC.data('departures').designs.map((one) => one.place)")
+    assert 0 < len(held) < len(rows)
+    details = page.get_by_role("dialog")
+    for k in (held[0], next(k for k in range(len(rows)) if k not in held)):
+        page.locator("#ranking").get_by_role("region").first.locator("tbody tr").nth(k).get_by_role("button").click()
+        assert details.get_by_role("button", name="Show in departures").is_enabled() == (k in held)
+        assert (f"ldc report DIR --design {rows[k]['design']}" in details.inner_text()) == (k not in held)
+        page.keyboard.press("Escape")
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

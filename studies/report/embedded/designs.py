@@ -15,7 +15,7 @@ from studies.design import CONVENTION_GAIN, FOLLOWS_CASE
 from studies.ranking.figures import figure_values
 from studies.report.context import Context
 from studies.report.embedded.packed import packed
-from studies.report.embedded.shown_figures import GROUPS, SHOWN
+from studies.report.embedded.shown_figures import GROUPS, SHOWN, shown_values
 from studies.report.figures.landscape import swept_axes
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row, is_baseline
@@ -47,7 +47,7 @@ def designs_data(context: Context) -> dict[str, object]:
     figures = [
         {
             **{key: getattr(one, key) for key in ("name", "title", "unit", "group", "digits", "better", "scale")},
-            "values": column(figure_values(one.name, ranking)),
+            "values": column(shown_values(one.name, ranking)),
         }
         for one in SHOWN
     ]
@@ -153,7 +153,10 @@ def _law(context: Context, law: str) -> dict[str, object]:
     }
     values = [dict(design.gains) for design in members]
     gains = [_gain(gain, [of[gain.name] for of in values], gain.name in swept) for gain in kind.gains()]
-    return {"name": law, "title": printable(kind.title), "gains": gains}
+    timed = figure_values("law_time", ranking)
+    acting = [k for k, design in enumerate(ranking.designs) if design.law == law and not design.is_baseline]
+    linear = bool(acting) and bool((timed[acting] == 0.0).all())
+    return {"name": law, "title": printable(kind.title), "gains": gains, "linear": linear}
 
 
 def _gain(gain: Gain, values: Sequence[GainValue], swept: bool) -> dict[str, object]:

@@ -7,7 +7,11 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from studies.ranking.figures import FIGURES, Better
+import numpy as np
+import numpy.typing as npt
+
+from studies.ranking.figures import FIGURES, Better, figure_values
+from studies.ranking.ranking import Ranking
 
 GROUPS: Final[Mapping[str, str]] = {
     "score": "Score",
@@ -78,6 +82,9 @@ _WORDS: Final[Mapping[str, tuple[str, str, int]]] = {
 }
 """Figure -> group, title, digits."""
 
+_OF_A_LAW_THAT_ACTS: Final = frozenset(("triggered", "needless", "law_time"))
+"""Figures that no control has none of, whatever is stored."""
+
 _PARTS: Final = frozenset(("reduction", "reduction_left", "reduction_right"))
 """Pure numbers that people read as per cent."""
 
@@ -126,6 +133,29 @@ def shown_figure(name: str) -> ShownFigure:
     group, title, digits = _WORDS.get(name, ("score", name, 3))
     scale, unit = (100.0, "%") if name in _PARTS else _SHOWN_UNITS.get(figure.unit, (1.0, figure.unit))
     return ShownFigure(name, title, unit, group, digits, figure.better, scale)
+
+
+def shown_values(name: str, ranking: Ranking) -> npt.NDArray[np.float64]:
+    """Values of a figure as they stand, NaN where the page has none to show.
+
+    A linear law has no time of its own: 0 is stored.
+
+    Parameters
+    ----------
+    name : str
+        As `shown_figure` takes it.
+    ranking : Ranking
+        Of d designs.
+
+    Returns
+    -------
+    (d,)
+        In the figure's unit.
+    """
+    values = figure_values(name, ranking)
+    if name in _OF_A_LAW_THAT_ACTS:
+        values = np.where([design.is_baseline for design in ranking.designs], np.nan, values)
+    return np.where(values == 0.0, np.nan, values) if name == "law_time" else values
 
 
 SHOWN: Final = tuple(sorted((shown_figure(name) for name in FIGURES), key=lambda one: tuple(GROUPS).index(one.group)))

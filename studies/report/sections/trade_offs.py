@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from studies.ranking.figures import figure_values
 from studies.report.context import Context
-from studies.report.embedded.shown_figures import shown_figure
+from studies.report.embedded.shown_figures import shown_figure, shown_values
 from studies.report.figures.trade_off_figure import Group, front_of_two, trade_off_figure
 from studies.report.rendering import render
 from studies.report.section import Drawing, Section
@@ -20,7 +20,7 @@ MOST_POINTS = 600
 def section(context: Context) -> Section:
     """The section."""
     x, y = default_axes(context)
-    drawing, drawn, finite = _scatter(context, x, y)
+    drawing, drawn, places = _scatter(context, x, y)
     body = render(
         "sections/trade-offs.html",
         primary=context.primary,
@@ -28,7 +28,8 @@ def section(context: Context) -> Section:
         against_limits=against_limits(context.report, context.primary, context.ranking),
         scatter=drawing,
         drawn=drawn,
-        finite=finite,
+        finite=len(places),
+        limited=bool(context.ranking.require) and bool((context.ranking.rank[places] > 0).any()),
         x=shown_figure(x),
         y=shown_figure(y),
     )
@@ -53,18 +54,18 @@ def default_axes(context: Context) -> tuple[str, str]:
 
 
 def _different(context: Context, name: str) -> int:
-    values = figure_values(name, context.ranking)
+    values = shown_values(name, context.ranking)
     return int(np.unique(values[np.isfinite(values)]).size)
 
 
-def _scatter(context: Context, x: str, y: str) -> tuple[Drawing | None, int, int]:
-    """The figure, how many designs are in it, and how many have both figures."""
+def _scatter(context: Context, x: str, y: str) -> tuple[Drawing | None, int, npt.NDArray[np.int64]]:
+    """The figure, how many designs are in it, and which have both figures."""
     table, ranking = context.primary, context.ranking
     shown = shown_figure(x), shown_figure(y)
-    values = np.stack([figure_values(name, ranking) * one.scale for name, one in zip((x, y), shown, strict=True)])
+    values = np.stack([shown_values(name, ranking) * one.scale for name, one in zip((x, y), shown, strict=True)])
     finite = np.flatnonzero(np.isfinite(values).all(axis=0))
     if not finite.size:
-        return None, 0, 0
+        return None, 0, finite
     front = front_of_two(values, ranking.rank > 0, shown[0].better, shown[1].better)
     special = [row.place for row in (table.best, table.baseline, *table.best_of_each_law) if row is not None]
     step = -(-finite.size // MOST_POINTS)
@@ -81,4 +82,4 @@ def _scatter(context: Context, x: str, y: str) -> tuple[Drawing | None, int, int
         if row is not None and row.place in finite
     }
     figure = trade_off_figure(groups, values[:, front], marked, (shown[0].label, shown[1].label))
-    return Drawing("trade-offs", f"{shown[1].title} over {shown[0].title}", figure), drawn.size, finite.size
+    return Drawing("trade-offs", f"{shown[1].title} over {shown[0].title}", figure), drawn.size, finite

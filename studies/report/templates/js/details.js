@@ -73,7 +73,7 @@
       var lines = designs.figures.filter(function (one) { return one.group === group; }).map(function (one) {
         var ends = designs.interval(one.name), said = others.map(function (other) {
           var cell = [designs.shown(one.name, other.place)];
-          if (ends && other.place === i) {
+          if (ends && other.place === i && !Number.isNaN(ends.low[i])) {
             cell.push(el("br"), el("small", {}, "[" + LDC.number(ends.low[i] * one.scale, one.digits) + " to " + LDC.number(ends.high[i] * one.scale, one.digits) + "]"));
           }
           return el("td", { "class": "n" }, cell);
@@ -109,20 +109,27 @@
     missed.forEach(function (one, k) { parts.push(k ? ", " : "", one); });
     return el("p", {}, parts.concat("."));
   }
+  // The way to the explorer, where it holds paths of the design.
+  function departures(i) {
+    if (!document.getElementById("departures")) return document.createDocumentFragment();
+    var held = LDC.data("departures"), has = Boolean(held) && held.designs.some(function (one) { return one.place === i; });
+    var parts = [el("button", { type: "button", disabled: !has, click: function () {
+      back = document.getElementById("departures");
+      document.dispatchEvent(new CustomEvent("ldc:departures", { detail: { place: i } }));
+      dialog.close();
+    } }, "Show in departures")];
+    if (!has) parts.push(el("span", { "class": "small" }, ["This page holds no paths of it: ", el("code", {}, "ldc report DIR --design " + designs.place(i).id), " adds them."]));
+    return el("div", { "class": "controls" }, parts);
+  }
   function fill(i) {
     var one = designs.place(i), rank = designs.rank(i), text = snippet(i), code = el("code", {}, text);
     var said = el("span", { role: "status", "class": "small" });
     return [
-      el("p", { "class": "kind" }, rank ? "Rank " + rank + " of " + designs.count.toLocaleString("en") : "Not ranked"),
+      el("p", { "class": "kind" }, rank ? "Rank " + rank + " of " + designs.ranked.toLocaleString("en") + (designs.ranked < designs.count ? " ranked designs" : "") : "Not ranked"),
       el("h2", { id: "details-title" }, LDC.symbols(one.label.replace(/-(?=\d)/g, "\u2212"))),
       el("p", {}, [el("code", {}, one.law), " · design ", el("code", {}, one.id)].concat(LDC.table.tags(i))),
       requirements(i), compared(i),
-      el("div", { "class": "controls" }, el("button", { type: "button", click: function () {
-        back = document.getElementById("departures");
-        document.dispatchEvent(new CustomEvent("ldc:departures", { detail: { place: i } }));
-        dialog.close();
-      }, hidden: !document.getElementById("departures") }, "Show in departures")),
-      gainsTable(i), figuresTable(i),
+      departures(i), gainsTable(i), figuresTable(i),
       el("h3", {}, "This design alone"),
       el("p", {}, "In a study file, in place of its [[design]] tables; gains that are not written keep their defaults."),
       el("pre", { tabindex: "0" }, code),

@@ -34,7 +34,7 @@
   } }, "Swap axes");
   var legend = el("ul", { "class": "legend laws", "aria-label": "Laws" });
   var panel = el("div", { "class": "panel plot" }), tip = el("div", { "class": "tip", hidden: true });
-  var note = el("p", { "class": "small", role: "status", id: "trade-offs-note" });
+  var about = el("span", {}), note = el("p", { "class": "small", role: "status", id: "trade-offs-note" });
   var spoken = el("p", { "class": "spoken", "aria-live": "polite" });
   home.appendChild(el("div", { "class": "controls", role: "group", "aria-label": "Axes of the scatter" }, [
     el("label", { "for": "trade-offs-y" }, ["Vertical ", y]), logY.label, el("label", { "for": "trade-offs-x" }, ["Horizontal ", x]), logX.label,
@@ -44,7 +44,7 @@
   home.appendChild(el("div", { "class": "holder" }, [panel, tip]));
   home.appendChild(note);
   home.appendChild(spoken);
-  home.appendChild(el("p", { "class": "small" }, "A point opens its design. With the keyboard: arrow keys go from point to point along the horizontal axis, Enter opens. Laws in the legend can be switched off. Line: no design shown that meets the requirements is as good in both figures and better in one."));
+  home.appendChild(el("p", { "class": "small" }, ["A point opens its design. With the keyboard: arrow keys go from point to point along the horizontal axis, Enter opens. Laws in the legend can be switched off. ", about]));
 
   function scaled(name) {
     var one = designs.described(name), values = designs.figure(name);
@@ -211,6 +211,7 @@
     drawing.addEventListener("pointerleave", function () { if (document.activeElement !== cursor) leave(); });
     drawing.addEventListener("click", function (event) { var k = nearest(event); if (k >= 0) { point(k); open(k); } });
     panel.appendChild(drawing);
+    about.textContent = "Line: no design shown " + (designs.data.require.length && ranked.length ? "that meets the requirements " : "") + "is as good in both figures and better in one.";
     var first = points.findIndex(function (p) { return p.place === (was === undefined ? designs.winner : was); });
     point(Math.max(0, first));
     leave();

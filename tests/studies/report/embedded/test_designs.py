@@ -67,6 +67,10 @@ def test_every_number_is_the_rankings(report: ReportInput, monkeypatch: pytest.M
     for one in data["figures"]:
         name = one["name"]
         wanted = getattr(ranking, name) if hasattr(ranking, name) else getattr(ranking.release, name)
+        if name in ("triggered", "needless"):
+            wanted = np.where([design.law == "none" for design in ranking.designs], np.nan, wanted)
+        if name == "law_time":
+            wanted = np.full(d, np.nan)  # stored as 0: the laws of this study are linear
         same(expanded(one["values"], d), wanted)
         assert one["better"] == FIGURES[name].better
     for name in ("S", "difference", "baseline_difference"):
@@ -88,6 +92,10 @@ def test_numbers_are_those_of_ranking_csv(report: ReportInput, tmp_path: Path, m
     assert len(lines) == data["count"]
     for one in data["figures"]:
         wanted = [float(line[FIGURES[one["name"]].column] or "nan") for line in lines]
+        if one["name"] in ("triggered", "needless"):
+            wanted = [np.nan if line["law"] == "none" else number for line, number in zip(lines, wanted, strict=True)]
+        if one["name"] == "law_time":
+            wanted = [number or np.nan for number in wanted]  # 0 where no time was taken
         same(expanded(one["values"], len(lines)), np.array(wanted))
     laws = [data["laws"][int(k)] for k in numbers(data["law"])]
     assert [law["name"] for law in laws] == [line["law"] for line in lines]
@@ -135,6 +143,17 @@ def test_flags_and_fresh_scores(make: ModuleType, results: StudyResults, monkeyp
     ):
         for end, field in zip(("value", "low", "high"), fields, strict=True):
             same(expanded(data["ends"][name][end], d), getattr(ranking, field))
+
+
+def test_laws_without_a_time_are_told(make: ModuleType, results: StudyResults) -> None:
+    time = np.where([design.law == "lqr" for design in results.designs], 2e-6, 0.0)
+    timed = dataclasses.replace(results, cases=(dataclasses.replace(results.cases[0], law_time=time),))
+    data: Any = designs_data(Context.of(make.report_input(timed)))
+    linear = {law["name"]: law["linear"] for law in data["laws"]}
+    assert linear == {"none": False, "preview_proportional": True, "lqr": False}
+    (values,) = (one["values"] for one in data["figures"] if one["name"] == "law_time")
+    laws = [data["laws"][int(k)]["name"] for k in numbers(data["law"])]
+    np.testing.assert_allclose(expanded(values, data["count"]), [2.0 if law == "lqr" else np.nan for law in laws])
 
 
 def test_columns_are_short() -> None:
