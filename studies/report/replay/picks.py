@@ -13,6 +13,7 @@ from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
 from studies.report.replay.asked import asked_departures, asked_designs
 from studies.report.tables.row import Row, is_baseline
+from studies.report.tables.worst_departures import NAMED, worst_first
 from studies.results import FAILED_STATUSES
 
 FloatArray = npt.NDArray[np.float64]
@@ -142,7 +143,7 @@ def picked_departures(context: Context, designs: tuple[Chosen, ...], count: int)
     roles: dict[int, list[str]] = {}
     for row in asked_departures(context.scenarios, context.report.departures):
         roles[row] = ["asked for"]
-    for row, role in (*_named(context, designs[0].row), *_failures(context, designs)):
+    for row, role in (*_named(context, designs[0].row), *_worst(context, designs[0].row), *_failures(context, designs)):
         roles.setdefault(row, []).append(role)
     S = context.S(designs[0].row)
     order, room = np.argsort(S, kind="stable"), max(count - len(roles), 0)
@@ -169,6 +170,11 @@ def _named(context: Context, row: Row) -> list[tuple[int, str]]:
         found += [(_first_largest(deepest, some), "deepest")]
         found += [(_first_largest(a_y, some), "largest lateral acceleration")]
     return found
+
+
+def _worst(context: Context, row: Row) -> list[tuple[int, str]]:
+    """Those that the section on failures names."""
+    return [(int(k), f"largest S, no. {i} of all") for i, k in enumerate(worst_first(context.S(row))[:NAMED], start=1)]
 
 
 def _first_largest(values: npt.NDArray[np.floating], some: IntArray) -> int:

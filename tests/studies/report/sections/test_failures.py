@@ -7,7 +7,9 @@ from types import ModuleType
 
 import numpy as np
 
+from ldctoolkit import EventStatus
 from studies.report.context import Context
+from studies.report.replay.picks import chosen_designs, picked_departures
 from studies.report.sections.failures import section
 from studies.results import Dropped, FailedDesign, Race, StudyResults
 
@@ -23,6 +25,25 @@ def test_the_winners_worst_departures(make: ModuleType, results: StudyResults) -
     share = np.sort(S)[-5:].sum() / S.sum()
     assert "The 5 departures with the largest S of" in said
     assert f"make up {100 * share:.0f}\u00a0% of its sum of S".replace("\u00a0", " ") in said.replace("\u00a0", " ")
+
+
+def test_departures_without_control_among_the_worst_are_told(make: ModuleType, results: StudyResults) -> None:
+    report = make.report_input(results)
+    best = Context.of(report).primary.best
+    status, S = results.cases[0].status.copy(), Context.of(report).S(best)
+    worst = np.argsort(-S, kind="stable")[:5]
+    status[best.index][worst[1:4]] = EventStatus.NEVER_TRIGGERED
+    case = dataclasses.replace(results.cases[0], status=status)
+    report = make.report_input(dataclasses.replace(results, cases=(case,)))
+    context = Context.of(report)
+    said = words(context)
+    assert f"3 of the 5 never get deeper than y s = {best.design.y_s:g} m, so no control acts there" in said.replace(
+        "ys", "y s"
+    ).replace("\u00a0", " ")
+    numbers = [str(k) for k in results.scenarios.index[worst]]
+    assert f"The worst are scenarios {', '.join(numbers[:4])} and {numbers[4]}, the worst first" in said
+    assert "taken over" in said
+    assert not {int(k) for k in worst} - {pick.row for pick in picked_departures(context, chosen_designs(context), 0)}
 
 
 def test_long_lists_are_cut_and_counted(make: ModuleType, results: StudyResults) -> None:
