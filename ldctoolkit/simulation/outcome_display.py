@@ -45,7 +45,7 @@ def outcome_html(outcome: Outcome) -> str:
     title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {outcome.window} window"
     rows = "".join(
         f'<tr><th scope="row" style="text-align:left;font-weight:normal;{_CELL}">{html.escape(name)}</th>'
-        f'<td style="text-align:right;{_CELL}">{html.escape(value)}</td></tr>'
+        f'<td style="text-align:right;white-space:nowrap;{_CELL}">{html.escape(value)}</td></tr>'
         for name, value in _lines(outcome)
     )
     return (
@@ -65,7 +65,7 @@ def _lines(outcome: Outcome) -> Iterator[tuple[str, str]]:
     deepest = outcome.deepest[every]
     if deepest.size and np.isfinite(deepest).any():
         row = int(np.flatnonzero(every)[np.nanargmax(deepest)])
-        yield "deepest beyond the line", f"{outcome.deepest[row]:.3f} m (no. {row})"
+        yield "deepest beyond the line", f"{outcome.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")
     for status in EventStatus:
         count = outcome.count(status)
         if count:
@@ -79,6 +79,6 @@ def _scores(outcome: Outcome, rows: npt.NDArray[np.bool_], where: str) -> Iterat
     if not rows.any():
         return
     S, S_0 = float(np.mean(outcome.S[rows])), float(np.mean(outcome.S_uncorrected[rows]))
-    change = f", {100.0 * (S / S_0 - 1.0):+.1f} %" if S_0 > 0 else ""
+    change = f", {100.0 * (S / S_0 - 1.0):+.1f} %".replace("-", "\u2212") if S_0 > 0 else ""
     yield f"mean S with control{where}", f"{S:.4f} m s{change}"
     yield f"mean S without control{where}", f"{S_0:.4f} m s"

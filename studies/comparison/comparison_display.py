@@ -31,7 +31,7 @@ def comparison_html(comparison: Comparison, top: int = TOP) -> str:
         Everything in it is escaped.
     """
     case = comparison.cases[0]
-    names = ("verdict", "design", "old S [m s]", "new S [m s]", "new - old [m s]", "interval")
+    names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
     headings = "".join(f'<th scope="col" style="text-align:left;{_CELL}">{html.escape(name)}</th>' for name in names)
     rows = "".join(_row(case, i) for i in case.order[:top])
     differs = "".join(f"<br>{html.escape(text)}" for text in comparison.differences)
@@ -48,6 +48,12 @@ def comparison_html(comparison: Comparison, top: int = TOP) -> str:
 def _row(case: CaseComparison, i: int) -> str:
     S = case.S
     interval = f"{S.low[i]:+.4f} to {S.high[i]:+.4f}" if np.isfinite(S.low[i] + S.high[i]) else "too few changed"
-    cells = (str(S.verdict[i]), case.designs[i].label, f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}",
-             f"{S.difference[i]:+.4g}", interval)  # fmt: skip
-    return "<tr>" + "".join(f'<td style="text-align:left;{_CELL}">{html.escape(cell)}</td>' for cell in cells) + "</tr>"
+    numbers = (f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}", f"{S.difference[i]:+.4g}", interval)
+    cells = (str(S.verdict[i]), case.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
+    # only a design's label may break
+    styles = (_CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
+    shown = (
+        f'<td style="text-align:left;{style}">{html.escape(cell)}</td>'
+        for style, cell in zip(styles, cells, strict=True)
+    )
+    return f"<tr>{''.join(shown)}</tr>"

@@ -122,7 +122,9 @@ def figure(name: str) -> Figure:
     """
     known = _ALIASES.get(name, name)
     if known not in FIGURES:
-        raise UnknownNameError(f"figure {name!r}: no such figure; {nearest(name, FIGURES)}")
+        # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
+        begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
+        raise UnknownNameError(f"figure {name!r}: no such figure; {nearest(begun, FIGURES)}")
     return FIGURES[known]
 
 

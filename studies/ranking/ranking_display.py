@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,6 +25,9 @@ _LEFT: Final = f"text-align:left;{_CELL}"
 _RIGHT: Final = f"text-align:right;white-space:nowrap;{_CELL}"
 
 
+_MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
+
+
 def ranking_html(ranking: Ranking, top: int = TOP) -> str:
     """A ranking as HTML without script.
 
@@ -41,7 +45,7 @@ def ranking_html(ranking: Ranking, top: int = TOP) -> str:
     places = list(range(min(top, len(ranking))))
     places += sorted({p for p in (ranking.winner, ranking.baseline) if p is not None and p >= len(places)})
     title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
-    said = "<br>".join(html.escape(sentence) for sentence in ranking_sentences(ranking))
+    said = "<br>".join(html.escape(_MINUS.sub("\u2212", sentence)) for sentence in ranking_sentences(ranking))
     warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in ranking.warnings)
     level = f"{100 * ranking.confidence:g} % interval"
     headings = "".join(
@@ -75,19 +79,26 @@ def _right_end(ranking: Ranking, places: list[int]) -> float:
 
 
 def _row(ranking: Ranking, i: int, most: float) -> str:
-    away = "–" if i == 0 else f"{ranking.difference[i]:+.4f}"  # noqa: RUF001
+    away = "–" if i == 0 else f"{ranking.difference[i]:+.4f}".replace("-", "\u2212")  # noqa: RUF001
     weight = ";font-weight:bold" if i == ranking.winner else ""
     cells = (
         (_RIGHT, str(ranking.rank[i]) if ranking.rank[i] else "–"),  # noqa: RUF001
         (_LEFT + weight, html.escape(ranking.designs[i].label)),
         (_RIGHT + weight, f"{ranking.S[i]:.4f}"),
-        (_LEFT, _bar(float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), most)),
+        (
+            f"{_LEFT};white-space:nowrap",
+            _bar(float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), most),
+        ),
         (_RIGHT, away),
-        (_RIGHT, f"{100 * ranking.reduction[i]:.1f} %" if np.isfinite(ranking.reduction[i]) else "–"),  # noqa: RUF001
+        (_RIGHT, _percent(float(ranking.reduction[i]))),
         (_RIGHT, str(failures(ranking, i) or "–")),  # noqa: RUF001
         (_LEFT, html.escape(", ".join(marks(ranking, i)))),
     )
     return "<tr>" + "".join(f'<td style="{style}">{cell}</td>' for style, cell in cells) + "</tr>"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %".replace("-", "\u2212") if np.isfinite(share) else "–"  # noqa: RUF001
 
 
 def _bar(value: float, low: float, high: float, most: float) -> str:
@@ -95,7 +106,7 @@ def _bar(value: float, low: float, high: float, most: float) -> str:
     if not np.isfinite(low + high):
         return "–"  # noqa: RUF001
     left, right, at = (round(_BAR * min(max(one / most, 0.0), 1.0), 1) for one in (low, high, value))
-    text = f"{low:.4f} to {high:.4f}"
+    text = f"{low:.4f} to {high:.4f}".replace("-", "\u2212")
     width = max(round(right - left, 1), 1.0)
     line = f"position:absolute;top:6px;height:2px;left:{left:g}px;width:{width:g}px;background:currentColor"
     point = f"position:absolute;top:3px;width:3px;height:8px;left:{at - 1.5:g}px;background:#0072B2"

@@ -77,9 +77,21 @@ def test_ranking(ranking: Ranking) -> None:
         assert float(row[2]) == pytest.approx(ranking.S[i], abs=6e-5)
         low, high = map(float, re.findall(r"[\d.]+", row[3]))
         assert (low, high) == pytest.approx((ranking.S_low[i], ranking.S_high[i]), abs=6e-5)
+        assert row[5] == f"{100 * ranking.reduction[i]:.1f} %".replace("-", "\u2212")
     assert "and 4 more" in text
     assert "winner" in rows[0][-1]
     assert "baseline" in rows[-1][-1]
+
+
+def test_numbers_have_true_minus_signs_and_do_not_break(ranking: Ranking) -> None:
+    worse = dataclasses.replace(ranking, difference=-ranking.difference, reduction=-1.0 - ranking.reduction)
+    text = worse._repr_html_()
+    _, *rows = Rows(text).rows
+    assert rows[1][4] == f"\u2212{ranking.difference[1]:.4f}"
+    assert rows[0][5].startswith("\u22121")
+    assert not any(re.search(r"-\d", cell) for row in rows for cell in row)
+    cells = re.findall(r'<td style="([^"]*)">', text)
+    assert all("white-space:nowrap" in style for style in cells[3::8])
 
 
 def test_bars_stand_where_the_interval_is(ranking: Ranking) -> None:
@@ -125,6 +137,9 @@ def test_comparison(results: StudyResults, tmp_path: Path) -> None:
     row = Rows(text).rows[1]
     assert row[0] == str(found.cases[0].S.verdict[0])
     assert float(row[2]) == pytest.approx(found.cases[0].S.S_old[0], abs=6e-5)
+    assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.cases[0].S.difference[0], rel=1e-3)
+    assert "-" not in "".join(row[2:])
+    assert text.count("white-space:nowrap") == 5 * (len(Rows(text).rows) - 1)
 
 
 def test_outcome() -> None:
@@ -135,7 +150,7 @@ def test_outcome() -> None:
     lines = {row[0]: row[1] for row in Rows(outcome._repr_html_()).rows}
     driven = outcome.status != EventStatus.INVALID
     S, S_0 = np.mean(outcome.S[driven]), np.mean(outcome.S_uncorrected[driven])
-    assert lines["mean S with control"] == f"{S:.4f} m s, {100 * (S / S_0 - 1):+.1f} %"
+    assert lines["mean S with control"] == f"{S:.4f} m s, {100 * (S / S_0 - 1):+.1f} %".replace("-", "\u2212")
     assert lines["mean S without control, left (1)"] == f"{outcome.S_uncorrected[0]:.4f} m s"
     assert lines["mean S with control, right (2)"].startswith(f"{np.mean(outcome.S[1:3]):.4f} m s")
     assert lines["deepest beyond the line"] == f"{np.max(outcome.deepest[driven]):.3f} m (no. 0)"

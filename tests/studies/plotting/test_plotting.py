@@ -165,3 +165,9 @@ def test_departure(ax: matplotlib.axes.Axes) -> None:
         plot_departure(simulate(NoControl(), scenarios), 0)
     with pytest.raises(InputError, match="i: 1 has no path in this outcome; allowed: 0"):
         plot_departure(simulate(LQR(), scenarios, y_s=0.1, trajectories=[0]), 1)
+
+
+def test_a_beginning_names_the_nearest_figure(ranking: Ranking, ax: matplotlib.axes.Axes) -> None:
+    for name, near in (("ay", "a_y_peak_mean"), ("jerk", "jerk_peak_mean"), ("a_y_peak_p59", "a_y_peak_p95")):
+        with pytest.raises(UnknownNameError, match=f"did you mean '{near}'"):
+            plot_trade_off(ranking, name, ax=ax)
