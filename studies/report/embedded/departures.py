@@ -112,6 +112,7 @@ def embedded_departures(context: Context, replayed: Replay, every: int) -> dict[
         "recorded": _recorded(replayed, every * context.report.dt),
         "paths": _paths(replayed, every, context.report.dt),
         "facts": _facts(context, replayed),
+        "own_window": context.case.case.window == "control",
         "words": [STATUS_WORDS[status] for status in sorted(STATUS_WORDS)],
     }
 

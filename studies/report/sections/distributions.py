@@ -27,10 +27,20 @@ def section(context: Context) -> Section:
         sides=sides,
         distribution=distribution,
         limits=limits,
+        own_change=_OWN_CHANGE.format(best=context.primary.best_name) if _own_windows(context) else "",
+        own_window=_OWN_WINDOW.format(best=context.primary.best_name) if _own_windows(context) else "",
         how_limits=_how_limits(context, held=held),
         interventions=any(drawing.name == "distribution-a-y" for drawing in limits),
     )
     return Section("distributions", "Distributions", body, (*sides, *distribution, *limits))
+
+
+_OWN_CHANGE = " over the design's own window, from its trigger on; the bar without control is over that of {best}"
+_OWN_WINDOW = " The curve without control is over the window of {best}, from its trigger on."
+
+
+def _own_windows(context: Context) -> bool:
+    return context.case.case.window == "control"
 
 
 def _how_limits(context: Context, *, held: bool) -> str:

@@ -71,14 +71,16 @@
     var rows = chosen.map(function (d, i) {
       function fact(name) { return paths.fact(name, d, now); }
       var missing = without(d, now), back = fact("t_back"), done = data.words[fact("status")];
-      return [label(i, d), LDC.number(fact("S")), change(d, now), LDC.number(fact("deepest")), LDC.number(fact("a_y_peak"), 2),
+      // Over the control window each design has a score without control of its own.
+      var own = data.own_window ? [LDC.number(fact("S_uncorrected"))] : [];
+      return [label(i, d), LDC.number(fact("S"))].concat(own, [change(d, now), LDC.number(fact("deepest")), LDC.number(fact("a_y_peak"), 2),
         LDC.number(fact("jerk_peak"), 2), LDC.number(degrees(fact("delta_peak")), 2), Number.isFinite(back) ? LDC.number(back, 2) : "not back",
-        missing && missing !== done ? done + "; path: " + missing : done];
+        missing && missing !== done ? done + "; path: " + missing : done]);
     });
-    var S_0 = chosen.length ? paths.fact("S_uncorrected", chosen[0], now) : NaN;
-    rows.unshift([uncorrected(), LDC.number(S_0), "", LDC.number(recorded.deepest), LDC.number(Math.max.apply(null, recorded.a_y.map(Math.abs)), 2), "", "", LDC.number(T, 2), ""]);
+    var S_0 = data.own_window ? ["–", ""] : [LDC.number(chosen.length ? paths.fact("S_uncorrected", chosen[0], now) : NaN)];
+    rows.unshift([uncorrected()].concat(S_0, ["", LDC.number(recorded.deepest), LDC.number(Math.max.apply(null, recorded.a_y.map(Math.abs)), 2), "", "", LDC.number(T, 2), ""]));
     fill(find("designs"), "Designs on this departure, as stored",
-      ["Design", "S [m·s]", "Against no control", "Deepest [m]", "Largest |a_y| [m/s²]", "Largest jerk [m/s³]", "Largest |δ| [°]", "Back inside [s]", "What became of it"], rows);
+      ["Design", "S [m·s]"].concat(data.own_window ? ["S without control from the same trigger on [m·s]"] : [], ["Against no control", "Deepest [m]", "Largest |a_y| [m/s²]", "Largest jerk [m/s³]", "Largest |δ| [°]", "Back inside [s]", "What became of it"]), rows);
   }
 
   // Position, steering angle and acceleration at a time; before the trigger the vehicle is on the path without control.

@@ -125,6 +125,7 @@ def test_recorded_paths_are_the_closed_form(report: ReportInput) -> None:
 
 def test_facts_are_the_stored_ones(report: ReportInput) -> None:
     context, page = held(report)
+    assert page.data["own_window"] is False
     case, rows = context.case, page.index
     designs = [one.row.index for one in chosen_designs(context)]
     for name in ("S", "S_uncorrected", "deepest", "a_y_peak", "jerk_peak", "delta_peak", "t_back", "status"):
@@ -158,8 +159,11 @@ def test_no_control_and_laws_without_paths_are_not_held(make: ModuleType) -> Non
         make.invented_scenarios(5, 5),
         [Case("control", "consistent")],
     )
-    _, page = held(make.report_input(results))
+    context, page = held(make.report_input(results))
     assert len(list(page.lines("paths", "y"))) == 10
+    assert page.data["own_window"] is True
+    shown = read(page.data["facts"]["S_uncorrected"])
+    assert shown == pytest.approx(context.case.S_uncorrected[chosen_designs(context)[0].row.index][page.index])
 
 
 def test_long_studies_are_cut_to_the_budget(make: ModuleType, results: StudyResults) -> None:

@@ -84,6 +84,17 @@ def test_the_axis_always_holds_the_limit_and_most_values(values: npt.NDArray[np.
     assert high >= np.quantile(values, 0.7)
 
 
+def test_over_the_control_window_no_control_is_that_of_one_design(make: ModuleType) -> None:
+    designs, scenarios = [Design.of(LQR(), 0.05), Design.of(NoControl(), 0.05)], make.invented_scenarios(6, 6)
+    said = [
+        words(distributions.section(Context.of(make.report_input(make.run(designs, scenarios, [case])))).body)
+        for case in (PRIMARY, Case("control", "consistent"))
+    ]
+    assert ["the bar without control is over that of the winner" in one for one in said] == [False, True]
+    assert ["without control is over the window of the winner, from its trigger on" in one for one in said] == [
+        False, True]  # fmt: skip
+
+
 def test_nobody_intervened(make: ModuleType) -> None:
     designs = [Design.of(PreviewProportional(), 5.0), Design.of(NoControl(), 5.0)]
     section = distributions.section(
