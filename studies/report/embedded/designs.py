@@ -25,6 +25,9 @@ from studies.report.words.text import printable, unit_text
 FLAGS: Final = ("set_of_best", "pareto", "winner", "baseline", "paper", "passive", "best_of_law")
 """Bits of the column `flags`, the lowest first; `passive`: the design never intervenes."""
 
+BAR_END: Final = 1.2
+"""Right end of the bars of S, times mean S without control; the mark in report.css stands at 1 / 1.2."""
+
 _COMPARED: Final = ("difference", "baseline_difference")
 _FRESH: Final = ("fresh_difference", "fresh_baseline_difference", "optimism")
 
@@ -58,6 +61,7 @@ def designs_data(context: Context) -> dict[str, object]:
         "pareto": list(table.pareto_figures),
         "confidence": table.confidence,
         "uncorrected": table.uncorrected,
+        "full": BAR_END,
         "D_y": table.D_y,
         "groups": dict(GROUPS),
         "figures": figures,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from studies.report.context import Context
-from studies.report.embedded.designs import designs_data
+from studies.report.embedded.designs import BAR_END, designs_data
 from studies.report.rendering import render
 from studies.report.section import Section
 from studies.report.tables.case_table import CaseTable
@@ -13,9 +13,6 @@ from studies.report.tables.row import Row
 
 MOST_ROWS: Final = 100
 """First designs of a table that stands without script, and at most as many of a set of designs beside them."""
-
-_FULL: Final = 1.2
-"""Right end of the bars, times mean S without control."""
 
 
 def section(context: Context) -> Section:
@@ -27,7 +24,7 @@ def section(context: Context) -> Section:
         primary=context.primary,
         listed={table.case: listed_rows(table) for table in context.tables},
         bar=_bar,
-        full=_FULL,
+        full=BAR_END,
     )
     return Section(
         "ranking",
@@ -36,7 +33,7 @@ def section(context: Context) -> Section:
         data=designs_data(context),
         scripts=(
             *("designs.js", "table-columns.js", "table-search.js", "table-filters.js"),
-            *("ranking.js", "sorting.js", "details.js"),
+            *("sorting.js", "ranking.js", "details.js"),
         ),
         styles=("ranking.css", "details.css"),
     )
@@ -64,7 +61,7 @@ def listed_rows(table: CaseTable, most: int = MOST_ROWS) -> tuple[Row, ...]:
 
 def _bar(row: Row, table: CaseTable) -> str:
     """Widths of the bar of S and ends of its whisker in per cent."""
-    full = _FULL * table.uncorrected
+    full = BAR_END * table.uncorrected
     ends = (row.S.value, row.S.low, row.S.high)
     shares = [100.0 * min(max(end / full, 0.0), 1.0) if full > 0 else 0.0 for end in ends]
     return ";".join(f"--{name}:{share:.1f}%" for name, share in zip("wlh", shares, strict=True))

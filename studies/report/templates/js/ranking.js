@@ -6,18 +6,6 @@
   var el = LDC.el, table = region.querySelector("table"), head = table.tHead, body = table.tBodies[0];
   var sort = { key: "rank", down: false }, page = 0, size = 50, order = [], last = 0;
 
-  // NaN last in both directions, equal ones in the order of the ranking.
-  function sorted(places, column, down) {
-    if (column.key === "rank" && !down) return places;
-    var values = {}, sign = down ? -1 : 1;
-    places.forEach(function (i) { values[i] = column.value(i); });
-    return places.slice().sort(function (a, b) {
-      var x = values[a], y = values[b];
-      if (column.text) return sign * (x < y ? -1 : x > y ? 1 : 0) || a - b;
-      if (Number.isNaN(x) || Number.isNaN(y)) return Number(Number.isNaN(x)) - Number(Number.isNaN(y)) || a - b;
-      return sign * (x < y ? -1 : x > y ? 1 : 0) || a - b;
-    });
-  }
   function heading(column) {
     var kind = column.kind || (column.text ? "" : "n"), title = LDC.symbols(column.title);
     if (!column.value) return el("th", { scope: "col", "class": kind }, title);
@@ -74,7 +62,8 @@
   function update() {
     var columns = LDC.filters.columns(), by = columns.filter(function (one) { return one.key === sort.key; })[0];
     if (!by) sort = { key: "rank", down: false };
-    order = sorted(LDC.filters.passing(), by || LDC.table.columns[0], sort.down);
+    order = LDC.filters.passing();
+    if (sort.key !== "rank" || sort.down) order = LDC.sorted(order, (by || LDC.table.columns[0]).value, sort.down);
     if (page * size >= order.length) page = 0;
     draw();
   }

@@ -1,6 +1,15 @@
-// Sorting by a click on a column's head, for ranking tables that hold their rows themselves.
+// Sorting: the order of a column, and by a click on its head for ranking tables that hold their rows themselves.
 (function () {
   "use strict";
+  // Numbers or texts up or down; NaN last in both directions, equal ones as they stand.
+  LDC.sorted = function (items, value, down) {
+    var sign = down ? -1 : 1;
+    return items.map(function (item) { return [item, value(item)]; }).sort(function (a, b) {
+      var x = a[1], y = b[1];
+      if (Number.isNaN(x) || Number.isNaN(y)) return Number(Number.isNaN(x)) - Number(Number.isNaN(y));
+      return sign * (x < y ? -1 : x > y ? 1 : 0);
+    }).map(function (one) { return one[0]; });
+  };
   function sortable(table) {
     var body = table.tBodies[0], rows = Array.from(body.rows);
     function value(row, column) {
@@ -14,14 +23,10 @@
       head.appendChild(button);
       if (column === 0) head.setAttribute("aria-sort", "ascending");
       button.addEventListener("click", function () {
-        var down = head.getAttribute("aria-sort") === "ascending", sign = down ? -1 : 1;
+        var down = head.getAttribute("aria-sort") === "ascending";
         table.querySelectorAll("th[aria-sort]").forEach(function (other) { other.removeAttribute("aria-sort"); });
         head.setAttribute("aria-sort", down ? "descending" : "ascending");
-        rows.slice().sort(function (a, b) {
-          var x = value(a, column), y = value(b, column);
-          if (Number.isNaN(x) || Number.isNaN(y)) return Number(Number.isNaN(x)) - Number(Number.isNaN(y));
-          return sign * (x - y);
-        }).forEach(function (row) { body.appendChild(row); });
+        LDC.sorted(rows, function (row) { return value(row, column); }, down).forEach(function (row) { body.appendChild(row); });
       });
     });
   }

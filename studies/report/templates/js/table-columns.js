@@ -3,7 +3,7 @@
   "use strict";
   var designs = LDC.designs;
   if (!designs) return;
-  var data = designs.data, el = LDC.el, FULL = 1.2;
+  var data = designs.data, el = LDC.el;
 
   function br() { return el("br"); }
   function small(text) { return el("small", {}, text); }
@@ -13,7 +13,7 @@
   }
   function change(value) { return LDC.signed(-100 * value, 1) + "\u00a0%"; }
   function bar(i) {
-    var S = designs.interval("S"), full = FULL * data.uncorrected;
+    var S = designs.interval("S"), full = data.full * data.uncorrected;
     function share(value) { return (full > 0 ? 100 * Math.min(Math.max(value / full, 0), 1) : 0).toFixed(1) + "%"; }
     var mark = el("i", { "class": S.value[i] > full ? "bar over" : "bar" });
     mark.style.setProperty("--w", share(S.value[i]));

@@ -14,6 +14,7 @@ from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.report import ReportInput
 from studies.report.context import Context
+from studies.report.embedded.designs import designs_data
 from studies.report.sections.ranking import listed_rows, section
 from studies.report.words.text import number
 from studies.results import StudyResults
@@ -37,6 +38,7 @@ def test_all_designs_of_a_small_study_are_listed(report: ReportInput) -> None:
 
 def test_bars_have_the_interval_and_end_at_the_panels_edge(report: ReportInput) -> None:
     ranking = report.rankings[0]
+    assert designs_data(Context.of(report))["full"] == 1.2
     full = 1.2 * ranking.S_uncorrected[0]
     for row, *ends in zip(
         rows(section(Context.of(report)).body), ranking.S, ranking.S_low, ranking.S_high, strict=True
@@ -61,7 +63,7 @@ def test_many_designs_show_the_first_and_the_tagged(make: ModuleType) -> None:
     assert {context.primary.best.place, context.primary.baseline.place, context.primary.paper_design.place} <= places  # type: ignore[union-attr]
     assert len(few) <= 6
     body = section(context).body
-    assert f"{len(listed)} of 132" in body
+    assert f"{len(listed)} of 132; <code>ranking.csv</code> holds all." in body
     assert len(rows(body)) == len(listed)
 
 
