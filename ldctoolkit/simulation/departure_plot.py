@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation.outcome import Outcome
     from ldctoolkit.vehicle import VehicleParameters
+
+# Okabe and Ito (2008): distinguishable under the common colour vision deficiencies
+_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_DASHES: Final = ("-", (0, (6.0, 2.0)), (0, (2.0, 1.5)), (0, (7.0, 2.0, 1.5, 2.0)), (0, (4.0, 1.5, 4.0, 4.0)))
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
+_PATH: Final = "path-with-control"
+"""Identifier of the lines of paths, by which they are counted."""
 
 
 def plot_departure(
@@ -46,7 +53,8 @@ def plot_departure(
     -------
     Axes
         Position of the vehicle's edge beyond the line [m], outward, against the time since the crossing [s]. The marker
-        is the trigger; a scenario that never triggered has no path under control.
+        is the trigger; a scenario that never triggered has no path under control. Paths on the same axes differ in
+        colour, dash and marker.
 
     Raises
     ------
@@ -82,7 +90,9 @@ def plot_departure(
     from ldctoolkit.vehicle import VehicleParameters
 
     axes = plt.subplots(layout="constrained")[1] if ax is None else ax
-    axes.axhline(0.0, color="#767676", linewidth=2.0, dashes=(7, 4), zorder=1)
+    before = sum(line.get_gid() == _PATH for line in axes.lines)
+    if not before:
+        axes.axhline(0.0, color="#767676", linewidth=2.0, dashes=(7, 4), zorder=1)
     if scenarios is not None:
         one = scenarios.take([i])
         t = np.linspace(0.0, float(one.T[0]), 201)
@@ -92,7 +102,9 @@ def plot_departure(
     if driven.any():
         offset = (vehicle or VehicleParameters()).edge_offset
         t, y = kept.t[at[0], driven], kept.x[at[0], driven, 0] - offset
-        axes.plot(t, y, linewidth=1.8, marker="o", markevery=[0], label=label)
+        color, dash, marker = (choices[before % len(choices)] for choices in (_COLORS, _DASHES, _MARKERS))
+        axes.plot(t, y, linewidth=1.8, color=color, linestyle=dash, marker=marker, markevery=[0], label=label,
+                  gid=_PATH)  # fmt: skip
     axes.set_xlabel("Time since the crossing [s]")
     axes.set_ylabel("Edge beyond the line [m]")
     axes.set_title(f"Scenario {i}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ldctoolkit.errors import InputError, nearest
 from studies.report.look.style import LineStyle, law_styles
 
@@ -37,16 +39,20 @@ def point_style(style: LineStyle) -> dict[str, Any]:
 
 
 def styles_of(designs: Iterable[Design]) -> dict[str, LineStyle]:
-    """One style a law, the same in every plot of a study."""
-    return law_styles(sorted({design.law for design in designs}))
+    """One style a law, the law of the first design first: with those of a ranking as the report has them."""
+    return law_styles(design.law for design in designs)
 
 
-def curve_styles(results: StudyResults, chosen: Sequence[int]) -> list[LineStyle]:
-    """A style for each curve: that of the law, or, where two are of one law, one of its own."""
+def curve_styles(results: StudyResults, case: CaseResults, chosen: Sequence[int]) -> list[LineStyle]:
+    """A style for each curve: that of the law, or, where two are of one law, one of its own.
+
+    Laws stand in the order of their least mean S, as in a ranking without requirements.
+    """
     laws = [results.designs[i].law for i in chosen]
     if len(set(laws)) < len(laws):
         return list(law_styles(map(str, range(len(laws)))).values())
-    styles = styles_of(results.designs)
+    mean = np.array([np.mean(S) for S in case.counted])
+    styles = styles_of(results.designs[i] for i in np.argsort(mean, kind="stable").tolist())
     return [styles[law] for law in laws]
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ldctoolkit import controller_class
 from ldctoolkit.errors import InputError, nearest
 from studies.plotting.given_axes import axes_of, point_style, styles_of
 from studies.report.figures.landscape import swept_axes, values_of
@@ -92,5 +93,5 @@ def plot_landscape(
         axes.figure.colorbar(mesh, ax=axes, label="Mean S [m·s]")
     axes.set_xticks(range(len(labels)), labels, parse_math=False)
     axes.set_xlabel(across.label, parse_math=False)
-    axes.set_title(law, parse_math=False)
+    axes.set_title(controller_class(law).title, parse_math=False)
     return axes

@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ldctoolkit import controller_class
 from ldctoolkit.errors import InputError
 from studies.plotting.given_axes import axes_of, plain_legend, point_style, styles_of
 from studies.ranking.figures import figure, figure_values
-from studies.report.words.text import shorten, unit_text
+from studies.report.embedded.shown_figures import shown_figure
+from studies.report.figures.trade_off_figure import front_of_two
+from studies.report.words.text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,8 +88,8 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     Returns
     -------
     Axes
-        The winner has a ring. Designs without one of the figures, and those that miss a requirement, are in no front;
-        the former are not drawn.
+        In the units of the report: shares in per cent, angles in degrees. The winner has a ring. Designs without one
+        of the figures are not drawn, those that miss a requirement are in no front unless all do.
 
     Raises
     ------
@@ -104,31 +107,27 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     results = run_study(study, directory=folder, workers=1)
     >>> plot_trade_off(rank_study(results, study)[0], x="ay_p95").get_xlabel()
-    'a_y_peak_p95 [m/s²], less is better'
+    'Peak a_y, 95 % quantile [m/s²], less is better'
     """
-    from studies.ranking.pareto import pareto_front
-
-    values = {name: figure_values(name, ranking) for name in (x, y)}
+    of_x, of_y = (shown_figure(figure(name).name) for name in (x, y))
+    across, up = (one.scale * figure_values(one.name, ranking) for one in (of_x, of_y))
     axes, styles = axes_of(ax), styles_of(ranking.designs)
-    shown = np.isfinite(values[x]) & np.isfinite(values[y])
+    shown = np.isfinite(across) & np.isfinite(up)
     laws = np.array([design.law for design in ranking.designs])
     for law, style in styles.items():
         rows = shown & (laws == law)
         if rows.any():
-            axes.plot(values[x][rows], values[y][rows], label=law, alpha=0.8, **point_style(style))
-    front = np.flatnonzero(shown & (ranking.rank > 0))
+            title = shorten(controller_class(law).title, 60)
+            axes.plot(across[rows], up[rows], label=title, alpha=0.8, **point_style(style))
+    front = front_of_two(np.stack([across, up]), ranking.rank > 0, of_x.better, of_y.better)
     if front.size:
-        costs = np.stack(
-            [values[name][front] * (1 if figure(name).better == "less" else -1) for name in (x, y)], axis=1
-        )
-        front = front[pareto_front(costs)]
-        front = front[np.lexsort((values[y][front], values[x][front]))]
-        axes.plot(values[x][front], values[y][front], color="#767676", linewidth=1.0, zorder=1, label="Pareto front")
+        axes.step(across[front], up[front], where="post", color="#767676", linewidth=1.0, zorder=1,
+                  label="Pareto front")  # fmt: skip
     if ranking.winner is not None and shown[ranking.winner]:
-        axes.plot(values[x][ranking.winner], values[y][ranking.winner], marker="o", markersize=13, color="none",
+        axes.plot(across[ranking.winner], up[ranking.winner], marker="o", markersize=13, color="none",
                   markeredgecolor="#000000", linestyle="none", label="winner")  # fmt: skip
-    axes.set_xlabel(_label(x), parse_math=False)
-    axes.set_ylabel(_label(y), parse_math=False)
+    axes.set_xlabel(f"{of_x.label}, {of_x.better} is better", parse_math=False)
+    axes.set_ylabel(f"{of_y.label}, {of_y.better} is better", parse_math=False)
     plain_legend(axes)
     return axes
 
@@ -136,9 +135,3 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
 def _name(ranking: Ranking, place: int) -> str:
     rank = f"{ranking.rank[place]}. " if ranking.rank[place] else ""
     return shorten(f"{rank}{ranking.designs[place].label}", 60)
-
-
-def _label(name: str) -> str:
-    one = figure(name)
-    unit = unit_text(one.unit)
-    return f"{one.name}{f' [{unit}]' if unit else ''}, {one.better} is better"

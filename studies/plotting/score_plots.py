@@ -78,7 +78,7 @@ def plot_distribution(
     axes = axes_of(ax)
     recorded = found.S_uncorrected[chosen[0]][rows]
     axes.ecdf(recorded, label="without control", **RECORDED.line())
-    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
+    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
         label = shorten(results.designs[i].label, 60)
         axes.ecdf(found.counted[i][rows], label=label, **style.line())
     axes.set_xlim(0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
@@ -141,7 +141,7 @@ def plot_convergence(
         reference = found.counted[chosen_designs(results, [to])[0]]
     order = interleaved(results.scenarios.side)
     axes = axes_of(ax)
-    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
+    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
         count, mean, error = running_mean((found.counted[i] - reference)[order])
         axes.fill_between(count, mean - error, mean + error, color=style.color, alpha=0.16, linewidth=0)
         axes.plot(count, mean, label=shorten(results.designs[i].label, 60), **style.line())

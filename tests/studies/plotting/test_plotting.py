@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from ldctoolkit import Scenarios, plot_departure, simulate
+from ldctoolkit import Scenarios, controller_class, plot_departure, simulate
 from ldctoolkit.errors import InputError, UnknownNameError
 from studies import (
     Ranking,
@@ -24,6 +24,7 @@ from studies import (
     rank_study,
     run_study,
 )
+from studies.report.look.style import law_styles
 
 matplotlib.use("agg")
 
@@ -171,3 +172,42 @@ def test_a_beginning_names_the_nearest_figure(ranking: Ranking, ax: matplotlib.a
     for name, near in (("ay", "a_y_peak_mean"), ("jerk", "jerk_peak_mean"), ("a_y_peak_p59", "a_y_peak_p95")):
         with pytest.raises(UnknownNameError, match=f"did you mean '{near}'"):
             plot_trade_off(ranking, name, ax=ax)
+
+
+def test_laws_look_as_in_the_report(ranking: Ranking, results: StudyResults, ax: matplotlib.axes.Axes) -> None:
+    """Styles go by the ranking's order of laws, and laws have their titles."""
+    laws = list(dict.fromkeys(design.law for design in ranking.designs))
+    assert laws != sorted(laws)
+    styles = law_styles(laws)
+    plot_trade_off(ranking, ax=ax)
+    lines = {str(line.get_label()): line for line in ax.lines}
+    for law in laws:
+        if law != "none":  # it has no acceleration of an intervention
+            assert lines[controller_class(law).title].get_color() == styles[law].color
+    ax.clear()
+    first = {law: next(i for i, design in enumerate(results.designs) if design.law == law) for law in laws[:2]}
+    plot_distribution(results, first.values(), ax)
+    assert [line.get_color() for line in ax.lines[1:]] == [styles[law].color for law in first]
+
+
+def test_trade_off_has_the_units_of_the_report(ranking: Ranking, ax: matplotlib.axes.Axes) -> None:
+    plot_trade_off(ranking, "delta_peak_max", "reduction", ax)
+    assert ax.get_xlabel() == "Steering angle, largest [°], less is better"
+    assert ax.get_ylabel() == "Mean S saved against no control [%], more is better"
+    x, y = np.degrees(ranking.release.delta_peak_max), 100 * ranking.reduction
+    drawn = sorted(points(ax))
+    assert drawn == [pytest.approx(one) for one in sorted((a, b) for a, b in zip(x, y, strict=True) if a == a)]
+
+
+def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
+    from controllers import LQR
+
+    scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
+    for r_delta in (30.0, 300.0, 3000.0):
+        plot_departure(simulate(LQR(r_delta=r_delta), scenarios, y_s=0.1, trajectories=True), 0, ax, label="a")
+    line, *paths = ax.lines
+    assert len(paths) == 3
+    assert line.get_ydata() == [0.0, 0.0]
+    for look in ("get_color", "get_marker", "get_linestyle"):
+        assert len({str(getattr(path, look)()) for path in paths[:2]}) == 2
+    assert len({path.get_color() for path in paths}) == 3
