@@ -41,9 +41,9 @@ def robustness_sentences(found: Robustness, rows: Sequence[Row], names: Sequence
     -------
     list of Markup
     """
-    said = [_stays(found, rows, names, of)]
+    said = [_stays(found, rows, names, of), Markup(" ").join(_gaps(found, names))]
     if not is_baseline(rows[0]):
-        said += _hurts(found)
+        said.append(Markup(" ").join(_hurts(found)))
     said.append(_fails(found, rows, names))
     said += _worse(found, rows, names)
     return [one for one in said if one]
@@ -73,18 +73,24 @@ def _stays(found: Robustness, rows: Sequence[Row], names: Sequence[str], of: str
     if behind:
         parts[-1] += _ranks(found, behind)
     told = Markup(" and ").join([one for one in (Markup(", ").join(parts[:-1]), parts[-1]) if one])
-    said = Markup("{} is {}, by mean S on the same {}.").format(reference, told, plural(found.n, "departure"))
+    return Markup("{} is {}, by mean S on the same {}.").format(reference, told, plural(found.n, "departure"))
+
+
+def _gaps(found: Robustness, names: Sequence[str]) -> Iterator[Markup]:
+    """Whether the first design is first in these departures at all, and where it is behind the most."""
+    if len(found.plants) < 2 or not (found.rival >= 0).any():
+        return
     if not _is_first(found, 0):
         word = "behind" if _is_behind(found, 0) else "level with"
-        best = Markup("its law raised") if found.rival[0] < 0 else symbols(names[int(found.rival[0])])
-        said += Markup(" On the study\u2019s own plant it is {} {} in these departures.").format(word, best)
-    worst = max((k for k in behind if np.isfinite(found.lead[k])), key=lambda k: (found.lead[k], -k), default=None)
-    if worst is not None:
-        said += Markup(" On <em>{}</em> {} is better by {}\u00a0m·s ({}).").format(
+        best = "the others, its law raised" if found.rival[0] < 0 else symbols(names[int(found.rival[0])])
+        yield Markup("On the study\u2019s own plant it is {} {} in these departures.").format(word, best)
+    behind = [k for k in range(1, len(found.plants)) if _is_behind(found, k) and np.isfinite(found.lead[k])]
+    if behind:
+        worst = max(behind, key=lambda k: (found.lead[k], -k))
+        yield Markup("On <em>{}</em> {} is better by {}\u00a0m·s ({}).").format(
             found.titles[worst], symbols(names[int(found.rival[worst])]), gap_text(float(found.lead[worst])),
             _interval(float(found.lead_low[worst]), float(found.lead_high[worst])),
         )  # fmt: skip
-    return said
 
 
 def _is_first(found: Robustness, k: int) -> bool:
@@ -152,10 +158,10 @@ def _fails(found: Robustness, rows: Sequence[Row], names: Sequence[str]) -> Mark
     told = []
     for _, i, k, plants in lines[:_LISTED]:
         told.append(
-            Markup("{} fails on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant){}{}.").format(
+            Markup("{} fails on <em>{}</em> in {} of {} departures ({} on the study\u2019s plant){}.{}").format(
                 symbols(names[i]), found.titles[k], found.failures[k, i], found.n, found.failures[0, i] or "none",
                 _lost(int(found.diverged[k, i]), int(found.failures[k, i])),
-                f", and also on {plural(plants - 1, 'other plant')}" if plants > 1 else "",
+                f" It fails more often on {plural(plants - 1, 'other plant')} too." if plants > 1 else "",
             )
         )  # fmt: skip
     if len(lines) > _LISTED:
