@@ -36,7 +36,7 @@ class Line:
 
     name: Markup
     limit: str
-    cells: tuple[str, ...]
+    cells: tuple[str | Markup, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,11 +103,13 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
             "interventions"
             + (f", to {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""),
             (
-                line("Back inside", lambda _, k: percent(figures.back_inside[k]), acts=True),
+                line("Back inside at some time", lambda _, k: percent(figures.back_inside[k]), acts=True),
                 line("Back inside after, median [s]", lambda _, k: number(figures.t_back_median[k], 2), acts=True),
                 line("Opposite line crossed", lambda _, k: percent(figures.overshoot_share[k]), acts=True),
                 line(
-                    "Opposite line crossed by at most [m]", lambda _, k: number(figures.overshoot_max[k], 2), acts=True
+                    "Opposite line crossed by at most [m]",
+                    lambda _, k: _overshoot(figures.overshoot_max[k], report.vehicle.w_l),
+                    acts=True,
                 ),
             ),
         ),
@@ -172,6 +174,14 @@ def _degrees(value: float) -> str:
     return number(_DEGREES * value, 1)
 
 
+def _overshoot(value: float, w_l: float) -> Markup:
+    shown = Markup(number(value, 2))
+    return Markup('<span class="bad">{}</span> <small>{}</small>').format(shown, _TOO_FAR) if value > w_l else shown
+
+
+_TOO_FAR = "more than the lane\u2019s width"
+
+
 def _law_time(value: float) -> str:
     """A linear law has no step of its own to be timed."""
     return number(value, 1) if value else "linear"
@@ -218,8 +228,9 @@ def _beyond(dtle: float) -> str:
 
 def _way_back(report: ReportInput, figures: ReleaseFigures, k: int) -> str:
     horizon = f" within {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""
-    back = f"The edge is back inside after {percent(figures.back_inside[k])} of them{horizon}"
+    back = f"In {percent(figures.back_inside[k])} of them the edge comes back inside at some time{horizon}"
     if not figures.overshoot_share[k] > 0:
         return f"{back}, and the opposite edge never crosses the opposite line."
     share, most = percent(figures.overshoot_share[k]), number(figures.overshoot_max[k], 2)
-    return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m."
+    far = f", {_TOO_FAR}" if figures.overshoot_max[k] > report.vehicle.w_l else ""
+    return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m{far}."
