@@ -83,10 +83,8 @@ def _gains(ranking: Ranking, i: int) -> Iterator[str]:
     b, fresh_share = ranking.baseline, float(ranking.fresh_reduction[i])
     known = b is not None and b != i and np.isfinite(fresh_share)
     if b is not None and known:
-        yield (
-            f"On the same scenarios that is {_change(fresh_share)} than {ranking.designs[b].label} "
-            f"({ranking.fresh_S[b]:.4f} m s)."
-        )
+        other = "no control" if ranking.designs[b].is_baseline else ranking.designs[b].label
+        yield f"On the same scenarios that is {_change(fresh_share)} than {other} ({ranking.fresh_S[b]:.4f} m s)."
     share = float(ranking.reduction[i])
     told = b is not None and known and ranking.designs[b].is_baseline
     if np.isfinite(share) and not told and not ranking.designs[i].is_baseline:

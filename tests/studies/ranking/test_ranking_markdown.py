@@ -92,7 +92,7 @@ def test_the_head_says_what_was_ranked() -> None:
     assert "Winner: LQR, y_s=0.1 m, mean S" in html
     assert "synthetic" in html
     assert "S is the integral over time of |e_y|, the distance of the vehicle's centre" in html
-    assert "here over the whole departure." in html
+    assert "Here it is taken over the whole departure." in html
 
 
 def test_the_first_designs_and_those_with_a_mark_are_listed() -> None:

@@ -61,7 +61,7 @@ def test_a_fresh_score_is_compared_with_fresh_no_control() -> None:
     assert abs(none - 8.0) < 0.01
     assert sentences[1] == (
         f"On the same scenarios that is {100 * (1 - ranking.fresh_S[0] / none):.1f} % less than "
-        f"{NONE.label} ({none:.4f} m s)."
+        f"no control ({none:.4f} m s)."
     )
     assert "37.5 %" in sentences[1] or "37.4 %" in sentences[1] or "37.6 %" in sentences[1]
     assert "4.0000" not in " ".join(sentences)
