@@ -6,6 +6,7 @@ import dataclasses
 
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Interval, Row
+from studies.report.words.figure_names import requirement_text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,4 +45,4 @@ def _verdict(row: Row, optimism: Interval) -> str:
         said = "better on the fresh departures"
     else:
         said = "within chance"
-    return "; ".join((said, *(f"misses {text} there" for text in row.fresh_unmet)))
+    return "; ".join((said, *(f"misses {requirement_text(text)} there" for text in row.fresh_unmet)))

@@ -61,6 +61,10 @@ class Row:
         Mean S on fresh scenarios, of a finalist.
     fresh_difference, fresh_to_baseline : Interval or None [m s]
         Paired differences there, to the first design of the ranking and to the baseline.
+    fresh_uncorrected : float or None [m s]
+        Mean S without control there, over the design's own window.
+    fresh_reduction : Interval or None
+        1 - mean S / mean S_uncorrected there.
     fresh_unmet : tuple of str
         Requirements that it misses there.
     optimism : Interval or None [m s]
@@ -91,6 +95,8 @@ class Row:
     fresh: Interval | None
     fresh_difference: Interval | None
     fresh_to_baseline: Interval | None
+    fresh_uncorrected: float | None
+    fresh_reduction: Interval | None
     fresh_unmet: tuple[str, ...]
     optimism: Interval | None
     triggered: float

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +13,8 @@ import numpy.typing as npt
 from ldctoolkit import controller_class
 from ldctoolkit.metrics import share_deeper
 from studies.design import Design
+from studies.ranking.case_figures import DrivableCase
+from studies.ranking.fresh_scores import fresh_case
 from studies.report.figures.landscape import swept_axes
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.reduction import ratio_interval
@@ -44,7 +48,10 @@ def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTa
     for design in tried(results):
         members.setdefault(design.law, []).append(design)
     swept = {law: [axis.name for axis in swept_axes(designs)] for law, designs in members.items()}
-    rows = tuple(_row(results, case, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs))
+    fresh = _FreshDepartures.of(results, case)
+    rows = tuple(
+        _row(results, case, fresh, ranking, place, swept[design.law]) for place, design in enumerate(ranking.designs)
+    )
     # residuals make a recorded path deeper than its parameter d_y says
     deeper = [float(share) for design, share in zip(ranking.designs, ranking.deeper, strict=True) if design.is_baseline]
     return CaseTable(
@@ -82,7 +89,37 @@ def gain_texts(design: Design, swept: list[str]) -> tuple[tuple[str, str, str], 
     )
 
 
-def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int, swept: list[str]) -> Row:
+@dataclasses.dataclass(frozen=True)
+class _FreshDepartures:
+    """One case on the fresh departures, and where each design stands in it."""
+
+    case: DrivableCase
+    position: Mapping[str, int]
+
+    @classmethod
+    def of(cls, results: StudyResults, case: CaseResults) -> Self | None:
+        """None without finalists."""
+        if results.fresh is None or not results.fresh.designs:
+            return None
+        position = {design.id: i for i, design in enumerate(results.fresh.designs)}
+        return cls(fresh_case(results.fresh, case.case), position)
+
+    def against_no_control(self, design: Design, confidence: float) -> tuple[float, Interval]:
+        """Mean S without control, and the reduction against it."""
+        i = self.position[design.id]
+        S_0 = self.case.case.S_uncorrected[i]
+        found = ratio_interval(self.case.counted[i], S_0, self.case.scenarios.side, confidence)
+        return float(np.mean(S_0)), found
+
+
+def _row(
+    results: StudyResults,
+    case: CaseResults,
+    again: _FreshDepartures | None,
+    ranking: Ranking,
+    place: int,
+    swept: list[str],
+) -> Row:
     index = int(ranking.index[place])
     design = results.designs[index]
 
@@ -97,6 +134,9 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
         return found if math.isfinite(found.value) else None
 
     fresh = Interval(*(float(v[place]) for v in (ranking.fresh_S, ranking.fresh_low, ranking.fresh_high)))
+    uncorrected, reduction = None, None
+    if again is not None and design.id in again.position and math.isfinite(fresh.value):
+        uncorrected, reduction = again.against_no_control(design, ranking.confidence)
     return Row(
         index=index,
         place=place,
@@ -118,6 +158,8 @@ def _row(results: StudyResults, case: CaseResults, ranking: Ranking, place: int,
         fresh=fresh if math.isfinite(fresh.value) else None,
         fresh_difference=known("fresh_difference"),
         fresh_to_baseline=known("fresh_baseline_difference"),
+        fresh_uncorrected=uncorrected,
+        fresh_reduction=reduction,
         fresh_unmet=ranking.fresh_unmet[place],
         optimism=known("optimism"),
         triggered=float(ranking.triggered[place]),

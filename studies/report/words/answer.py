@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import dataclasses
 from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
 from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
@@ -17,48 +16,99 @@ from studies.report.tables.case_table import CaseTable
 from studies.report.tables.reduction import ratio_interval
 from studies.report.tables.row import Interval, Row, is_baseline
 from studies.report.tables.tabulate import tried
-from studies.report.words.prose import between, between_percent, design_text, rank_text
-from studies.report.words.text import number, percent, plural, signed, symbols
+from studies.report.words.cost import beyond_grip, cost
+from studies.report.words.figure_names import figure_name, requirement_text
+from studies.report.words.other_plants import on_other_plants
+from studies.report.words.prose import between, between_differences, between_percent, design_text, rank_text
+from studies.report.words.race import race_sentences
+from studies.report.words.requirements import missed_requirements, price_of_requirements, requirements_text
+from studies.report.words.text import difference_text, number, percent, plural, symbols
 
 _NAMED = 3
 
 
-def answer(context: Context) -> list[Markup]:
-    """The answer in a few sentences, each a paragraph.
+@dataclasses.dataclass(frozen=True)
+class Paragraph:
+    """One paragraph of the answer."""
+
+    text: Markup
+    warning: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """The answer in a few sentences.
+
+    Attributes
+    ----------
+    shown : tuple of Paragraph
+        What wins, its gain over no control and over the paper's controller, what else may be the best, what it costs,
+        what other plants do to it, and what limits the choice.
+    more : tuple of Markup
+        What is there for those who ask.
+    """
+
+    shown: tuple[Paragraph, ...]
+    more: tuple[Markup, ...]
+
+
+def answer(context: Context) -> Answer:
+    """The answer of the primary case.
 
     Parameters
     ----------
     context : Context
-
-    Returns
-    -------
-    list of Markup
-        Of the primary case: what wins, its gain over no control, over the paper's controller and over the
-        baseline, what else may be the best, and what limits the choice.
     """
+    shown = (Paragraph(text, warning=warning) for text, warning in _shown(context))
+    return Answer(tuple(one for one in shown if one.text), tuple(text for text in _more(context) if text))
+
+
+def _shown(context: Context) -> Iterator[tuple[Markup, bool]]:
+    """Paragraphs, some of them empty, and whether each is a warning."""
     report, table = context.report, context.primary
     best = table.best
-    sentences = list(_lead(report, table))
-    if is_baseline(best):
-        sentences.append(_no_improvement(table))
-    else:
-        sentences.append(_against_no_control(table))
-        sentences += _against_others(context)
-        if best.triggered == 0:
-            sentences.append(
-                Markup("No departure went deep enough to trigger it, so the score is that of the uncorrected paths.")
-            )
+    acts = not is_baseline(best)
+    *no_winner, lead = _lead(report, table)
+    yield from ((text, False) for text in no_winner)
+    yield Markup(" ").join((lead, _against_no_control(table))) if acts else lead, False
+    if not acts:
+        yield _no_improvement(table), False
+    elif table.ranked:
+        yield from ((_against(context, rival, words), False) for rival, words in _rivals(table))
+    if acts and best.triggered == 0:
+        yield (
+            Markup("No departure went deep enough to trigger it, so the score is that of the uncorrected paths."),
+            False,
+        )
     if table.ranked:
-        sentences.append(_set_of_best(table))
-        edge = () if is_baseline(best) else on_the_edge(tried(report.results), best.index)
-        if edge:
-            said = Markup("{} sits at the end of what was tried for {}: a wider sweep may find a better one.")
-            name = table.best_name[0].upper() + table.best_name[1:]
-            sentences.append(said.format(name, symbols(", ".join(edge))))
-    sentences += _requirements(table)
-    sentences += _pareto(table)
-    sentences += _race(report, table)
-    return sentences
+        yield _set_of_best(table), False
+    if acts:
+        yield cost(context), False
+        yield beyond_grip(context), True
+        yield on_other_plants(context), False
+    edge = on_the_edge(tried(report.results), best.index) if acts and table.ranked else ()
+    if edge:
+        said = Markup("{} sits at the end of what was tried for {}: a wider sweep may find a better one.")
+        yield said.format(_capital(table.best_name), symbols(", ".join(edge))), False
+    yield missed_requirements(table), False
+    yield from ((text, False) for text in race_sentences(report, table))
+
+
+def _more(context: Context) -> Iterator[Markup]:
+    """Paragraphs, some of them empty."""
+    table = context.primary
+    winner = table.winner
+    if winner is not None and winner.fresh is not None:
+        yield _where_chosen(context.report, table, winner)
+        if winner.place:
+            yield _not_the_first(table.first, winner)
+    yield _against_baseline(table)
+    yield price_of_requirements(table)
+    yield _pareto(table)
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def among(table: CaseTable) -> str:
@@ -74,42 +124,59 @@ def among(table: CaseTable) -> str:
 
 
 def _lead(report: ReportInput, table: CaseTable) -> Iterator[Markup]:
-    n, first, winner = report.results.scenarios.n, table.first, table.winner
-    left = int((report.results.scenarios.side == LEFT).sum())
-    where = f"over {plural(n, 'generated departure')} ({left:,} left, {n - left:,} right), the same for all designs"
+    """What wins, with its score; before that, that there is no winner."""
+    first, winner = table.first, table.winner
     if winner is not None and winner.fresh is not None:
         said = Markup(
-            "<strong>{}</strong> is the winner. On {} fresh departures, on which no design was chosen, its mean score "
+            "<strong>{}</strong> is the winner: on {} fresh departures, on which no design was chosen, its mean score "
             "is <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> ({} interval {}, for all finalists at once)."
         )
         yield said.format(
             design_text(winner), f"{table.fresh_scenarios:,}", number(winner.fresh.value), percent(table.confidence, 0),
             between(winner.fresh),
         )  # fmt: skip
-        said = Markup("On the departures that designs were chosen on its mean S is {} m·s ({} interval {}), {}, {}.{}")
-        place = f"the lowest of {among(table)}" if winner.rank == 1 else f"rank {winner.rank} of {among(table)}"
-        yield said.format(
-            number(winner.S.value), percent(table.confidence, 0), between(winner.S), place, where,
-            _optimism(winner, paired=table.optimism_paired),
-        )  # fmt: skip
-        if winner.place:
-            yield _not_the_first(first, winner)
         return
-    equal = sum(row.rank == first.rank for row in table.rows[1:]) if first.rank else 0
-    has = f"shares with {plural(equal, 'other')}" if equal else "has"
     if winner is None and not table.ranked:
         yield Markup("<strong>No design meets the requirements</strong> ({}), so none is ranked and none wins.").format(
-            symbols(" and ".join(table.require))
+            requirements_text(table)
         )
-    elif winner is None:
+    elif winner is None and table.require:
         yield Markup(
             "<strong>There is no winner</strong>: no finalist meets the requirements ({}) on the fresh departures."
-        ).format(symbols(" and ".join(table.require)))
-    said = Markup("{} {} the lowest mean score of {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> ({} interval {}) {}.")
+        ).format(requirements_text(table))
+    elif winner is None:
+        yield Markup("<strong>There is no winner</strong>: see the warning above.")
+    equal = sum(row.rank == first.rank for row in table.rows[1:]) if first.rank else 0
+    alone = (table.ranked or len(table.rows)) == 1
+    has = f"shares with {plural(equal, 'other')} the lowest" if equal else "has the lowest"
     name = design_text(first)
+    said = Markup("{} {}: <strong>S&nbsp;=&nbsp;{}&nbsp;m·s</strong> ({} interval {}) {}.")
     yield said.format(
-        name if winner is None else Markup("<strong>{}</strong>").format(name), has, among(table),
-        number(first.S.value), percent(table.confidence, 0), between(first.S), where,
+        name if winner is None else Markup("<strong>{}</strong>").format(name),
+        f"is {_the_one(table)}, with mean score" if alone else f"{has} mean score of {among(table)}",
+        number(first.S.value), percent(table.confidence, 0), between(first.S), _where(report, table),
+    )  # fmt: skip
+
+
+def _the_one(table: CaseTable) -> str:
+    """What the only design is, of those that `among` counts."""
+    return "the only design" if table.tried == 1 else among(table).replace("1 design", "only design", 1)
+
+
+def _where(report: ReportInput, table: CaseTable) -> str:
+    side = report.results.scenarios.side
+    left = int((side == LEFT).sum())
+    same = ", the same for all designs" if table.tried > 1 else ""
+    return f"over {plural(side.size, 'generated departure')} ({left:,} left, {side.size - left:,} right{same})"
+
+
+def _where_chosen(report: ReportInput, table: CaseTable, winner: Row) -> Markup:
+    """What a winner with a fresh score had where designs were chosen."""
+    place = f"the lowest of {among(table)}" if winner.rank == 1 else f"rank {winner.rank} of {among(table)}"
+    said = Markup("Where designs were chosen, {}, its mean S is {} m·s ({} interval {}), {}.{}")
+    return said.format(
+        _where(report, table), number(winner.S.value), percent(table.confidence, 0), between(winner.S), place,
+        _optimism(winner, paired=table.optimism_paired),
     )  # fmt: skip
 
 
@@ -119,19 +186,20 @@ def _optimism(winner: Row, *, paired: bool) -> str:
     value, low, high = winner.optimism.value, winner.optimism.low, winner.optimism.high
     what = "Its difference to the baseline" if paired else "Its mean S"
     verdict = "no more than chance explains" if low <= 0 <= high else "more than chance explains"
-    better = f"{number(abs(value))} m·s {'better' if value >= 0 else 'worse'}"
-    return f" {what} was {better} there than on the fresh ones (interval {between(winner.optimism)}), {verdict}."
+    better = f"{_size(value)} m·s {'better' if value >= 0 else 'worse'}"
+    interval = between_differences(winner.optimism)
+    return f" {what} was {better} there than on the fresh ones (interval {interval}), {verdict}."
 
 
 def _not_the_first(first: Row, winner: Row) -> Markup:
     """Why the winner is not the first of the ranking."""
     apart = winner.fresh_difference
     if first.fresh_unmet:
-        why = f"misses {', '.join(first.fresh_unmet)} on the fresh departures"
+        why = f"misses {', '.join(requirement_text(one) for one in first.fresh_unmet)} on the fresh departures"
     elif first.fresh is None or apart is None:
         why = "has no fresh score"
     else:
-        why = f"is worse on the fresh departures (difference of the winner to it {between(apart)} m·s)"
+        why = f"is worse on the fresh departures (difference of the winner to it {between_differences(apart)} m·s)"
     said = Markup("The lowest mean S there, {} m·s, has {}, which {}.")
     return said.format(number(first.S.value), design_text(first), symbols(why))
 
@@ -143,33 +211,38 @@ def _no_improvement(table: CaseTable) -> Markup:
 
 
 def _against_no_control(table: CaseTable) -> Markup:
-    change = table.best.reduction
-    saved = change.value
-    word = "less" if saved >= 0 else "more"
-    shown = change if saved >= 0 else Interval(-saved, -change.high, -change.low)
-    on = " on the same departures" if table.best.fresh is not None else ""
-    return Markup("Against no control ({} m·s){} that is <strong>{} {}</strong> (interval {}).").format(
-        number(table.uncorrected), on, percent(shown.value), word, between_percent(shown)
-    )
+    """The gain, on fresh departures where there are some, and what it was where designs were chosen."""
+    best = table.best
+    if best.fresh_reduction is not None and best.fresh_uncorrected is not None:
+        said = Markup("Against no control there ({} m·s) that is {}; where designs were chosen it was {}.")
+        return said.format(number(best.fresh_uncorrected), _less(best.fresh_reduction), _share(best.reduction))
+    where = ", where designs were chosen," if best.fresh is not None else ""
+    said = Markup("Against no control ({} m·s){} that is {}.")
+    return said.format(number(table.uncorrected), where, _less(best.reduction))
 
 
-def _against_others(context: Context) -> Iterator[Markup]:
-    table = context.primary
-    if not table.ranked:
-        return
-    for rival, words in _rivals(table):
-        yield _against(context, rival, words)
+def _share(reduction: Interval) -> str:
+    return f"{percent(abs(reduction.value))} {'less' if reduction.value >= 0 else 'more'}"
+
+
+def _less(reduction: Interval) -> Markup:
+    worse = reduction.value < 0
+    shown = Interval(-reduction.value, -reduction.high, -reduction.low) if worse else reduction
+    return Markup("<strong>{}</strong> (interval {})").format(_share(reduction), between_percent(shown))
+
+
+def _against_baseline(table: CaseTable) -> Markup:
+    """Empty where it is told already, as a share, or there is none."""
     best, baseline = table.best, table.baseline
     difference = best.fresh_to_baseline or best.to_baseline
-    if baseline is None or baseline is best or difference is None:
-        return
     fresh = best.fresh_to_baseline is not None
-    if is_baseline(baseline) and not fresh:
-        return  # told already, as a share
+    told = baseline is not None and is_baseline(baseline) and not fresh
+    if baseline is None or baseline is best or difference is None or told or not table.ranked or is_baseline(best):
+        return Markup("")
     said = Markup("{} difference to the baseline, {}, is {} m·s (interval {} m·s, for all {} at once).")
-    yield said.format(
-        "On the fresh departures its" if fresh else "Its", design_text(baseline), signed(difference.value),
-        between(difference), "finalists" if fresh else "designs",
+    return said.format(
+        "On the fresh departures its" if fresh else "Its", design_text(baseline), difference_text(difference.value, 3),
+        between_differences(difference), "finalists" if fresh else "designs",
     )  # fmt: skip
 
 
@@ -189,106 +262,60 @@ def _rivals(table: CaseTable) -> Iterator[tuple[Row, str]]:
 def _against(context: Context, rival: Row, words: str) -> Markup:
     best = context.primary.best
     change = ratio_interval(context.S(best), context.S(rival), context.scenarios.side, context.primary.confidence)
+    # one comparison that was named beforehand; those of the ranking hold for all designs at once
+    said = Markup("Against {} ({}; {}, {} m·s){} it is <strong>{} m·s or {}</strong> (interval {}).{}")
     worse = change.value < 0
     shown = Interval(-change.value, -change.high, -change.low) if worse else change
-    where = " on the same departures" if best.fresh is not None else ""
-    # one comparison that was named beforehand; those of the ranking hold for all designs at once
-    said = Markup("Against {} ({}; {}, {} m·s){} it is <strong>{} m·s or {} {}</strong> (interval {}).{}")
+    both = best.in_set and rival.in_set
     return said.format(
-        words, design_text(rival), rank_text(rival), number(rival.S.value), where,
-        number(abs(rival.S.value - best.S.value)), percent(shown.value), "more" if worse else "less",
-        between_percent(shown), " The two cannot be told apart on these departures." if rival.in_set else "",
+        words, design_text(rival), rank_text(rival), number(rival.S.value),
+        " where designs were chosen" if best.fresh is not None else "", _size(rival.S.value - best.S.value),
+        _share(change), between_percent(shown), " The two cannot be told apart on these departures." if both else "",
     )  # fmt: skip
+
+
+def _size(difference: float) -> str:
+    return difference_text(abs(difference), 3).removeprefix("+")
 
 
 def _set_of_best(table: CaseTable) -> Markup:
     if len(table.rows) == 1:
         return Markup("It is the only design that was run to the end." if table.tried > 1 else
                       "It is the only design of this study.")  # fmt: skip
+    best = table.best
     confidence = f"with {percent(table.confidence, 0)} confidence"
     if table.race is not None and table.race.dropped:
         both = max(0.0, 1.0 - 2.0 * (1.0 - table.confidence))
         confidence += f" (at least {percent(both, 0)} for race and ranking together)"
-    others = [row for row in table.set_of_best if row is not table.best]
+    design = "ranked design" if table.ranked < len(table.rows) else "design"
+    others = [row for row in table.set_of_best if row is not best]
+    listed = Markup("; ").join(Markup("{} ({})").format(design_text(row), rank_text(row)) for row in others[:_NAMED])
+    listed += f"; and {len(others) - _NAMED:,} more" if len(others) > _NAMED else ""
+    if not best.in_set:
+        said = Markup("<strong>{} is not in the set of best</strong>, which holds {}: {}. The truly best {} is {} {}.")
+        one = "that one" if len(others) == 1 else "one of these"
+        return said.format(_capital(table.best_name), plural(len(others), "design"), listed, design, one, confidence)
     if not others:
-        other = "other ranked design" if table.ranked < len(table.rows) else "other design"
-        return Markup("No other design is in the set of best: {}, no {} is better in truth.").format(confidence, other)
+        return Markup("No other {} is in the set of best: {}, no other {} is better in truth.").format(
+            design, confidence, design
+        )
     said = Markup(
         "<strong>{}</strong> {} in the set of best with it: the truly best {} is one of these {:,} {}, and these "
-        "departures do not tell which. The others: {}{}."
+        "departures do not tell which. The others: {}."
     )
-    return said.format(
-        plural(len(others), "other design"),
-        "is" if len(others) == 1 else "are",
-        "ranked design" if table.ranked < len(table.rows) else "design",
-        len(others) + 1,
-        confidence,
-        Markup("; ").join(Markup("{} ({})").format(design_text(row), rank_text(row)) for row in others[:_NAMED]),
-        f"; and {len(others) - _NAMED:,} more" if len(others) > _NAMED else "",
-    )
+    are = "is" if len(others) == 1 else "are"
+    return said.format(plural(len(others), "other design"), are, design, len(others) + 1, confidence, listed)
 
 
-def _requirements(table: CaseTable) -> Iterator[Markup]:
-    if not table.require:
-        return
-    missed = Counter(text for row in table.rows for text in row.unmet)
-    if not missed:
-        yield Markup("All {} meet the requirements ({}).").format(
-            plural(len(table.rows), "design"), symbols(", ".join(table.require))
-        )
-        return
-    listed = ", ".join(f"{text} ({count:,})" for text, count in missed.items())
-    out = len(table.rows) - table.ranked
-    said = Markup("{} of {} {} a requirement and {} not ranked: {}. Requirements are checked on the estimates.")
-    yield said.format(
-        f"{out:,}", plural(len(table.rows), "design"), "misses" if out == 1 else "miss", "is" if out == 1 else "are",
-        symbols(listed),
-    )  # fmt: skip
-    if not table.ranked:
-        return
-    better = [row for row in table.rows if not row.rank and row.S.value < table.best.S.value]
-    if better:
-        said = Markup("{} of these {} a lower mean S than {}, the lowest {} m·s: {}.")
-        yield said.format(
-            f"{len(better):,}", "has" if len(better) == 1 else "have", table.best_name, number(better[0].S.value),
-            design_text(better[0]),
-        )  # fmt: skip
-
-
-def _pareto(table: CaseTable) -> Iterator[Markup]:
-    count = sum(row.pareto for row in table.rows)
+def _pareto(table: CaseTable) -> Markup:
     if not table.pareto_figures or not table.ranked:
-        return
+        return Markup("")
+    count = sum(row.pareto for row in table.rows)
     said = Markup("The Pareto front over {} holds {} of the {}; the <a href='#ranking'>ranking</a> marks {}.{}")
-    winner = table.winner is not None and not table.winner.pareto
-    yield said.format(
-        symbols(", ".join(table.pareto_figures)),
+    return said.format(
+        symbols(", ".join(figure_name(name) for name in table.pareto_figures)),
         plural(count, "design"),
         f"{table.ranked:,} ranked",
         "it" if count == 1 else "them",
-        " The winner is not on it." if winner else "",
+        " The winner is not on it." if table.winner is not None and not table.winner.pareto else "",
     )
-
-
-def _race(report: ReportInput, table: CaseTable) -> Iterator[Markup]:
-    race = table.race
-    if race is None:
-        return
-    if not race.dropped:
-        yield Markup("The study was a race, which gave up no design.")
-        return
-    steps = ", ".join(f"{alive:,} after {size:,}" for size, alive in zip(race.rounds, race.alive, strict=True))
-    said = Markup(
-        "The study was a race: {} of {} were given up before all departures were run, each once it was separable from "
-        "the best by mean S in the primary case. Designs left by number of departures: {}. That took {} of the runs. "
-        "Designs that were given up are in no figure and no table here, whatever their other figures would have been."
-    )
-    yield said.format(
-        f"{len(race.dropped):,}", plural(table.tried, "design"), steps,
-        percent(race.runs / race.full_runs if race.full_runs else 1.0),
-    )  # fmt: skip
-    left = {design.law for design in report.results.designs}
-    gone = dict.fromkeys(one.design.law for one in race.dropped if one.design.law not in left)
-    if gone:
-        titles = ", ".join(controller_class(law).title for law in gone)
-        yield Markup("No design is left of: {}.").format(symbols(titles))
