@@ -21,9 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 
 MODEL_DASH: Final = (4.0, 2.0)
 
-_TICKS: Final = 10
-_LABELS: Final = 11.5
-"""Sizes of the text beside pairs [pt]: the grid of seven by seven is shown smaller than it is drawn on many screens."""
+_TICKS: Final = 9
+_LABELS: Final = 10.5
+"""Sizes of the text beside pairs [pt]: the grid of seven by seven is wide, and its panels are small."""
 
 _SHADES: Final = (0.22, 0.5, 0.95)
 """Of the generated departures' colour: all cells, those that hold the densest 90 %, and 50 %."""
@@ -67,7 +67,7 @@ def pairs_figure(side: SideMatch) -> Figure:
         # margins are set by hand: to measure the labels of all panels takes longer than to draw them
         size = 0.85 + 1.15 * max(d, 2)
         figure = Figure(figsize=(size, size))
-        edges = {"left": 0.8 / size, "right": 1 - 0.1 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
+        edges = {"left": 0.8 / size, "right": 1 - 0.28 / size, "bottom": 0.55 / size, "top": 1 - 0.08 / size}
         grid = figure.subplots(d, d, squeeze=False, gridspec_kw={"wspace": 0.1, "hspace": 0.1, **edges})
         for i in range(d):
             for j in range(d):
