@@ -29,8 +29,8 @@ def add_report_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-robustness",
         action="store_true",
-        help="leave out the report's section on other plants: a few designs are driven again on each of them, which "
-        "takes some seconds the first time",
+        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows what "
+        "DIR/robustness.json holds of this study, or leaves that section out",
     )
     parser.add_argument(
         "--no-figures", action="store_true", help="write no figures/: the report's figures as SVG and PNG files"
@@ -46,7 +46,7 @@ class ReportOptions:
     source : Departures or None
         What the scenario model was fitted to.
     robustness : bool
-        Whether to drive designs on other plants.
+        Whether to drive designs on other plants where no numbers of them are stored.
     figures : bool
         Whether to write the figures as files.
     departures : tuple of int
@@ -100,7 +100,7 @@ def write_study_report(
     report = report_input(
         folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
         shown_designs=options.designs,
-        robustness=_robustness(folder, study, results, rankings[0]) if options.robustness else None,
+        robustness=_robustness(folder, study, results, rankings[0], drive=options.robustness),
     )  # fmt: skip
     path = folder / "report.html"
     try:
@@ -109,12 +109,15 @@ def write_study_report(
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
-    """What DIR/robustness.json holds, worked out first where need be; None where there is nothing to drive."""
+def _robustness(
+    folder: Path, study: Study, results: StudyResults, ranking: Ranking, *, drive: bool
+) -> Robustness | None:
+    """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
     if not results.designs or not results.drivable().scenarios.n:
         return None
     from studies.robustness.robustness import RobustnessTask
     from studies.robustness.setting import Setting
-    from studies.robustness.stored import robustness_of
+    from studies.robustness.stored import robustness_of, stored_of
 
-    return robustness_of(folder, RobustnessTask.of(results, ranking, Setting.of(study, ranking.case)))
+    task = RobustnessTask.of(results, ranking, Setting.of(study, ranking.case))
+    return robustness_of(folder, task) if drive else stored_of(folder, task)

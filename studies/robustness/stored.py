@@ -51,13 +51,25 @@ def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     StoreError
         If they cannot be stored.
     """
-    path = folder / NAME
-    found = read(path)
-    if found is not None and found.key == task.key:
+    found = stored_of(folder, task)
+    if found is not None:
         return found
     made = work_out(task)
-    write_text(path, text_of(made))
+    write_text(folder / NAME, text_of(made))
     return made
+
+
+def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
+    """The numbers of a task in a study's folder; None where there are none, or those of something else.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    task : RobustnessTask
+    """
+    found = read(folder / NAME)
+    return found if found is not None and found.key == task.key else None
 
 
 def text_of(robustness: Robustness) -> str:

@@ -322,7 +322,11 @@ def test_numbers_of_something_else_are_worked_out_again(
         return dataclasses.replace(found, key=wanted.key)
 
     monkeypatch.setattr(stored, "work_out", count)
+    assert stored.stored_of(tmp_path, task) is None
     stored.robustness_of(tmp_path, task)
+    kept = stored.stored_of(tmp_path, task)
+    assert kept is not None
+    assert stored.text_of(kept) == stored.text_of(dataclasses.replace(found, key=task.key))
     stored.robustness_of(tmp_path, task)
     assert len(calls) == 1
     others = [
@@ -333,6 +337,7 @@ def test_numbers_of_something_else_are_worked_out_again(
                                                              contends=(True, True))),
     ]  # fmt: skip
     for other in others:
+        assert stored.stored_of(tmp_path, other) is None
         stored.robustness_of(tmp_path, other)
     assert len(calls) == len(set(calls)) == 5
     (tmp_path / stored.NAME).write_text("{broken")
