@@ -169,6 +169,47 @@ def test_a_fifth_design_takes_the_place_of_the_last(explorer: Explorer) -> None:
     assert said.inner_text() == ""
 
 
+def test_a_few_far_values_do_not_set_the_range(explorer: Explorer) -> None:
+    def drawn(peak: float, full: bool) -> dict[str, Any]:
+        result: dict[str, Any] = explorer.page.evaluate(
+            """([peak, full]) => {
+              const n = 400, t = Array.from({length: n}, (_, i) => i / 100), flat = t.map(() => 0.1);
+              const a = t.map((_, i) => i === 7 ? peak : 2 * Math.sin(i)), holder = document.createElement("div");
+              document.body.append(holder);
+              const style = {color: "#000", dash: []}, line = {t: t, y: flat, delta: flat, a_y: a, deepest: 0.1};
+              const plot = LDC.departurePlot(holder, {T: 4, far: -1.7, zoom: false, full: full,
+                recorded: {line: line, style: style}, designs: [{line: line, style: style}]}, "test", () => {});
+              const limits = holder.querySelectorAll(".limit");
+              const apart = Math.abs(limits[0].getAttribute("y1") - limits[1].getAttribute("y1"));
+              holder.remove();
+              return {cut: plot.cut, apart: apart};
+            }""",
+            [peak, full],
+        )
+        return result
+
+    calm, spike, full = drawn(2.0, False), drawn(80.0, False), drawn(80.0, True)
+    assert (calm["cut"], spike["cut"], full["cut"]) == (False, True, False)
+    assert spike["apart"] == pytest.approx(calm["apart"])  # as if the far value were not there
+    assert full["apart"] < 0.2 * spike["apart"]
+    assert calm["apart"] == pytest.approx(130 * 6 / (7.2 * 1.08), rel=0.01)  # 1.2 times the limit is always inside
+
+
+def test_the_full_range_is_offered_where_something_is_cut(explorer: Explorer) -> None:
+    choice, note = explorer.region.locator("#explorer-full"), explorer.region.locator("#explorer-cut")
+    cut = False
+    for k in range(explorer.role.locator("option").count() - 1):
+        explorer.role.select_option(index=k + 1)
+        assert choice.is_visible() == bool(note.inner_text())
+        cut = cut or choice.is_visible()
+        if cut:
+            break
+    if cut:
+        explorer.region.get_by_label("Full range of steering and acceleration").check()
+        assert note.inner_text() == ""
+        assert choice.is_visible()
+
+
 def test_the_drawing_follows_the_width(open_page: Callable[..., Any], made: Any) -> None:
     page = open_page(made("ordinary").path, width=390, height=800)
     plot = page.locator("#explorer-plot svg")

@@ -21,6 +21,16 @@
     return [middle - half, middle + half];
   }
 
+  // All values, or 99 % of them where a few reach much further; `cut` tells which. `least`: values that are always inside.
+  function robust(values, least, full) {
+    var sorted = values.filter(Number.isFinite).sort(function (a, b) { return a - b; }), last = sorted.length - 1;
+    if (full || last < 0) return { values: values.concat(least), far: false };
+    var ends = [0.005, 0.995].map(function (share) { return sorted[Math.round(share * last)]; }).concat(least);
+    var low = Math.min.apply(null, ends), high = Math.max.apply(null, ends), room = 0.25 * (high - low);
+    var far = sorted[0] < low - room || sorted[last] > high + room;
+    return { values: far ? ends : values.concat(least), far: far };
+  }
+
   function Panel(root, top, height, x, y, title, id) {
     var self = { top: top, height: height, x: x };
     var inner = x.width;
@@ -57,7 +67,7 @@
     return self;
   }
 
-  // Draw into a holder. `shown`: {T, far, zoom, recorded: {line, style}, designs: [{line, style}]}; `pick(t)` is called
+  // Draw into a holder. `shown`: {T, far, zoom, full, recorded: {line, style}, designs: [{line, style}]}; `pick(t)` is called
   // with the time under the pointer. The answer moves the cursor.
   LDC.departurePlot = function (holder, shown, title, pick) {
     var full = Math.max(280, holder.clientWidth || 640), inner = full - LEFT - RIGHT;
@@ -74,10 +84,11 @@
     });
     var height = top + heights[0] + heights[1] + heights[2] + 2 * gap + 40;
     var root = LDC.svg("svg", { viewBox: "0 0 " + full + " " + height, width: full, height: height, role: "img", "aria-label": title });
+    var delta = robust(all("delta"), [0], shown.full);
+    var a = robust(all("a_y").concat(shown.recorded.line.a_y), [-1.2 * LIMIT, 1.2 * LIMIT], shown.full);
     var first = Panel(root, top, heights[0], x, range(y, 0.1, 0.08), "Edge beyond the line y [m]", "explorer-clip-y");
-    var second = Panel(root, top + heights[0] + gap, heights[1], x, range(all("delta").concat([0]), 0.2, 0.1), "Steering angle δ [°]", "explorer-clip-delta");
-    var a = all("a_y").concat(shown.recorded.line.a_y, [-LIMIT, LIMIT]);
-    var third = Panel(root, top + heights[0] + heights[1] + 2 * gap, heights[2], x, range(a, 1, 0.08), "Lateral acceleration [m/s²]", "explorer-clip-a");
+    var second = Panel(root, top + heights[0] + gap, heights[1], x, range(delta.values, 0.2, 0.1), "Steering angle δ [°]", "explorer-clip-delta");
+    var third = Panel(root, top + heights[0] + heights[1] + 2 * gap, heights[2], x, range(a.values, 1, 0.08), "Lateral acceleration [m/s²]", "explorer-clip-a");
     var panels = [first, second, third];
 
     first.back.appendChild(LDC.svg("rect", { "class": "lane", x: LEFT, width: inner, y: first.y(0), height: Math.max(0, first.y(shown.far) - first.y(0)) }));
@@ -136,6 +147,8 @@
     holder.appendChild(root);
     return {
       end: end,
+      // Whether the steering angle or the acceleration leaves its panel.
+      cut: delta.far || a.far,
       // `points`: [{color, y, delta, a_y}], not a number where there is none.
       cursor: function (t, points) {
         cursor.textContent = "";

@@ -5,7 +5,7 @@
   if (!data) return;
   var paths = LDC.departurePaths(data), about = paths.departures;
   function find(name) { return document.getElementById("explorer-" + name); }
-  var role = find("role"), number = find("number"), time = find("time"), zoom = find("zoom");
+  var role = find("role"), number = find("number"), time = find("time"), zoom = find("zoom"), full = find("full");
   var boxes = Array.from(document.querySelectorAll("#explorer input[name=explorer-design]"));
   var order = Array.from(about.index.keys()).sort(function (a, b) { return about.index[a] - about.index[b]; });
   var NOWHERE = { y: NaN, delta: NaN, a_y: Number.NaN };  // No path.
@@ -108,12 +108,14 @@
   function draw() {
     var recorded = paths.recorded(now);
     plot = LDC.departurePlot(find("plot"), {
-      T: about.T[now], far: data.far, zoom: zoom.checked, recorded: { line: recorded, style: data.line },
+      T: about.T[now], far: data.far, zoom: zoom.checked, full: full.checked, recorded: { line: recorded, style: data.line },
       designs: chosen.map(function (d) { return { line: paths.driven(d, now), style: data.designs[d] }; })
     }, side(now) + " departure, scenario " + about.index[now] + ": position, steering angle and lateral acceleration over time; the tables below hold the values", function (t) {
       time.value = t;
       clock();
     });
+    full.parentNode.hidden = !plot.cut && !full.checked;
+    find("cut").textContent = plot.cut ? "A few values of the steering angle or the acceleration lie outside the panels; “Full range” shows them." : "";
     time.max = (Math.floor(plot.end / data.step) * data.step).toFixed(6);
     time.step = data.step;
     clock();
@@ -203,6 +205,7 @@
     });
   });
   zoom.addEventListener("change", function () { note(""); draw(); });
+  full.addEventListener("change", function () { note(""); draw(); });
   time.addEventListener("input", function () { note(""); clock(); });
   document.addEventListener("ldc:departures", function (event) {
     var d = data.designs.findIndex(function (one) { return one.place === event.detail.place; });
