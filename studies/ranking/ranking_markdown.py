@@ -112,8 +112,8 @@ def _blocks(rankings: Sequence[Ranking], head: StudyHead) -> Iterator[str]:
     window = "the whole departure" if first.case.window == "departure" else "the time under control"
     yield (
         f"{markdown_text(SCORE)}. Here it is taken over {window}. Intervals stand in parentheses, for all designs of a "
-        "column at once. Reduction: against no control, on the scenarios that designs were chosen on. Failed: scenarios, which "
-        "count at least as bad as without control.\n"
+        "column at once. Reduction: against no control, on the scenarios that designs were chosen on. Failed: "
+        "scenarios, which count at least as bad as without control.\n"
     )
     if first.failed:
         yield "## Failed designs\n"
