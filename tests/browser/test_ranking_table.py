@@ -283,6 +283,15 @@ def test_a_thousand_designs_are_turned_page_by_page(open_page: Callable[..., Any
     assert float(table.column("Mean S [m·s]")[0].split()[0]) < S[-1]
 
 
+def test_the_table_fits_on_paper(table: Table) -> None:
+    table.page.set_viewport_size({"width": 718, "height": 1047})  # A4 upright, margins of 10 mm
+    table.page.emulate_media(media="print")
+    wide = table.page.locator("#ranking .scroll").evaluate_all("(all) => all.map((e) => e.scrollWidth - e.clientWidth)")
+    assert len(wide) == 2
+    assert max(wide) <= 0
+    assert not table.filters.is_visible()
+
+
 def test_other_cases_sort_too(table: Table) -> None:
     other = table.page.get_by_role("region", name="Ranking, control window")
     head = other.locator("thead th").filter(has_text="Mean S")

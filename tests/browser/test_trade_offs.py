@@ -122,6 +122,16 @@ def test_points_outside_are_counted(scatter: Scatter) -> None:
     assert int(scatter.note.inner_text().split()[0]) == count + (int(outside[1]) if outside else 0)
 
 
+def test_it_fits_on_paper(scatter: Scatter) -> None:
+    drawing = scatter.section.get_by_role("group", name="one point a design")
+    drawn = drawing.evaluate("(e) => e.viewBox.baseVal.width")
+    scatter.page.emulate_media(media="print")
+    panel = scatter.section.locator(".panel.plot")
+    panel.evaluate("(e) => { e.style.width = '700px'; }")  # a drawing is not made again for paper
+    assert drawn > 1000
+    assert drawing.bounding_box()["width"] <= 700
+
+
 def test_laws_are_switched_off(scatter: Scatter, made: Any) -> None:
     rows = made("ordinary").rows()
     scatter.section.get_by_role("checkbox", name="all points").check()
