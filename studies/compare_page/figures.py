@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ldctoolkit import controller_class
 from studies.comparison.comparison import CaseComparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.report.look.style import LineStyle, figure_settings, law_styles
@@ -95,20 +96,28 @@ def scatter_figure(case: CaseComparison) -> Figure | None:
     if not len(case):
         return None
     S, laws = case.S, [design.law for design in case.designs]
-    styles: dict[str, LineStyle] = law_styles(laws)
+    best_first = np.argsort(S.S_new, kind="stable").tolist()
+    styles: dict[str, LineStyle] = law_styles(laws[i] for i in best_first)
     values = np.concatenate([S.S_old, S.S_new])
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
     margin = 0.06 * max(high - low, 0.02 * abs(high), 1e-3)
     with figure_settings():
-        figure = Figure(figsize=(4.5, 4.6), layout="constrained")
+        figure = Figure(figsize=(6.4, 6.4), layout="constrained")
         axes = figure.subplots()
         axes.axline((low, low), slope=1.0, color="#222222", linewidth=1.0, dashes=(6, 3), zorder=1)
         for law, style in styles.items():
             rows = [i for i, one in enumerate(laws) if one == law]
             marker = "*" if style.marker == "|" else style.marker  # a stroke is too thin for a point
-            look: dict[str, Any] = {"marker": marker, "markersize": 5.5, "markeredgecolor": "#ffffff"}
-            axes.plot(S.S_old[rows], S.S_new[rows], ls="none", color=style.color, label=shorten(law, 28), **look)
+            look: dict[str, Any] = {"marker": marker, "markersize": 7.5, "markeredgecolor": "#ffffff"}
+            axes.plot(
+                S.S_old[rows],
+                S.S_new[rows],
+                ls="none",
+                color=style.color,
+                label=shorten(controller_class(law).title, 28),
+                **look,
+            )
         axes.set_xlim(low - margin, high + margin)
         axes.set_ylim(low - margin, high + margin)
         axes.set_aspect("equal")

@@ -82,6 +82,7 @@ def make_page(comparison: Comparison) -> str:
             sections=SECTIONS,
             lead=sentences.lead(comparison),
             cases=cases,
+            winner=sentences.winner_tile(comparison),
             changes=tuple(_drawings(comparison, "changes")),
             scatter=tuple(_drawings(comparison, "scatter")),
             differences=[one.partition(": ")[::2] for one in comparison.differences],
@@ -90,7 +91,7 @@ def make_page(comparison: Comparison) -> str:
             most_static=table.MOST_STATIC,
             most_listed=MOST_LISTED,
             style=Markup("\n").join((asset("report.css"), asset("compare.css", _PACKAGE))),
-            script=Markup("\n").join((asset("js/ldc.js"), asset("js/compare.js", _PACKAGE))),
+            script=Markup("\n").join((asset("js/ldc.js"), asset("js/sorting.js"), asset("js/compare.js", _PACKAGE))),
             data=Markup(script_json(data)),
         )
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -39,6 +40,32 @@ def lead(comparison: Comparison) -> list[Markup]:
     ]
     said += _of_failures(comparison)
     return said
+
+
+@dataclasses.dataclass(frozen=True)
+class WinnerTile:
+    """The winners' difference as a number with its words."""
+
+    value: str
+    unit: str
+    what: str
+    detail: str
+
+
+def winner_tile(comparison: Comparison) -> WinnerTile | None:
+    """How much S of the new winner is from that of the old one; None where winners are not compared."""
+    winners = comparison.cases[0].winners
+    if winners is None:
+        return None
+    verdict = {
+        Verdict.BETTER: "better",
+        Verdict.WORSE: "worse",
+        Verdict.SAME: "the same",
+        Verdict.UNTOLD: "cannot be told",
+    }[winners.verdict]
+    what = f"{winners.new.label}, winner of both" if winners.same_design else "new winner against the old one"
+    interval = interval_text(winners.low, winners.high)
+    return WinnerTile(difference_text(winners.difference), "m·s", f"S, {what}: {verdict}", f"interval {interval}")
 
 
 def winners_text(winners: Winners) -> Markup:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -65,3 +68,25 @@ def test_verdicts_are_told_and_filtered(open_page: Callable[..., Any], made: Any
     words = page.locator("main").inner_text()
     for word in ("lag", "winner"):
         assert word in words
+
+
+def test_what_is_no_number_is_sorted_last(open_page: Callable[..., Any], made: Any, tmp_path: Path) -> None:
+    text = made("compare").path.read_text(encoding="utf-8")
+    found = re.search(r'(<script type="application/json" id="ldc-data">)(.*?)(</script>)', text, re.DOTALL)
+    assert found is not None
+    data = json.loads(found[2])
+    packed = data["compare"]["cases"][0]["S_new"]
+    values = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").copy()
+    values[1] = np.nan
+    packed["data"] = base64.b64encode(values.tobytes()).decode("ascii")
+    changed = tmp_path / "compare.html"
+    changed.write_text(text.replace(found[2], json.dumps(data).replace("<", "\\u003c")), encoding="utf-8")
+    page = open_page(changed)
+    head = page.locator(".block[data-case='0'] th[data-sort=S_new] button")
+    for down in (False, True):
+        head.click()
+        cells = page.locator(".block[data-case='0'] tbody tr td:nth-child(4)").all_inner_texts()
+        assert cells[-1] == "–"  # noqa: RUF001
+        known = [float(cell) for cell in cells[:-1]]
+        assert known == sorted(known, reverse=down)
+        assert len(known) == values.size - 1

@@ -16,7 +16,7 @@ import pytest
 
 from studies import Comparison, Study, compare, run_study
 from studies.compare_page import write_compare_page
-from studies.compare_page.figures import most_changed
+from studies.compare_page.figures import most_changed, scatter_figure
 from studies.compare_page.page import SECTIONS, make_page
 from studies.comparison.paired_verdicts import PairedDifferences, Verdict
 from studies.comparison.shared_scenarios import SharedScenarios
@@ -153,6 +153,30 @@ def test_the_answer_says_winners_and_counts(comparison: Comparison) -> None:
     assert "0.0 → 0.2" in page.text["differences"]
     assert "PID" in page.text["only"]
     assert "Preview P" in page.text["only"]
+
+
+def test_the_first_tile_is_the_winners_difference(comparison: Comparison) -> None:
+    found = comparison.cases[0].winners
+    assert found is not None
+    tiles = re.findall(r"<li><span class=\"value\">(.*?)</li>", make_page(comparison), re.DOTALL)
+    assert len(tiles) == 5
+    assert plain(tiles[0].split("<")[0]) == pytest.approx(found.difference, abs=6e-5)
+    assert "worse" in tiles[0] if found.verdict is Verdict.WORSE else str(found.verdict) in tiles[0]
+    low, high = map(plain, re.findall(r"[+−][\d.]+", tiles[0].split("interval")[1]))
+    assert (low, high) == pytest.approx((found.low, found.high), abs=6e-5)
+    nobody = dataclasses.replace(comparison.cases[0], winners=None)
+    page = make_page(dataclasses.replace(comparison, cases=(nobody,)))
+    assert len(re.findall(r"<li><span class=\"value\">", page)) == 4
+
+
+def test_the_scatter_is_large_and_names_laws_by_their_titles(comparison: Comparison) -> None:
+    case = comparison.cases[0]
+    figure = scatter_figure(case)
+    assert figure is not None
+    assert min(figure.get_size_inches()) >= 6.0
+    titles = [text.get_text() for text in figure.legends[0].get_texts()]
+    best_first = sorted(range(len(case)), key=lambda i: float(case.S.S_new[i]))
+    assert titles == list(dict.fromkeys(case.designs[i].label.split(",")[0] for i in best_first))
 
 
 def test_says_what_the_score_is(comparison: Comparison) -> None:

@@ -60,10 +60,7 @@
       }
       if (sorted) {
         var values = columns[sorted];
-        rows.sort(function (a, b) {
-          var order = values[a] < values[b] ? -1 : values[a] > values[b] ? 1 : 0;
-          return (down ? -order : order) || a - b;
-        });
+        rows = LDC.sorted(rows, function (i) { return values[i]; }, down);
       }
       return rows;
     }
