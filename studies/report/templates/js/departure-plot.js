@@ -26,7 +26,7 @@
     var sorted = values.filter(Number.isFinite).sort(function (a, b) { return a - b; }), last = sorted.length - 1;
     if (full || last < 0) return { values: values.concat(least), far: false };
     var ends = [0.005, 0.995].map(function (share) { return sorted[Math.round(share * last)]; }).concat(least);
-    var low = Math.min.apply(null, ends), high = Math.max.apply(null, ends), room = 0.25 * (high - low);
+    var low = Math.min.apply(null, ends), high = Math.max.apply(null, ends), room = 0.5 * (high - low);
     var far = sorted[0] < low - room || sorted[last] > high + room;
     return { values: far ? ends : values.concat(least), far: far };
   }
