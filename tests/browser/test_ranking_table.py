@@ -95,6 +95,7 @@ def test_numbers_are_those_of_the_folder(table: Table, made: Any) -> None:
             assert cell(k, "Fresh S [m·s]") == "–"
         assert cell(k, "Taken over") == ("–" if idle else percent(value(row, "triggered_share")))
         assert cell(k, "Deeper than Dy") == percent(value(row, "deeper_than_D_y_share"))
+        assert cell(k, "Peak ay, 95 % quantile [m/s²]") == f"{number(value(row, 'a_y_peak_p95_m_s2'), 2)} ≤ 14"
         assert cell(k, "Failures") == "0"
 
 
@@ -249,12 +250,12 @@ def test_columns_are_chosen(table: Table, made: Any) -> None:
     assert "Effort" not in " ".join(before)
     boxes = table.filters.locator("details").last.get_by_role("checkbox")
     names = [" ".join(one.split()) for one in table.filters.locator("details").last.locator("label").all_inner_texts()]
-    peak = names.index("Peak ay, 95 % quantile [m/s²]")
+    peak = names.index("Peak lateral jerk, 95 % quantile [m/s³]")
     boxes.nth(peak).press("Space")
     (added,) = set(table.heads()) - set(before)
     assert added == names[peak]
     digits = len(table.column(added)[0].split(".")[-1])
-    said = [number(value(row, "a_y_peak_p95_m_s2"), digits) for row in rows]
+    said = [number(value(row, "jerk_peak_p95_m_s3"), digits) for row in rows]
     assert table.column(added) == said
     assert "–" in said  # no control has no interventions
     table.head(added).get_by_role("button").click()

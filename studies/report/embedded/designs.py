@@ -15,11 +15,12 @@ from studies.design import CONVENTION_GAIN, FOLLOWS_CASE
 from studies.ranking.figures import figure_values
 from studies.report.context import Context
 from studies.report.embedded.packed import packed
-from studies.report.embedded.shown_figures import GROUPS, SHOWN, shown_values
+from studies.report.embedded.shown_figures import GROUPS, SHOWN, shown_limits, shown_values
 from studies.report.figures.landscape import swept_axes
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row, is_baseline
 from studies.report.tables.tabulate import tried
+from studies.report.words.figure_names import requirement_text
 from studies.report.words.text import printable, unit_text
 
 FLAGS: Final = ("set_of_best", "pareto", "winner", "baseline", "paper", "passive", "best_of_law")
@@ -57,7 +58,8 @@ def designs_data(context: Context) -> dict[str, object]:
     return {
         "count": len(ranking),
         "case": table.case.label,
-        "require": list(table.require),
+        "require": [requirement_text(text) for text in table.require],
+        "limits": {figure: list(texts) for figure, texts in shown_limits(table.require).items()},
         "pareto": list(table.pareto_figures),
         "confidence": table.confidence,
         "uncorrected": table.uncorrected,
@@ -197,4 +199,7 @@ def _sets(texts: Iterable[tuple[str, ...]]) -> dict[str, object]:
     every = list(texts)
     different = {one: i for i, one in enumerate(dict.fromkeys(every))}
     kind = "u1" if len(different) <= 1 << 8 else "i4"
-    return {"sets": [list(one) for one in different], "index": packed([different[one] for one in every], kind)}
+    return {
+        "sets": [[requirement_text(text) for text in one] for one in different],
+        "index": packed([different[one] for one in every], kind),
+    }

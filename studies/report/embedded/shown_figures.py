@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from studies.ranking.figures import FIGURES, Better, figure_values
+from studies.ranking.figures import FIGURES, Better, figure_values, parse_requirement
 from studies.ranking.ranking import Ranking
+from studies.report.words.text import compact
 
 GROUPS: Final[Mapping[str, str]] = {
     "score": "Score",
@@ -156,6 +157,24 @@ def shown_values(name: str, ranking: Ranking) -> npt.NDArray[np.float64]:
     if name in _OF_A_LAW_THAT_ACTS:
         values = np.where([design.is_baseline for design in ranking.designs], np.nan, values)
     return np.where(values == 0.0, np.nan, values) if name == "law_time" else values
+
+
+def shown_limits(require: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    r"""Limits of requirements by figure, in the units that are shown.
+
+    Examples
+    --------
+    >>> shown_limits(["a_y_peak_p95 <= 3", "deeper < 0.1", "a_y_peak_p95 > 1"])
+    {'a_y_peak_p95': ('≤ 3', '> 1'), 'deeper': ('< 10\xa0%',)}
+    """
+    limits: dict[str, tuple[str, ...]] = {}
+    for text in require:
+        one = parse_requirement(text)
+        shown = shown_figure(one.figure.name)
+        sign = one.operator.replace("<=", "\u2264").replace(">=", "\u2265")
+        limit = f"{sign} {compact(one.limit * shown.scale)}" + ("\u00a0%" if shown.unit == "%" else "")
+        limits[shown.name] = (*limits.get(shown.name, ()), limit)
+    return limits
 
 
 SHOWN: Final = tuple(sorted((shown_figure(name) for name in FIGURES), key=lambda one: tuple(GROUPS).index(one.group)))

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
+from studies.ranking.ranking import Ranking
 from studies.report.context import Context
 from studies.report.embedded.designs import BAR_END, designs_data
+from studies.report.embedded.shown_figures import ShownFigure, shown_figure, shown_limits, shown_values
 from studies.report.rendering import render
 from studies.report.section import Section
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row
+from studies.report.words.figure_names import requirement_text
+from studies.report.words.text import number
 
 MOST_ROWS: Final = 100
 """First designs of a table that stands without script, and at most as many of a set of designs beside them."""
@@ -23,6 +32,11 @@ def section(context: Context) -> Section:
         tables=context.tables,
         primary=context.primary,
         listed={table.case: listed_rows(table) for table in context.tables},
+        required={
+            table.case: _required(table, ranking)
+            for table, ranking in zip(context.tables, context.report.rankings, strict=True)
+        },
+        requirement=requirement_text,
         bar=_bar,
         full=BAR_END,
     )
@@ -57,6 +71,44 @@ def listed_rows(table: CaseTable, most: int = MOST_ROWS) -> tuple[Row, ...]:
     front = [row for row in table.rows if row.pareto]
     rows = (*table.rows[:most], *(row for row in tagged if row is not None), *table.set_of_best[:most], *front[:most])
     return tuple(sorted({row.place: row for row in rows}.values(), key=lambda row: row.place))
+
+
+_OWN_COLUMNS: Final = (
+    "S",
+    "S_left",
+    "S_right",
+    "reduction",
+    "reduction_left",
+    "reduction_right",
+    "triggered",
+    "deeper",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Required:
+    """A column of a figure that has a limit: its name, the limits, and the figure of every design as text."""
+
+    figure: ShownFigure
+    limits: tuple[str, ...]
+    values: npt.NDArray[np.float64]
+
+    def said(self, place: int) -> str:
+        """The figure of the design at this place."""
+        value = float(self.values[place]) * self.figure.scale
+        return number(value, self.figure.digits) + (
+            "\u00a0%" if self.figure.unit == "%" and not math.isnan(value) else ""
+        )
+
+
+def _required(table: CaseTable, ranking: Ranking) -> list[Required]:
+    """Figures of the requirements that have no column otherwise."""
+    limits = shown_limits(table.require)
+    return [
+        Required(shown_figure(name), limits[name], shown_values(name, ranking))
+        for name in limits
+        if name not in _OWN_COLUMNS
+    ]
 
 
 def _bar(row: Row, table: CaseTable) -> str:

@@ -28,12 +28,8 @@
     }, []);
   }
   function missed(i) {
-    var said = [];
-    designs.unmet(i).forEach(function (text) { said.push(["misses ", text, ""]); });
-    designs.freshUnmet(i).forEach(function (text) { said.push(["misses ", text, " on the fresh departures"]); });
-    return said.map(function (one) {
-      return el("small", { "class": "missed" }, [one[0], LDC.symbols(one[1]), one[2]]);
-    });
+    return [[designs.unmet(i), ""], [designs.freshUnmet(i), " on the fresh departures"]].filter(function (one) { return one[0].length; })
+      .map(function (one) { return el("small", { "class": "missed" }, ["misses ", LDC.symbols(one[0].join(", ")), one[1]]); });
   }
   function gains(i) {
     var found = designs.named(i).map(function (gain) {
@@ -105,18 +101,25 @@
     var values = designs.figure(figure.name);
     return {
       key: figure.name, title: designs.titled(figure), group: data.groups[figure.group], value: function (i) { return values[i]; },
-      cell: function (i) { return cell(designs.shown(figure.name, i)); }
+      cell: function (i) {
+        var parts = [designs.shown(figure.name, i)];
+        (data.limits[figure.name] || []).forEach(function (limit) { parts.push(br(), small(limit)); });
+        return cell(parts);
+      }
     };
   }
   var FIRST = ["triggered", "deeper"], failures = {
     key: "failures", title: "Failures", group: data.groups.failures, value: designs.failures,
     cell: function (i) { var many = designs.failures(i); return cell(many.toLocaleString("en"), many ? "n bad" : "n"); }
   };
+  Object.keys(data.limits).forEach(function (name) {
+    if (FIRST.indexOf(name) < 0 && !columns.some(function (one) { return one.key === name; })) FIRST.push(name);
+  });
   columns = columns.concat(FIRST.map(function (name) { return ofFigure(designs.described(name)); }), [failures]);
   var there = columns.map(function (one) { return one.key; });
   columns = columns.concat(designs.figures.filter(function (one) { return there.indexOf(one.name) < 0; }).map(ofFigure));
 
   var STANDARD = ["rank", "design", "y_s", "gains", "S", "reduction", "S_left", "S_right", "difference",
-    "baseline_difference", "fresh_S", "triggered", "deeper", "failures"];
+    "baseline_difference", "fresh_S", "triggered", "deeper", "failures"].concat(Object.keys(data.limits));
   LDC.table = { columns: columns, standard: STANDARD, tags: tags, gains: gains, missed: missed };
 })();

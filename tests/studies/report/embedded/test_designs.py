@@ -131,10 +131,12 @@ def test_flags_and_fresh_scores(make: ModuleType, results: StudyResults, monkeyp
     assert [ranking.designs[k].law for k in np.flatnonzero(flags["passive"])] == ["none"]
     assert [ranking.designs[k].label for k in np.flatnonzero(flags["paper"])] == ["Preview P, y_s=0.2 m"]
     unmet = [tuple(data["unmet"]["sets"][int(k)]) for k in numbers(data["unmet"]["index"])]
-    assert tuple(unmet) == ranking.unmet
+    assert unmet == [tuple(f"{text} m·s" for text in texts) for texts in ranking.unmet]
+    assert data["require"] == ["S <= 0.8 m·s"]
+    assert data["limits"] == {"S": ["\u2264 0.8"]}
     assert len(set(unmet)) == 2
     again = [tuple(data["fresh_unmet"]["sets"][int(k)]) for k in numbers(data["fresh_unmet"]["index"])]
-    assert tuple(again) == ranking.fresh_unmet
+    assert again == [tuple(f"{text} m·s" for text in texts) for texts in ranking.fresh_unmet]
     d = data["count"]
     for name, fields in (
         ("fresh_S", ("fresh_S", "fresh_low", "fresh_high")),

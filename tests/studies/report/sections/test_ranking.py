@@ -68,13 +68,23 @@ def test_many_designs_show_the_first_and_the_tagged(make: ModuleType) -> None:
 
 
 def test_requirements_met_and_missed(make: ModuleType, results: StudyResults) -> None:
-    ranking = Ranking.of(results, results.cases[0], bootstrap=100, require=["S <= 0.6", "triggered <= 2e-1"])
+    ranking = Ranking.of(
+        results, results.cases[0], bootstrap=100, require=["S <= 0.6", "triggered <= 2e-1", "a_y_peak_p95 <= 5"]
+    )
     alone = dataclasses.replace(results, cases=results.cases[:1])
     body = section(Context.of(dataclasses.replace(make.report_input(alone), rankings=(ranking,)))).body
     for row, unmet in zip(rows(body), ranking.unmet, strict=True):
         assert ("meets all requirements" in row) == (not unmet)
-        assert ("misses S &lt;= 0.6" in row) == ("S <= 0.6" in unmet)
-        assert ("misses triggered &lt;= 0.2" in row) == ("triggered <= 0.2" in unmet)
+        missed = re.findall(r'<small class="missed">misses (.*?)</small>', row)
+        units = {
+            "S <= 0.6": "S &lt;= 0.6 m·s",
+            "triggered <= 0.2": "triggered &lt;= 0.2",
+            "a_y_peak_p95 <= 5": "a_y_peak_p95 &lt;= 5 m/s²",
+        }
+        assert missed == ([", ".join(units[text] for text in unmet)] if unmet else [])
+    for row, a_y in zip(rows(body), ranking.release.a_y_peak_p95, strict=True):
+        assert f">{number(a_y, 2)}<br><small>≤ 5</small></td>" in row
+    assert body.count("Peak a<sub>y</sub>, 95 % quantile [m/s²]</th>") == 1
     assert "Filters" not in body  # what only works with script is made by the script
 
 
