@@ -11,7 +11,7 @@
     return { input: input, label: el("label", {}, [input, " ", el("span", {}, title)]) };
   }
   var search = el("input", {
-    type: "search", id: "ranking-search", placeholder: "label, tag, id, gain=value", autocomplete: "off", input: function () {
+    type: "search", id: "ranking-search", placeholder: "name, id, gain=value", autocomplete: "off", input: function () {
       clearTimeout(timer);
       timer = setTimeout(changed, designs.count > 1000 ? 150 : 0);
     }
