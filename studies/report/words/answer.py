@@ -301,10 +301,10 @@ def _set_of_best(table: CaseTable) -> Markup:
         )
     said = Markup(
         "<strong>{}</strong> {} in the set of best with it: the truly best {} is one of these {:,} {}, and these "
-        "departures do not tell which. The others: {}."
+        "departures do not tell which. The {}: {}."
     )
-    are = "is" if len(others) == 1 else "are"
-    return said.format(plural(len(others), "other design"), are, design, len(others) + 1, confidence, listed)
+    are, rest = ("is", "other") if len(others) == 1 else ("are", "others")
+    return said.format(plural(len(others), "other design"), are, design, len(others) + 1, confidence, rest, listed)
 
 
 def _pareto(table: CaseTable) -> Markup:

@@ -365,3 +365,10 @@ def test_what_is_asked_for_stands_folded(make: ModuleType, results: StudyResults
     body = answer_section.section(Context.of(input_of(make, results, ranking))).body
     assert "The Pareto front" in body.partition('<details class="more">')[2].partition("</details>")[0]
     assert body.index("sits at the end of what was tried") < body.index("<details")
+
+
+def test_one_other_design_in_the_set_is_the_other(make: ModuleType, results: StudyResults, plain: Ranking) -> None:
+    two = dataclasses.replace(plain, set_of_best=np.arange(len(plain)) < 2)
+    text = shown(input_of(make, results, two))
+    assert "1 other design is in the set of best with it" in text
+    assert "do not tell which. The other: " in text
