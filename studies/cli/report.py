@@ -14,8 +14,8 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "report",
         help="write the report of a study that was run",
-        description="Write report.html, figures/, ranking.csv and ranking.md from the stored results of a study, into its "
-        "folder.",
+        description="Write report.html, figures/, ranking.csv and ranking.md from the stored results of a study, "
+        "into its folder.",
     )
     parser.add_argument(
         "study", metavar="STUDY", help="folder that ldc run wrote, or the name of a study that ran into out/NAME"

@@ -20,8 +20,8 @@ def add_parser(commands: Subparsers) -> None:
         "run",
         help="run a study: rank designs, write the report",
         description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv and "
-        "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but the "
-        "law of some design failed; the ranking and the report name it.",
+        "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but "
+        "the law of some design failed; the ranking and the report name it.",
     )
     parser.add_argument(
         "study",
