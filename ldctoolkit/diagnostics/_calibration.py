@@ -35,7 +35,7 @@ def kolmogorov_limit(effective_events: float, parameters: int) -> float:
     Examples
     --------
     >>> round(kolmogorov_limit(1000, 1), 4), kolmogorov_limit(149.25, 8) > kolmogorov_limit(150, 8)
-    (0.0427, True)
+    (0.0428, True)
     """
     # SciPy's distributions take long to import
     from scipy.stats import kstwo

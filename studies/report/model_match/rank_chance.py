@@ -37,7 +37,7 @@ def rank_limits(reference: float, n: float, n_reference: float, pairs: int) -> t
     Examples
     --------
     >>> [round(end, 2) for end in rank_limits(0.5, 300, 30_000, 28)]
-    [0.33, 0.64]
+    [0.34, 0.63]
     """
     centre = math.atanh(min(max(reference, -_LARGEST), _LARGEST))
     reach = math.sqrt(1.0 + 0.5 * reference**2) * _reach_at_zero(n, n_reference, pairs)
