@@ -42,8 +42,8 @@ def on_other_plants(context: Context) -> Markup:
             f"On other plants, one option at a time, \u201c{found.titles[worst]}\u201d hurts it most: "
             f"{difference_text(change, 3)} m\u00b7s{share}{interval}{place}"
         )
-    said = Markup("{}. {} (<a href='#robustness'>robustness</a>, {}).")
-    return said.format(hurts, _failures(found, worst), plural(found.n, "departure"))
+    said = Markup("{}. Of {} it fails {} (<a href='#robustness'>robustness</a>).")
+    return said.format(hurts, plural(found.n, "departure"), _failures(found, worst))
 
 
 def _interval(found: Robustness, k: int) -> str:
@@ -55,11 +55,11 @@ def _interval(found: Robustness, k: int) -> str:
 def _failures(found: Robustness, worst: int) -> str:
     """Whether it fails there, and with many options at once."""
     there = int(found.failures[worst, 0])
-    words = f"It fails in {there:,} there" if there else "It fails in none there"
+    words = f"in {there:,} there" if there else "in none there"
     if _TOGETHER not in found.plants:
         return words
     k = found.plants.index(_TOGETHER)
     if not np.isfinite(found.S[k, 0]):
-        return f"{words}, and its law does not run with many at once"
+        return f"{words}, and its law does not run on \u201c{found.titles[k]}\u201d"
     many = int(found.failures[k, 0])
-    return f"{words} and in {f'{many:,}' if many else 'none'} with many at once"
+    return f"{words}, and in {f'{many:,}' if many else 'none'} on \u201c{found.titles[k]}\u201d"

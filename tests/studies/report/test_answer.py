@@ -349,7 +349,7 @@ def test_other_plants_in_a_sentence(make: ModuleType, results: StudyResults, pla
     text = shown(report).replace("\u00a0", " ")
     assert (
         "“Slippery <road>” hurts it most: +0.300 m·s (30.0 % of its S), interval +0.250 to +0.350; it has rank 2 of 2 "
-        "there. It fails in none there and in 3 with many at once (robustness, 10 departures)."
+        "there. Of 10 departures it fails in none there, and in 3 on “Many at once” (robustness)."
     ) in html.unescape(text)
     assert "<road>" not in answer_section.section(Context.of(report)).body
     other = dataclasses.replace(robustness, designs=("other", best.id))
