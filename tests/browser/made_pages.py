@@ -85,7 +85,7 @@ law = "preview_proportional"
 y_s = [0.05, 0.2]
 
 [[design]]
-law = "hostile"
+law = "hostile_words"
 y_s = [0.05, 0.2]
 [design.gains]
 word = ["plain", "{EVIL}", "</script>&amp;\\"'{HEBREW}"]
@@ -97,7 +97,7 @@ word = ["plain", "{EVIL}", "</script>&amp;\\"'{HEBREW}"]
 class Hostile(Controller):
     """A law with names that nobody should be able to put on a page."""
 
-    name: ClassVar[str] = "hostile"
+    name: ClassVar[str] = "hostile_words"
     title: ClassVar[str] = f"{EVIL} & \"q\" 'x' {HEBREW}"
 
     word: str = option("plain", choices=("plain", EVIL, f"</script>&amp;\"'{HEBREW}"), description="")

@@ -4,7 +4,7 @@
   var designs = LDC.designs;
   if (!designs) return;
   var GREEK = { α: "alpha", β: "beta", δ: "delta", κ: "kappa", λ: "lambda", μ: "mu", ω: "omega", φ: "phi", ψ: "psi", ρ: "rho", σ: "sigma", θ: "theta" };
-  var CONDITION = /([^\s,=<>]+)\s*(<=|>=|=|<|>)\s*([^\s,=<>]*)/g;
+  var CONDITION = /([^\s,=<>]+)\s*(<=|>=|=|<|>)\s*([^\s,]*)/g;
   var TESTS = {
     "=": function (a, b) { return a === b; }, "<": function (a, b) { return a < b; }, ">": function (a, b) { return a > b; },
     "<=": function (a, b) { return a <= b; }, ">=": function (a, b) { return a >= b; }
