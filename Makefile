@@ -41,7 +41,8 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 test: lint $(VENV)/.axe-core-$(AXE_CORE)  ## lint, types and all tests, slow ones too
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not browser"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser  # one process: a browser beside another may wait for ever
 
 test-fast: lint  ## the same without the slow tests
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
