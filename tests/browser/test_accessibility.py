@@ -31,10 +31,6 @@ def test_nor_with_everything_open(
     assert look.faults_of_access(page, axe) == []
 
 
-def test_nor_without_script(open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str) -> None:
-    assert look.faults_of_access(open_page(made("ordinary").path, script=False), axe) == []
-
-
 def test_axe_finds_what_is_wrong(open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str) -> None:
     """The check itself: grey on grey, and a field without a name."""
     page = open_page(made("one-design").path)
