@@ -19,6 +19,7 @@ from studies.running.in_order import InOrder
 from studies.running.merge import Merge
 from studies.running.pieces import Piece
 from studies.running.simulate_designs import Simulator
+from studies.running.simulation_task import SimulationTask
 from studies.running.tasks import Done, FailedRun, Job, RunKey, Task, TaskResult
 
 SECONDS_A_TASK: Final = 0.5
@@ -86,8 +87,8 @@ class Dispatcher:
         self._block_size = block_size
         self._seconds_a_run: dict[str, float] = {}
         self._under_way = 0
-        self._again: deque[Task] = deque()
-        self._alone: deque[Task] = deque()
+        self._again: deque[SimulationTask] = deque()
+        self._alone: deque[SimulationTask] = deque()
         self._faults = faults
         self._merge = Merge()
         self._in_order = InOrder()
@@ -116,7 +117,7 @@ class Dispatcher:
                 self._under_way -= 1
                 self._take(ended)
 
-    def _tasks(self, lanes: deque[Lane]) -> Iterator[Task]:
+    def _tasks(self, lanes: deque[Lane]) -> Iterator[SimulationTask]:
         while lanes:
             lane = lanes[0]
             if not lane.designs:
@@ -132,7 +133,9 @@ class Dispatcher:
             if designs:
                 rows = lane.piece.rows
                 scenarios = self._scenarios.take(rows)
-                yield Task(self._job, lane.convention, tuple(designs), rows, scenarios, lane.piece.number, rows.size)
+                yield SimulationTask(
+                    self._job, lane.convention, tuple(designs), rows, scenarios, lane.piece.number, rows.size
+                )
 
     def _fitting(self, lane: Lane) -> int:
         """Designs that take about half a second."""
@@ -140,12 +143,12 @@ class Dispatcher:
         runs = _FIRST_RUNS if pace is None else min(_MOST_RUNS, SECONDS_A_TASK / max(pace, 1e-9))
         return max(1, int(runs / lane.piece.rows.size))
 
-    def _start(self, task: Task) -> None:
+    def _start(self, task: SimulationTask) -> None:
         self._under_way += 1
         self._executor.start(task)
 
     def _take(self, ended: Ended) -> None:
-        task = ended.task
+        task: SimulationTask = ended.task
         if ended.done is not None:
             self._faults.ended_well()
             # the last pace counts: the first task of a process also loads and compiles
@@ -157,7 +160,7 @@ class Dispatcher:
         else:
             self._blame(task, ended.fault, certain=ended.certain)
 
-    def _blame(self, task: Task, fault: Fault, *, certain: bool) -> None:
+    def _blame(self, task: SimulationTask, fault: Fault, *, certain: bool) -> None:
         """Run a task once more alone; halve it when it has ended its worker again, or was over its time."""
         if not self._faults.guilty(task, fault, certain=certain):
             self._alone.append(task)
@@ -180,7 +183,7 @@ class Dispatcher:
         else:
             self._give(task, Done(Simulator(self._job).uncontrolled(task, STATUS_OF[fault])))
 
-    def _without(self, key: RunKey, tasks: Iterable[Task]) -> Iterator[Task]:
+    def _without(self, key: RunKey, tasks: Iterable[SimulationTask]) -> Iterator[SimulationTask]:
         """The same tasks without a design that has failed; those of its fellows are as suspect as before."""
         for task in tasks:
             rest = tuple(design for design in task.designs if (design.id, task.convention) != key)
@@ -191,7 +194,7 @@ class Dispatcher:
                 self._faults.same_strikes(task, fewer)
                 yield fewer
 
-    def _probe(self, task: Task) -> bool:
+    def _probe(self, task: SimulationTask) -> bool:
         """Whether a worker lives that drives nobody, on one scenario; nothing else is under way."""
         harmless = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
         probe = dataclasses.replace(

@@ -69,7 +69,7 @@ class Faults:
         if self._lost >= _MOST_LOST:
             raise LdcError(
                 "worker processes end before they have done anything (out of memory, or killed from outside); what was "
-                "finished is stored: run the study again to go on, with fewer workers if memory was short"
+                "finished is stored: run it again to go on, with fewer workers if memory was short"
             )
 
     def ended_well(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -107,7 +108,7 @@ class Task:
         """Scenario runs: designs times scenarios."""
         return len(self.designs) * self.rows.size
 
-    def halves(self) -> tuple[Task, ...]:
+    def halves(self) -> tuple[Self, ...]:
         """Two tasks that together are this one, first by designs, then by scenarios; none for one run."""
         if len(self.designs) > 1:
             middle = len(self.designs) // 2
@@ -118,11 +119,11 @@ class Task:
             return tuple(self._with(rows=self.rows[at], scenarios=self.scenarios.take(at)) for at in places)
         return ()
 
-    def only(self, designs: tuple[Design, ...]) -> Task:
+    def only(self, designs: tuple[Design, ...]) -> Self:
         """The same with some of the designs."""
         return self._with(designs=designs)
 
-    def _with(self, **changes: object) -> Task:
+    def _with(self, **changes: object) -> Self:
         return dataclasses.replace(self, number=next(_numbers), **changes)  # type: ignore[arg-type]
 
 

@@ -1,4 +1,4 @@
-"""What runs in a worker process: one task after the other, under a time limit, with a note of what is under way."""
+"""What runs in a worker process: one piece of work after the other, under a time limit, with a note of which."""
 
 from __future__ import annotations
 
@@ -10,17 +10,9 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from ldctoolkit import controller_class, register, registry
-from ldctoolkit.simulation import drive
-from studies.running.simulate_designs import Simulator
-from studies.running.tasks import Done, Job, Task
-
-_JOBS_KEPT = 2
-
-_WARM_LAWS = ("preview_proportional", "pid")
-"""A law of each kind of loop: linear, and step by step."""
+from studies.running.executors.protocol import Work
 
 _LONGEST = 4e6
 """Seconds, 46 days, that every platform can watch for; a longer limit counts as this one."""
@@ -29,51 +21,17 @@ _local = threading.local()
 _notes: IO[str] | None = None
 _deadlines: dict[int, float] = {}
 _lock = threading.Lock()
-_warm: set[str] = set()
 
 
-def run_task(task: Task) -> Done:
-    """Run one task in this process."""
-    chosen = simulator(task.job)
-    _warm_up(chosen, task)
+def run_task(task: Work) -> Any:
+    """Run one piece of work in this process; what it keeps stays with this thread."""
+    kept: dict[str, Any] = _local.__dict__.setdefault("kept", {})
+    task.make_ready(kept)
     note(f"task {task.number}")
-    with _limited(task.job.time_limit):
-        done = chosen.run(task)
+    with _limited(task.time_limit):
+        done = task.run(kept)
     note("done")
     return done
-
-
-def _warm_up(chosen: Simulator, task: Task) -> None:
-    """Load the compiled loops in a fresh process, so that the time limit counts a law's own time."""
-    if task.job.token in _warm or not task.job.time_limit:
-        return
-    takeover = chosen.takeover(task.designs[0].y_s, task.convention, task.scenarios.take([0]))
-    for name in _WARM_LAWS:
-        drive(controller_class(name)(), takeover, threads=1)
-    _warm.add(task.job.token)
-
-
-def simulator(job: Job) -> Simulator:
-    """The simulator of a job in this thread, so that tasks of one job share takeovers."""
-    kept: dict[str, Simulator] = _local.__dict__.setdefault("simulators", {})
-    if job.token not in kept:
-        while len(kept) >= _JOBS_KEPT:
-            del kept[next(iter(kept))]
-        _learn(job.laws)
-        kept[job.token] = Simulator(job)
-    return kept[job.token]
-
-
-def _learn(laws: bytes) -> None:
-    """Make controllers known that no installed package offers."""
-    if not laws:
-        return
-    import cloudpickle
-
-    for law in cloudpickle.loads(laws):
-        with _lock:
-            registry.forget(law.name)  # of an earlier job
-            register(law)
 
 
 def start_worker(folder: str) -> None:

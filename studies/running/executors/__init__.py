@@ -1,18 +1,20 @@
-"""Where tasks run: in this process, in processes of this machine, or on a Dask cluster."""
+"""Where work runs: in this process, in processes of this machine, or on a Dask cluster."""
 
 from __future__ import annotations
 
 import os
 
 from ldctoolkit.errors import InputError, nearest
-from studies.running.executors.protocol import Ended, Executor
+from studies.running.executors.protocol import Ended, Executor, Work
 
 EXECUTORS = ("serial", "processes", "dask")
 
-__all__ = ["EXECUTORS", "Ended", "Executor", "make_executor"]
+__all__ = ["EXECUTORS", "Ended", "Executor", "Work", "make_executor"]
 
 
-def make_executor(name: str | None, workers: int | None, address: str | None = None) -> Executor:
+def make_executor(
+    name: str | None, workers: int | None, address: str | None = None, packages: tuple[str, ...] = ()
+) -> Executor:
     """The executor of that name.
 
     Parameters
@@ -23,6 +25,8 @@ def make_executor(name: str | None, workers: int | None, address: str | None = N
         None for one a core.
     address : str, optional
         Of a Dask scheduler, or ``"local"``.
+    packages : tuple of str
+        Whose versions must be the same on a cluster, besides those of every study.
 
     Raises
     ------
@@ -39,7 +43,7 @@ def make_executor(name: str | None, workers: int | None, address: str | None = N
         raise InputError(f"executor: {name!r}; {nearest(name, EXECUTORS)}")
     if address and name != "dask":
         raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
-    # each is loaded on first use: a study in this process needs neither loky nor Dask
+    # each is loaded on first use: a run in this process needs neither loky nor Dask
     if name == "serial":
         from studies.running.executors.serial import SerialExecutor
 
@@ -50,7 +54,7 @@ def make_executor(name: str | None, workers: int | None, address: str | None = N
 
         if address and address != LOCAL and workers is not None:
             raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")
-        return DaskExecutor(address or LOCAL, workers)
+        return DaskExecutor(address or LOCAL, workers, packages)
     from studies.running.executors.processes import ProcessExecutor
 
     return ProcessExecutor(workers or os.cpu_count() or 1)

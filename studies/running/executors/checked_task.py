@@ -1,14 +1,13 @@
-"""A task that a worker runs only if it has the packages of whoever sent it."""
+"""Work that a worker runs only if it has the packages of whoever sent it."""
 
 from __future__ import annotations
 
 import functools
 import importlib.metadata
 import pickle
-from typing import Final
+from typing import Any, Final
 
 from ldctoolkit.errors import InputError
-from studies.running.tasks import Done
 from studies.running.worker import run_task
 
 SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")
@@ -19,9 +18,9 @@ Versions = tuple[tuple[str, str], ...]
 
 
 @functools.cache
-def versions() -> Versions:
-    """What this process has of `SAME_VERSIONS`."""
-    return tuple((name, _version(name)) for name in SAME_VERSIONS)
+def versions(packages: tuple[str, ...] = SAME_VERSIONS) -> Versions:
+    """What this process has of some packages."""
+    return tuple((name, _version(name)) for name in packages)
 
 
 def _version(name: str) -> str:
@@ -50,25 +49,25 @@ def check(sender: Versions, worker: Versions, named: str) -> None:
     for name, version in sender:
         if there.get(name) != version:
             raise InputError(
-                f"dask: {named} has {name} {there.get(name)}, the process that runs the study {version}; allowed: the "
+                f"dask: {named} has {name} {there.get(name)}, the process that sends the work {version}; allowed: the "
                 "same version everywhere, or numbers would depend on where they were computed"
             )
 
 
-def run_checked(sender: Versions, task: bytes) -> Done:
-    """Run a pickled task in this process.
+def run_checked(sender: Versions, task: bytes) -> Any:
+    """Run a pickled piece of work in this process.
 
     Parameters
     ----------
     sender : tuple of (str, str)
-        `versions` of the process that sends the task.
+        `versions` of the process that sends it.
     task : bytes
-        A `Task`; it is read after the check, because other versions may not even be able to read it.
+        A `Work`; it is read after the check, because other versions may not even be able to read it.
 
     Raises
     ------
     InputError
         If this process has other versions.
     """
-    check(sender, versions(), "a worker")
+    check(sender, versions(tuple(name for name, _ in sender)), "a worker")
     return run_task(pickle.loads(task))

@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster: one that is there already, or one that is started on this machine."""
+"""Work on a Dask cluster: one that is there already, or one that is started on this machine."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import uuid
 from typing import Any
 
 from ldctoolkit.errors import ClusterError
-from studies.running.executors.checked_task import run_checked, versions
+from studies.running.executors.checked_task import run_checked
 from studies.running.executors.dask_connection import Connection, lost, unable, unreadable
-from studies.running.executors.protocol import Ended, Fault
-from studies.running.tasks import Done, Task
+from studies.running.executors.protocol import Ended, Fault, Work
 
 _LISTEN_EVERY = 0.2
 
@@ -33,13 +32,13 @@ _log = logging.getLogger("studies")
 
 @dataclasses.dataclass
 class _UnderWay:
-    task: Task
+    task: Work
     since: float
     alone: bool
 
 
 class DaskExecutor:
-    """Runs tasks on a Dask cluster.
+    """Runs work on a Dask cluster.
 
     Parameters
     ----------
@@ -47,6 +46,8 @@ class DaskExecutor:
         Of a scheduler, as ``tcp://host:8786``; ``"local"`` starts a cluster on this machine.
     workers : int, optional
         Processes of a local cluster; all cores by default.
+    packages : tuple of str
+        Whose versions must be the same on all workers, besides those of every study.
 
     Raises
     ------
@@ -59,8 +60,8 @@ class DaskExecutor:
     name = "dask"
     isolated = True
 
-    def __init__(self, address: str, workers: int | None = None) -> None:
-        self._connection = Connection(address, workers)
+    def __init__(self, address: str, workers: int | None = None, packages: tuple[str, ...] = ()) -> None:
+        self._connection = Connection(address, workers, packages)
         self._tasks: dict[Any, _UnderWay] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._count = 0
@@ -82,20 +83,20 @@ class DaskExecutor:
             self._count = int(sum(client.nthreads(callback_timeout=_ANSWER).values()))
         self._counted_at = time.monotonic()
 
-    def start(self, task: Task) -> None:
-        """Hand a task to the scheduler."""
+    def start(self, task: Work) -> None:
+        """Hand a piece of work to the scheduler."""
         sent = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
         # a key of its own each time: the scheduler answers a key that it knows with what that gave before
         key = f"ldc-{uuid.uuid4().hex}"
         with self._connection.asking():
-            future = self._connection.client.submit(run_checked, versions(), sent, pure=False, key=key)
+            future = self._connection.client.submit(run_checked, self._connection.versions, sent, pure=False, key=key)
             future.add_done_callback(self._ended.put)
         for other in self._tasks.values():
             other.alone = False
         self._tasks[future] = _UnderWay(task, time.monotonic(), alone=not self._tasks)
 
     def wait(self) -> list[Ended]:
-        """A task that has ended; waits a moment for it. The scheduler itself repeats tasks of workers that died."""
+        """Work that has ended; waits a moment for it. The scheduler itself repeats work of workers that died."""
         try:
             future = self._ended.get(timeout=_LISTEN_EVERY)
         except queue.Empty:
@@ -115,12 +116,12 @@ class DaskExecutor:
         self._deserted_since = None
         return [Ended(self._tasks.pop(future).task, done)]
 
-    def _fetch(self, future: Any) -> Done | None:
-        """What a task gave; None if it does not arrive, because the worker that held it has gone since."""
+    def _fetch(self, future: Any) -> Any:
+        """What the work gave; None if it does not arrive, because the worker that held it has gone since."""
         if future.status != "error":
             with self._connection.asking():
                 try:
-                    done: Done = future.result(timeout=_ANSWER)
+                    done = future.result(timeout=_ANSWER)
                 except TimeoutError:
                     return None
                 return done
@@ -157,7 +158,7 @@ class DaskExecutor:
         elif now - self._deserted_since > _GRACE:
             raise ClusterError(
                 f"dask: all workers have gone, and none has come for {_GRACE:g} s; what was finished is stored: run "
-                "the study again to go on"
+                "it again to go on"
             )
 
     def close(self, *, orderly: bool) -> None:
@@ -175,5 +176,5 @@ def _fault(under_way: _UnderWay, error: Any) -> Fault:
     dispatcher sends it again, alone.
     """
     attempts = error.allowed_failures + 1
-    late = 0 < under_way.task.job.time_limit * attempts < time.monotonic() - under_way.since
+    late = 0 < under_way.task.time_limit * attempts < time.monotonic() - under_way.since
     return "late" if late and under_way.alone else "died"

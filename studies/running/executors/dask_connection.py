@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import importlib
 import logging
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
-from studies.running.executors.checked_task import check, versions
+from studies.running.executors.checked_task import SAME_VERSIONS, check, versions
 from studies.running.executors.closing import attempt
 
 LOCAL: Final = "local"
@@ -20,6 +21,9 @@ LOCAL: Final = "local"
 _CONNECT = "15s"
 
 _NOT_THERE: Final = (ModuleNotFoundError, ImportError, AttributeError)
+
+_ONE_THREAD: Final = {"POLARS_MAX_THREADS": "1"}
+"""For workers that are started here; Dask itself keeps the other libraries to one thread."""
 
 _CLOSE = 30.0
 """Seconds that leaving a cluster may take."""
@@ -34,10 +38,14 @@ class Connection:
         Of a scheduler; ``"local"`` starts a cluster on this machine.
     workers : int or None
         Processes of a local cluster; all cores by default.
+    packages : tuple of str
+        Whose versions must be the same on all workers, besides `SAME_VERSIONS`.
 
     Attributes
     ----------
     client : distributed.Client
+    versions : tuple of (str, str)
+        What this process has of these packages.
     killed : type of Exception
         What a task gives that has ended all workers that tried it.
 
@@ -49,7 +57,8 @@ class Connection:
         If Dask is not installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
     """
 
-    def __init__(self, address: str, workers: int | None) -> None:
+    def __init__(self, address: str, workers: int | None, packages: tuple[str, ...] = ()) -> None:
+        self.versions = versions((*SAME_VERSIONS, *packages))
         try:
             distributed = importlib.import_module("distributed")
         except ImportError:
@@ -70,7 +79,7 @@ class Connection:
         try:
             if address == LOCAL:
                 self._cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, env=_ONE_THREAD
                 )
             self.client = distributed.Client(self._cluster or address, timeout=_CONNECT, name="ldc")
         except (OSError, ValueError) as error:
@@ -84,13 +93,14 @@ class Connection:
     def _check_versions(self) -> None:
         """Before anything runs; a worker that comes later checks itself, with each task."""
         with self.asking():
-            answers = self.client.run(versions, on_error="return")
+            asked = functools.partial(versions, tuple(name for name, _ in self.versions))
+            answers = self.client.run(asked, on_error="return")
         for worker, there in answers.items():
             if isinstance(there, OSError):
                 continue  # it has gone
             if isinstance(there, Exception):
                 raise unable(f"worker {worker}", there)
-            check(versions(), there, f"worker {worker}")
+            check(self.versions, there, f"worker {worker}")
 
     @property
     def open(self) -> bool:
@@ -144,7 +154,7 @@ class Connection:
 def lost() -> ClusterError:
     """The scheduler has gone, or has dropped the work."""
     return ClusterError(
-        "dask: the connection to the scheduler is lost; what was finished is stored: run the study again to go on"
+        "dask: the connection to the scheduler is lost; what was finished is stored: run it again to go on"
     )
 
 

@@ -1,4 +1,4 @@
-"""Tasks in processes of this machine, started afresh by loky, with a note of what each was doing when it died."""
+"""Work in processes of this machine, started afresh by loky, with a note of what each was doing when it died."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import LdcError
 from studies.running.executors.closing import attempt
-from studies.running.executors.protocol import Ended, Fault
-from studies.running.tasks import Done, Task
+from studies.running.executors.protocol import Ended, Fault, Work
 from studies.running.worker import run_task, start_worker
 
 _LISTEN_EVERY = 0.2
 """Seconds after which an interrupt is noticed at the latest."""
 
 _IDLE = 30.0
-"""Seconds after which workers without work end; until then the next study of this process finds them ready."""
+"""Seconds after which workers without work end; until then the next run of this process finds them ready."""
 
-_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-"""The designs are what runs in parallel."""
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
+"""The workers are what runs in parallel."""
 
 _CLOSE = 30.0
 """Seconds that ending the workers may take."""
@@ -39,7 +38,7 @@ _folder: tempfile.TemporaryDirectory[str] | None = None
 
 
 class ProcessExecutor:
-    """Runs tasks in worker processes; when one dies the pool is made anew and says which tasks were under way.
+    """Runs work in worker processes; when one dies the pool is made anew and says which work was under way.
 
     Parameters
     ----------
@@ -52,16 +51,16 @@ class ProcessExecutor:
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._pool: Any = None
-        self._tasks: dict[Future[Done], Task] = {}
-        self._ended: queue.SimpleQueue[Future[Done]] = queue.SimpleQueue()
+        self._tasks: dict[Future[Any], Work] = {}
+        self._ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
 
     @property
     def workers(self) -> int:
         """Number of processes."""
         return self._workers
 
-    def start(self, task: Task) -> None:
-        """Hand a task to the pool.
+    def start(self, task: Work) -> None:
+        """Hand a piece of work to the pool.
 
         Raises
         ------
@@ -79,11 +78,11 @@ class ProcessExecutor:
             self._pool = None
             reason = str(error).strip() or type(error).__name__
             raise LdcError(
-                f"worker processes cannot start ({reason}); what was finished is stored: run the study again to go on, "
+                f"worker processes cannot start ({reason}); what was finished is stored: run it again to go on, "
                 "with fewer workers, or with one, which runs in this process"
             ) from None
 
-    def _submit(self, task: Task) -> None:
+    def _submit(self, task: Work) -> None:
         if self._pool is None:
             self._pool = get_reusable_executor(
                 self._workers,
@@ -98,7 +97,7 @@ class ProcessExecutor:
         future.add_done_callback(self._ended.put)
 
     def wait(self) -> list[Ended]:
-        """Tasks that have ended by now; waits a moment for the first."""
+        """Work that has ended by now; waits a moment for the first."""
         try:
             futures = [self._ended.get(timeout=_LISTEN_EVERY)]
         except queue.Empty:
@@ -120,7 +119,7 @@ class ProcessExecutor:
     def _broken(self) -> list[Ended]:
         """Everything that the pool held; tasks that a dead worker may have stumbled over are told as such."""
         ended: list[Ended] = []
-        lost: list[Task] = []
+        lost: list[Work] = []
         for future, task in self._tasks.items():
             # the pool gives up all tasks that it holds; those that ended before have their results
             error = future.exception()
@@ -144,7 +143,7 @@ class ProcessExecutor:
         return ended
 
     def close(self, *, orderly: bool) -> None:
-        """Leave the workers to the next study of this process; if not `orderly`, end them now."""
+        """Leave the workers to the next run of this process; if not `orderly`, end them now."""
         if self._pool is not None and not orderly:
             pool, self._pool = self._pool, None
             # who gives up is told already why: a second interrupt only ends the waiting

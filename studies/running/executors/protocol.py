@@ -1,47 +1,72 @@
-"""What the dispatcher asks of an executor."""
+"""What an executor runs, and what is asked of it."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, Protocol
-
-from studies.running.tasks import Done, Task
+from typing import Any, Literal, Protocol
 
 Fault = Literal["died", "late"]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Ended:
-    """A task that is no longer under way.
+class Work(Protocol):
+    """Something to be done in one go, anywhere: plain data that can be sent, and how it is done.
 
     Attributes
     ----------
-    task : Task
-    done : Done or None
-        What came out; None if the worker is gone, or the task never began.
-    fault : {"died", "late"} or None
-        The worker ended during the task, by itself or by the time limit; None where the task is not to blame.
-    certain : bool
-        No other task can have been the reason.
+    number : int
+        Of this piece of work in the process that sends it.
+    time_limit : float [s]
+        How long `run` may take where the worker can be ended; 0 for as long as it likes.
     """
 
-    task: Task
-    done: Done | None = None
+    @property
+    def number(self) -> int:
+        """Of this piece of work in the process that sends it."""
+
+    @property
+    def time_limit(self) -> float:
+        """How long `run` may take; 0 for as long as it likes."""
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Load in a worker process what it lacks; no time limit holds."""
+
+    def run(self, kept: dict[str, Any]) -> Any:
+        """Do it; what may serve the next work in the same place is left in `kept`."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Ended:
+    """Work that is no longer under way.
+
+    Attributes
+    ----------
+    task : Work
+        As it was given to `Executor.start`.
+    done : object or None
+        What its `run` gave; None if the worker is gone, or the work never began.
+    fault : {"died", "late"} or None
+        The worker ended during the work, by itself or by the time limit; None where the work is not to blame.
+    certain : bool
+        No other work can have been the reason.
+    """
+
+    task: Any
+    done: Any = None
     fault: Fault | None = None
     certain: bool = False
 
 
 class Executor(Protocol):
-    """Runs tasks, in any order.
+    """Runs work, in any order.
 
     Attributes
     ----------
     name : str
         ``"serial"``, ``"processes"`` or ``"dask"``.
     workers : int
-        How many tasks run at the same time.
+        How many pieces of work run at the same time.
     isolated : bool
-        Whether a task that ends its process leaves this one alive.
+        Whether work that ends its process leaves this one alive.
     """
 
     name: str
@@ -49,13 +74,13 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """How many tasks run at the same time."""
+        """How many pieces of work run at the same time."""
 
-    def start(self, task: Task) -> None:
-        """Begin a task, or queue it."""
+    def start(self, task: Work) -> None:
+        """Begin a piece of work, or queue it."""
 
     def wait(self) -> list[Ended]:
-        """Some tasks that have ended; none if nothing did for a moment."""
+        """Some work that has ended; none if nothing did for a moment."""
 
     def close(self, *, orderly: bool) -> None:
-        """Give back what was taken; if not `orderly`, tasks under way are given up."""
+        """Give back what was taken; if not `orderly`, work under way is given up."""

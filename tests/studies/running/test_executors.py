@@ -248,7 +248,7 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
 
 def a_task(time_limit: float = 0.0) -> Any:
     """All that an executor looks at."""
-    return types.SimpleNamespace(number=1, job=types.SimpleNamespace(token="t", time_limit=time_limit))
+    return types.SimpleNamespace(number=1, time_limit=time_limit)
 
 
 def connected() -> dask_cluster.DaskExecutor:
@@ -261,7 +261,7 @@ def listen(executor: Executor, seconds: float) -> None:
         executor.wait()
 
 
-LOST = "the connection to the scheduler is lost; what was finished is stored: run the study again"
+LOST = "the connection to the scheduler is lost; what was finished is stored: run it again"
 
 
 def test_workers_of_a_cluster_are_not_counted_at_every_look(client: FakeClient) -> None:
@@ -378,12 +378,12 @@ def test_other_versions_are_refused_by_the_worker_itself(client: FakeClient, mon
     function, sender, _ = client.sent[0]
     assert function is checked_task.run_checked
     there = tuple((name, "0.1" if name == "scipy" else version) for name, version in sender)
-    monkeypatch.setattr(checked_task, "versions", lambda: there)
+    monkeypatch.setattr(checked_task, "versions", lambda *_: there)
     ours = dict(sender)["scipy"]
-    with pytest.raises(InputError, match=f"dask: a worker has scipy 0.1, the process that runs the study {ours}; allo"):
+    with pytest.raises(InputError, match=f"dask: a worker has scipy 0.1, the process that sends the work {ours}; allo"):
         function(sender, b"not a task")
     client.there = {"tcp://w:9": there}
-    with pytest.raises(InputError, match=r"dask: worker tcp://w:9 has scipy 0\.1, the process that runs the study"):
+    with pytest.raises(InputError, match=r"dask: worker tcp://w:9 has scipy 0\.1, the process that sends the work"):
         connected()
     assert client.status == "closed"
 
@@ -463,7 +463,7 @@ def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path) -> None:
         )
         try:
             executor.start(a_task())
-            with pytest.raises(InputError, match=r"dask: a worker has scipy 0\.1, the process that runs the study"):
+            with pytest.raises(InputError, match=r"dask: a worker has scipy 0\.1, the process that sends the work"):
                 listen(executor, 60.0)
         finally:
             executor.close(orderly=False)

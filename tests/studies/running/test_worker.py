@@ -14,11 +14,12 @@ from ldctoolkit.errors import StoreError
 from studies import Study
 from studies.running import worker
 from studies.running.runner import study_model
-from studies.running.tasks import Job, Task
+from studies.running.simulation_task import SimulationTask
+from studies.running.tasks import Job
 from studies.storage.folder_lock import locked
 
 
-def a_task(study: Study, time_limit: float) -> Task:
+def a_task(study: Study, time_limit: float) -> SimulationTask:
     simulation = study.simulation
     job = Job(
         token=f"test of {time_limit}",
@@ -33,7 +34,7 @@ def a_task(study: Study, time_limit: float) -> Task:
     )
     scenarios = study_model(study).sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
     rows = np.arange(len(scenarios))
-    return Task(job, "consistent", tuple(study.designs[:1]), rows, scenarios, 0, rows.size)
+    return SimulationTask(job, "consistent", tuple(study.designs[:1]), rows, scenarios, 0, rows.size)
 
 
 @pytest.mark.parametrize("limit", [1e-9, 4e6, 1e7, 1e12, 1e300])
