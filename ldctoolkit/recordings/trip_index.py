@@ -124,10 +124,7 @@ def index_trips(
         with path.open("rb") as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
             while data := stream.read(block_bytes):
                 hashed = beside.submit(digest.update, data)
-                if size < begin:
-                    rows = data[begin - size :]
-                else:
-                    rows = data
+                rows = data[begin - size :] if size < begin else data
                 size += len(data)
                 if skipping:  # inside a line that is longer than any row
                     end = rows.find(b"\n") + 1

@@ -1,0 +1,256 @@
+"""Text of tables of numbers: their headers, and cells as numbers with every faulty line named."""
+
+from __future__ import annotations
+
+import codecs
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import RecordingError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+LONGEST_HEADER: Final = 1 << 16
+_MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
+_BLANKS: Final = " \t\r\"'"
+_DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
+_PACKED: Final = {b"\x1f\x8b": "gzip", b"PK": "a ZIP archive", b"PAR1": "Parquet", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """First line of a table.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Names, without blanks around them.
+    begin : int
+        Byte where the second line begins.
+    """
+
+    columns: tuple[str, ...]
+    begin: int
+
+
+@dataclasses.dataclass(frozen=True)
+class RowFault:
+    """A line of a text that was left out.
+
+    Attributes
+    ----------
+    row : int
+        Place of the line in the text, from 0.
+    kind : str
+        Faults of one kind are counted together.
+    what : str
+        What is wrong.
+    """
+
+    row: int
+    kind: str
+    what: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Columns of numbers.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The k columns.
+    values : tuple of (m,) float
+        One array a column; NaN for a missing value.
+    row : (m,) int
+        Place of each line in the text, from 0.
+    faults : tuple of RowFault
+        Lines left out, by place.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[FloatArray, ...]
+    row: IntArray
+    faults: tuple[RowFault, ...] = ()
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.values[self.names.index(name)]
+
+
+def read_header(path: Path) -> Header:
+    """The first line of a comma-separated table in UTF-8.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is empty, is packed, is not UTF-8, or is separated by something else.
+    """
+    try:
+        with path.open("rb") as stream:
+            first = stream.readline(LONGEST_HEADER)
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
+    for mark, name in _PACKED.items():
+        if first.startswith(mark):
+            raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
+    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in first[:64]:
+        raise RecordingError("the text is UTF-16 or not a text; allowed: UTF-8, so save it as that")
+    if not first:
+        raise RecordingError("the file is empty; a header is needed")
+    if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
+        raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
+    try:
+        text = first.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"the first line is not UTF-8 ({error.reason})") from None
+    names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
+    if len(names) == 1:
+        for mark, words in _DELIMITERS.items():
+            if text.strip().count(mark) > 1:
+                raise RecordingError(f"the columns are separated by {words}; allowed: commas")
+    return Header(names, len(first))
+
+
+def read_cells(
+    text: bytes | bytearray | memoryview, columns: Sequence[str], wanted: Sequence[str], *, cells: Sequence[int] = ()
+) -> Cells:
+    r"""Parse whole lines of numbers.
+
+    Parameters
+    ----------
+    text : bytes
+        Comma-separated lines without a header; the last one may lack its end.
+    columns : sequence of str
+        Name of each column.
+    wanted : sequence of str
+        Those to parse; the others may hold any text.
+    cells : sequence of int, optional
+        Allowed numbers of cells in a line, each at least enough for the wanted columns; by default one for each column.
+
+    Returns
+    -------
+    Cells
+        Rows in the order of the text. Empty cells and words such as NULL are NaN. Blank lines are passed over. Lines
+        with another number of cells, that are not UTF-8, or with a word where a number is wanted are left out and told.
+
+    Notes
+    -----
+    A clean text is parsed at once as numbers. If that is not possible, lines are looked through, all together; if that
+    does not help either, the cells are read as words.
+
+    Examples
+    --------
+    >>> found = read_cells(b"1,2.5,x\n2, NULL,y\n3\n4,five,z\n", ["a", "b", "c"], ["b"])
+    >>> found["b"].tolist(), found.row.tolist()
+    ([2.5, nan], [0, 1])
+    >>> [fault.what for fault in found.faults]
+    ['1 cell; the header has 3 columns', "column 'b' holds 'five'; allowed: numbers"]
+    """
+    import polars as pl
+
+    allowed = tuple(cells) or (len(columns),)
+    place = [f"c{i}" for i in range(max(len(columns), *allowed))]
+    chosen = [place[list(columns).index(name)] for name in wanted]
+    bytes_ = np.frombuffer(text, dtype=np.uint8)
+    if bytes_.size == 0:
+        return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64))
+
+    def parse(source: bytes | bytearray | memoryview, kind: type[pl.DataType], ragged: bool) -> pl.DataFrame | None:
+        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place, pl.String)
+        kinds |= dict.fromkeys(chosen, kind)
+        try:
+            frame = pl.read_csv(
+                b"".join((",".join(place).encode(), b"\n", source)),
+                schema=kinds,
+                columns=chosen,
+                quote_char=None,
+                truncate_ragged_lines=ragged,
+                raise_if_empty=False,
+            )
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            return None
+        return frame.select(chosen)
+
+    lines = int(np.count_nonzero(bytes_ == 10)) + int(bytes_[-1] != 10)
+    exact = len(allowed) == 1 and np.count_nonzero(bytes_ == 44) == lines * (allowed[0] - 1)
+    if exact and bytes_.max() < 128:
+        # a line with a surplus cell is refused here; without one, the sum says that no line lacks any
+        frame = parse(text, pl.Float64, ragged=False)
+        if frame is not None and frame.height == lines:
+            return Cells(tuple(wanted), _arrays(frame), np.arange(lines))
+    row, source, faults = _survey(bytes(text), bytes_, allowed)
+    frame = parse(source, pl.Float64, ragged=True)
+    if frame is None or frame.height != row.size:
+        frame = parse(source, pl.String, ragged=True)
+        if frame is None or frame.height != row.size:  # a text that the library itself cannot split
+            told = RowFault(int(row[0]) if row.size else 0, "unreadable", "these lines cannot be split into cells")
+            return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64), (told,))
+        frame, row, words = _numbers(frame, row, wanted)
+        faults = sorted([*faults, *words], key=lambda fault: fault.row)
+    return Cells(tuple(wanted), _arrays(frame), row, tuple(faults))
+
+
+def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:
+    return tuple(frame[name].fill_null(float("nan")).to_numpy() for name in frame.columns)
+
+
+def _survey(
+    text: bytes, bytes_: npt.NDArray[np.uint8], allowed: tuple[int, ...]
+) -> tuple[IntArray, bytes, list[RowFault]]:
+    """Lines that have the right number of cells, their text, and what is wrong with the others."""
+    ends = np.flatnonzero(bytes_ == 10)
+    if bytes_[-1] != 10:
+        ends = np.append(ends, bytes_.size)
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    found = np.diff(np.searchsorted(np.flatnonzero(bytes_ == 44), ends), prepend=0) + 1
+    good = np.isin(found, allowed)
+    faults: list[RowFault] = []
+    plural = " or ".join(map(str, allowed))
+    for i in np.flatnonzero(~good):
+        if not text[starts[i] : ends[i]].strip():
+            continue
+        cells = "1 cell" if found[i] == 1 else f"{found[i]} cells"
+        faults.append(RowFault(int(i), "cells", f"{cells}; the header has {plural} columns"))
+    strange = np.unique(np.searchsorted(ends, np.flatnonzero(bytes_ >= 128)))
+    for i in strange[good[strange]]:
+        try:
+            text[starts[i] : ends[i]].decode("utf-8")
+        except UnicodeDecodeError as error:
+            good[i] = False
+            faults.append(RowFault(int(i), "encoding", f"the text is not UTF-8 ({error.reason})"))
+    if not good.all():
+        # runs of good lines are copied as they are
+        change = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
+        text = b"".join(text[starts[a] : ends[b - 1] + 1] for a, b in change.reshape(-1, 2))
+    return np.flatnonzero(good), text, sorted(faults, key=lambda fault: fault.row)
+
+
+def _numbers(
+    frame: pl.DataFrame, row: IntArray, wanted: Sequence[str]
+) -> tuple[pl.DataFrame, IntArray, list[RowFault]]:
+    """Words as numbers; rows with a word that is neither a number nor stands for none are left out."""
+    import polars as pl
+
+    words = frame.with_columns(pl.all().str.strip_chars(_BLANKS))
+    values = words.with_columns(pl.all().cast(pl.Float64, strict=False))
+    bad = np.zeros(row.size, dtype=bool)
+    faults: list[RowFault] = []
+    for column, name in zip(frame.columns, wanted, strict=True):
+        wrong = values[column].is_null() & ~words[column].str.to_lowercase().is_in(_MISSING).fill_null(True)
+        new = np.flatnonzero(wrong.to_numpy() & ~bad)
+        texts = words[column].gather(new).to_list()
+        faults += [
+            RowFault(int(row[i]), "number", f"column {name!r} holds {text[:40]!r}; allowed: numbers")
+            for i, text in zip(new, texts, strict=True)
+        ]
+        bad[new] = True
+    return values.filter(pl.Series(~bad)), row[~bad], faults
