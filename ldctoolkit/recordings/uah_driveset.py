@@ -1,0 +1,246 @@
+"""Reader of UAH-DriveSet v1: folders of trips, filmed and measured by a phone behind the windscreen."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.recording import Label, Problem
+from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.recordings.uah_tables import ACCELEROMETERS, GPS, LANE
+from ldctoolkit.recordings.uah_trip import TripFolder
+
+DEPTH: Final = 3
+"""Trips are looked for so many folders below a given one; the dataset's root has them at 2."""
+
+_TRIP: Final = re.compile(
+    r"\d+-[^-]+-(?P<driver>D\d+)-(?P<behaviour>NORMAL|DROWSY|AGGRESSIVE)[^-]*-(?P<road>MOTORWAY|SECONDARY)[^-]*",
+    re.IGNORECASE,
+)
+_DRIVER: Final = re.compile(r"D\d+", re.IGNORECASE)
+_PATTERN: Final = "<date>-<km>-D<number>-<NORMAL|DROWSY|AGGRESSIVE>-<MOTORWAY|SECONDARY>"
+_WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
+
+
+@dataclasses.dataclass(frozen=True)
+class UahSource:
+    """Trips found in folders.
+
+    Attributes
+    ----------
+    parts : tuple of TripFolder
+        One a trip.
+    files : tuple of SourceFile
+        Files of these trips.
+    problems : tuple of Problem
+        Trips that cannot be used, and what is odd about folders.
+    """
+
+    parts: tuple[TripFolder, ...]
+    files: tuple[SourceFile, ...]
+    problems: tuple[Problem, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class UahDriveset:
+    """The reader; see `ldctoolkit.recordings.sources.RecordingReader`."""
+
+    name: str = "uah-driveset"
+    title: str = "UAH-DriveSet v1: trips in folders, a phone's lane detection, positions and yaw angles"
+    vehicle_width: float = 1.8
+    step: float | None = 0.1
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """How many trips and drivers there are.
+
+        Parameters
+        ----------
+        paths : sequence of Path
+            Files or folders.
+
+        Returns
+        -------
+        str
+            Empty if there are none.
+        """
+        trips = {folder.path for folder in _folders(paths, [])}
+        if not trips:
+            return ""
+        drivers = {match["driver"].upper() for trip in trips if (match := _TRIP.fullmatch(trip.name))}
+        of = f" of {_count(len(drivers), 'driver')}" if drivers else ""
+        return f"{_count(len(trips), 'trip')}{of}"
+
+    def open(self, paths: Sequence[Path]) -> UahSource:
+        """Look through folders for trips.
+
+        Parameters
+        ----------
+        paths : sequence of Path
+            The dataset's folder, folders of drivers or trips, or files of trips.
+
+        Returns
+        -------
+        UahSource
+            Trips in the order of `paths` and, inside each, of their names.
+
+        Raises
+        ------
+        RecordingError
+            If there is no trip that can be used.
+        """
+        problems: list[Problem] = []
+        parts: list[TripFolder] = []
+        files: list[SourceFile] = []
+        seen: set[Path] = set()
+        names: dict[str, str] = {}
+        contents: dict[str, str] = {}
+        for folder in _folders(paths, problems):
+            if folder.path in seen:  # given twice, or inside another one that was given
+                continue
+            seen.add(folder.path)
+            try:
+                part, digests = _trip(folder, problems)
+            except RecordingError as error:
+                problems.append(Problem(folder.shown, "", f"{error}; the trip is left out"))
+                continue
+            if part is None:
+                continue
+            lane = digests[0]
+            other = names.get(part.key) or contents.get(lane.sha256)
+            if other:
+                same = "has the same name as" if part.key in names else f"has the same {part.lane} as"
+                problems.append(Problem(folder.shown, "", f"{same} {other}; it is left out"))
+                continue
+            names[part.key] = folder.shown
+            if lane.bytes:
+                contents[lane.sha256] = folder.shown
+            parts.append(part)
+            files.extend(digests)
+        if not parts:
+            shown = ", ".join(path.name or str(path) for path in paths)
+            first = f"; {problems[0]}" if problems else ""
+            more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise RecordingError(f"{shown}: no trip of UAH-DriveSet that can be used{first}{more}")
+        return UahSource(tuple(parts), tuple(files), tuple(problems))
+
+
+READER: Final = UahDriveset()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Folder:
+    """A folder that is a trip by its name or its files.
+
+    Attributes
+    ----------
+    path : Path
+        Resolved.
+    files : dict of str to str
+        Those of `_WANTED` that are there: their names on disk.
+    """
+
+    path: Path
+    files: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        return _plain(self.path.name)
+
+    @property
+    def driver_folder(self) -> str:
+        parent = _plain(self.path.parent.name)
+        return parent if _DRIVER.fullmatch(parent) else ""
+
+    @property
+    def shown(self) -> str:
+        return f"{self.driver_folder}/{self.name}" if self.driver_folder else self.name
+
+
+def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, list[SourceFile]]:
+    """The trip in a folder and the digests of its files, the lane's first; None, and a problem, if it has none."""
+    for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
+        if name not in folder.files:
+            problems.append(Problem(f"{folder.shown}/{name}", "", f"is missing; without {what} the trip is left out"))
+            return None, []
+    match = _TRIP.fullmatch(folder.name)
+    labels: tuple[Label, ...] = ()
+    source = folder.driver_folder or folder.name
+    if match:
+        driver = match["driver"].upper()
+        behaviour, road = match["behaviour"].lower(), match["road"].lower()
+        labels = (Label("driver", driver), Label("behaviour", behaviour), Label("road", road))
+        source = folder.driver_folder or driver
+    else:
+        what = f"the folder's name is not {_PATTERN}; it is read without driver, behaviour and road"
+        problems.append(Problem(folder.shown, "", what))
+    names = [folder.files.get(name, "") for name in _WANTED]
+    digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
+    size = sum(file.bytes for file in digests)
+    lane, gps, accelerometers = names
+    part = TripFolder(
+        folder.name, str(folder.path), folder.shown, lane, gps, accelerometers, size, labels, source
+    )  # fmt: skip
+    return part, digests
+
+
+def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
+    """Trips below the given paths, sorted inside each; a file stands for the folder that it lies in."""
+    for path in paths:
+        shown = _plain(path.name) or "."
+        try:
+            resolved = path.resolve()
+            there = resolved.exists()
+        except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links
+            there = False
+        if not there:
+            problems.append(Problem(shown, "", "does not exist"))
+            continue
+        if resolved.name.upper() in map(str.upper, _WANTED) and not _is_folder(resolved):
+            resolved = resolved.parent
+        found = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
+        if not found:
+            problems.append(Problem(shown, "", f"holds no trip: no folder {_PATTERN} and no file {LANE.file}"))
+        yield from found
+
+
+def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder]:
+    try:
+        inside = sorted(folder.iterdir())
+    except OSError as error:
+        problems.append(Problem(_plain(folder.name), "", f"cannot be read: {error.strerror or error}"))
+        return
+    wanted = {name.upper(): name for name in _WANTED}
+    files = {wanted[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in wanted}
+    if LANE.file in files:
+        yield _Folder(folder.resolve(), files)
+        return
+    found = False
+    if depth > 0:
+        for entry in inside:
+            # archives from a Mac hold a shadow of every folder
+            if not entry.name.startswith((".", "__")) and _is_folder(entry):
+                for trip in _walk(entry, depth - 1, problems):
+                    found = True
+                    yield trip
+    if not found and _TRIP.fullmatch(folder.name):
+        yield _Folder(folder.resolve(), files)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a link into a folder that may not be looked at
+        return False
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'s' * (number != 1)}"
+
+
+def _plain(name: str) -> str:
+    """A name that can be printed and stored: bytes that are no text are replaced."""
+    return name.encode("utf-8", errors="replace").decode()
