@@ -5,7 +5,13 @@ from ldctoolkit.departures import DepartureParameters, Departures, DepartureSign
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, write_departures
+from ldctoolkit.recordings import (
+    extract_departures,
+    open_recordings,
+    read_departures,
+    read_recordings,
+    write_departures,
+)
 from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
@@ -43,6 +49,7 @@ __all__ = [
     "fit_scenario_model",
     "gain",
     "load_model",
+    "open_recordings",
     "option",
     "plot_departure",
     "read_departures",

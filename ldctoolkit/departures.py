@@ -13,6 +13,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,6 +32,14 @@ PARAMETER_COLUMNS: Final = {
     for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
 }
 """Parameter -> its column in a stored table, the unit at the end: ``v_mean_m_s``."""
+
+
+def row_index(rows: npt.ArrayLike | slice) -> npt.NDArray[np.int64] | npt.NDArray[np.bool_] | slice:
+    """Rows to take: an index array, a mask or a slice; an empty list takes none."""
+    index = rows if isinstance(rows, slice) else np.asarray(rows)
+    if not isinstance(index, slice) and index.size == 0:
+        return index.astype(np.int64)  # an empty list would be an array of floats
+    return index
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,9 +92,7 @@ class DepartureParameters:
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
-        index = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(index, slice) and index.size == 0:
-            index = index.astype(np.int64)  # an empty list would be an array of floats
+        index = row_index(rows)
         return dataclasses.replace(self, **{f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)})
 
 
@@ -101,11 +108,21 @@ class Departures(DepartureParameters):
         Interpolated time of the crossing outwards, on the recording's own clock.
     samples : (n,) int
         Recorded samples inside the event (the two interpolated crossings are not counted).
+    extra : tuple of ExtraColumn
+        Columns of the source's own, such as driver or road; they travel along.
     """
 
     recording: npt.NDArray[np.str_]
     start_time: FloatArray
     samples: IntArray
+    extra: tuple[ExtraColumn, ...] = ()
+
+    def take(self, rows: npt.ArrayLike | slice) -> Self:
+        """The chosen departures: an index array, a mask or a slice, applied to every column."""
+        index = row_index(rows)
+        names = (field.name for field in dataclasses.fields(self) if field.name != "extra")
+        columns = {name: getattr(self, name)[index] for name in names}
+        return dataclasses.replace(self, **columns, extra=tuple(column.take(index) for column in self.extra))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,6 +17,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 LEVELS = (
     ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
     ("ldctoolkit.option_checks",),
+    ("ldctoolkit.departure_columns",),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),

@@ -1,26 +1,61 @@
 """Driving recordings in, departures out.
 
-`read_recordings` opens plain recording tables, `extract_departures` finds the lane departures in them, and
-`write_departures` and `read_departures` keep them in a departures table. The formats, the rules and the reasons for
-refusing a candidate are described in ``docs/recordings.md``.
+`open_recordings` finds the reader for files or folders of any known kind, `read_recordings` opens plain recording tables,
+`extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them in a
+departures table. The formats, the rules and the reasons for refusing a candidate are described in
+``docs/recordings.md``.
 """
 
+from ldctoolkit.recordings.account import Account, Origin
+from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.departures_table import read_departures, write_departures
-from ldctoolkit.recordings.extract import extract_departures
-from ldctoolkit.recordings.read import Recordings, SourceFile, read_recordings
-from ldctoolkit.recordings.result import Criteria, Extraction, Provenance, Refused
+from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
+from ldctoolkit.recordings.extract import extract_departures, merge_results
+from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.opened import OpenedRecordings, open_recordings
+from ldctoolkit.recordings.part_result import PartResult
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.read import Recordings, read_recordings
+from ldctoolkit.recordings.recording import Label, Problem, Recording
+from ldctoolkit.recordings.result import Extraction, Provenance, Refused
+from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.sources import (
+    RecordingPart,
+    RecordingReader,
+    RecordingSource,
+    reader_names,
+    recording_reader,
+)
 from ldctoolkit.recordings.table import RecordingTable
 
 __all__ = [
+    "Account",
     "Criteria",
+    "Drawn",
+    "DrawnEvent",
     "Extraction",
+    "Label",
+    "OpenedRecordings",
+    "Origin",
+    "PartResult",
+    "Preparation",
+    "Problem",
     "Provenance",
+    "Recording",
+    "RecordingPart",
+    "RecordingReader",
+    "RecordingSource",
     "RecordingTable",
     "Recordings",
     "Refused",
     "SourceFile",
     "extract_departures",
+    "extract_part",
+    "merge_results",
+    "open_recordings",
     "read_departures",
     "read_recordings",
+    "reader_names",
+    "recording_reader",
     "write_departures",
 ]

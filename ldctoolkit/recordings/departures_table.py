@@ -11,16 +11,23 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT, Departures
 from ldctoolkit.errors import InputError, RecordingError, nearest
-from ldctoolkit.recordings.read import SourceFile, check_file
-from ldctoolkit.recordings.result import Criteria, Provenance, Refused
+from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.read import check_file
+from ldctoolkit.recordings.result import Provenance, Refused
+from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
     import polars as pl
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
+READABLE: Final = (1, FORMAT_VERSION)
+"""Format 1 had no reader, preparation and problems."""
+
 METADATA_KEY: Final = "ldctoolkit.departures"
 
 COLUMNS: Final = {
@@ -78,6 +85,7 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
                 for column, field in COLUMNS.items()
                 if field not in ("recording", "side")
             ),
+            *(pl.Series(column.name, column.values.tolist(), strict=True) for column in departures.extra),
         ]
     )
     _check(target.name, table)
@@ -147,9 +155,25 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
     departures = Departures(
         side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT).astype(np.int64),
         recording=np.array(table["recording"].to_list(), dtype=np.str_),
+        extra=tuple(_extra(table[name]) for name in table.columns if name not in COLUMNS and _known(table[name])),
         **numbers,
     )
     return departures, provenance
+
+
+def _known(column: pl.Series) -> bool:
+    """Whether a column of the source's own is text or numbers; others are passed over."""
+    import polars as pl
+
+    return column.dtype == pl.String or column.dtype.is_numeric()
+
+
+def _extra(column: pl.Series) -> ExtraColumn:
+    import polars as pl
+
+    if column.dtype == pl.String:
+        return ExtraColumn(column.name, np.array(column.fill_null("").to_list(), dtype=np.str_))
+    return ExtraColumn(column.name, column.cast(pl.Float64).fill_null(float("nan")).to_numpy().copy())
 
 
 def _check(name: str, table: pl.DataFrame) -> None:
@@ -192,12 +216,16 @@ def provenance_from_json(name: str, text: str) -> Provenance:
     try:
         content: dict[str, Any] = json.loads(text)
         found = content.pop("format_version")
-        if found != FORMAT_VERSION:
-            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+        if found not in READABLE:
+            allowed = " and ".join(str(version) for version in READABLE)
+            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {allowed}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))
-        warnings = tuple(content.pop("warnings"))
-        return Provenance(criteria=criteria, refused=refused, sources=sources, warnings=warnings, **content)
+        texts: dict[str, Any] = {key: tuple(content.pop(key, ())) for key in ("warnings", "problems")}
+        preparation = Preparation(**content.pop("preparation", {}))
+        return Provenance(
+            criteria=criteria, refused=refused, sources=sources, preparation=preparation, **texts, **content
+        )
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError, InputError) as error:
         raise RecordingError(f"{name}: its metadata '{METADATA_KEY}' cannot be understood: {error}") from None

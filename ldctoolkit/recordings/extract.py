@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures, DepartureSignals, reduce_signals
-from ldctoolkit.recordings.curvature import HALF_WINDOW, curvature_from_yaw_rate
-from ldctoolkit.recordings.events import (
-    ACCEPTED,
-    CODE,
-    GAP_FLOOR,
-    GAP_STEPS,
-    LARGEST_ACCELERATION,
-    REASONS,
-    breaks,
-    find_runs,
-    median_steps,
-    signals_of_runs,
-)
+from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.extract_part import SOURCE, extract_items, extract_part
+from ldctoolkit.recordings.find_departures import REASONS
+from ldctoolkit.recordings.opened import OpenedRecordings
+from ldctoolkit.recordings.part_result import PartResult, joined_results
+from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.read import Recordings
-from ldctoolkit.recordings.result import Criteria, Extraction, Provenance, Refused
-from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray, RecordingTable
-from ldctoolkit.recordings.units import UnitCheck
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.result import Extraction, Provenance, Refused
+from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.table import RecordingTable
+from ldctoolkit.recordings.warnings_in_words import warnings_in_words
+
+VEHICLE_WIDTH = 1.9
+"""Width [m] of a vehicle that nothing is known of."""
 
 
 def extract_departures(
-    recordings: Iterable[RecordingTable],
+    recordings: Iterable[Recording | RecordingTable | Problem] | OpenedRecordings,
     *,
-    vehicle_width: float = 1.9,
+    vehicle_width: float | None = None,
     min_duration: float = 0.5,
     max_duration: float = 10.0,
     min_speed: float = 5.0,
     max_gap: float | None = None,
     max_jump: float = 0.6,
+    preparation: Preparation | None = None,
 ) -> Extraction:
     """Find the lane departures in driving recordings and reduce each to its eight parameters.
 
     Parameters
     ----------
-    recordings : iterable of RecordingTable
-        From `read_recordings`, or tables made by `RecordingTable.from_arrays`.
-    vehicle_width : float [m]
-        Width of the vehicle.
+    recordings : OpenedRecordings, or iterable of RecordingTable or Recording
+        From `open_recordings` or `read_recordings`, or made with `RecordingTable.from_arrays`.
+    vehicle_width : float [m], optional
+        Width of the vehicle; the reader's, or 1.9 m, by default.
     min_duration, max_duration : float [s]
         Allowed durations, ends included.
     min_speed : float [m/s]
@@ -54,6 +51,9 @@ def extract_departures(
         Longest time step that is not a gap; by default 2.5 median steps of the recording, at least 0.25 s.
     max_jump : float [m]
         Largest step of the offset from one sample to the next.
+    preparation : Preparation, optional
+        Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default. Tables are never
+        changed.
 
     Returns
     -------
@@ -83,150 +83,71 @@ def extract_departures(
     >>> len(found.departures), found.refused.total, round(float(found.departures.T[0]), 2)
     (1, 0, 2.0)
     """
-    criteria = Criteria(vehicle_width, min_duration, max_duration, min_speed, max_gap, max_jump)
-    found: list[Departures] = [_no_departures()]
-    counts = np.zeros(ACCEPTED + 1, dtype=np.int64)
-    seconds: list[FloatArray] = []
-    check = UnitCheck(vehicle_width)
-    kinds: set[str] = set()
-    lanes = True
-    samples = invalid = 0
-    for table in recordings:
-        departures, reasons, driven, usable = _extract_table(table, criteria, check)
-        found.append(departures)
-        counts += np.bincount(reasons, minlength=ACCEPTED + 1)
-        seconds.append(driven)
-        samples += table.samples
-        invalid += int(np.sum(~usable))
-        kinds.add("measured" if table.curvature is not None else "none" if table.yaw_rate is None else "yaw_rate")
-        lanes = lanes and table.lane is not None
-    warnings = list(check.messages())
-    if "none" in kinds:
-        warnings.append("no column 'curvature' or 'yaw_rate': the lane's curvature is taken as 0 (c_0 = dc = 0)")
-    if not lanes:
-        warnings.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
+    if isinstance(recordings, OpenedRecordings):
+        width = recordings.reader.vehicle_width if vehicle_width is None else vehicle_width
+        chosen = Preparation(step=recordings.reader.step) if preparation is None else preparation
+        criteria = Criteria(width, min_duration, max_duration, min_speed, max_gap, max_jump)
+        source = recordings.source
+        results = [PartResult(problems=tuple(source.problems))]
+        results += [extract_part(part, criteria, chosen) for part in source.parts]
+        return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files)
+    chosen = preparation or Preparation()
+    width = VEHICLE_WIDTH if vehicle_width is None else vehicle_width
+    criteria = Criteria(width, min_duration, max_duration, min_speed, max_gap, max_jump)
+    result = extract_items(recordings, criteria, chosen)
+    files = recordings.sources if isinstance(recordings, Recordings) else ()
+    return merge_results([result], criteria, chosen, files=files)
+
+
+def merge_results(
+    results: Iterable[PartResult],
+    criteria: Criteria,
+    preparation: Preparation,
+    *,
+    reader: str = "table",
+    files: Sequence[SourceFile] = (),
+) -> Extraction:
+    """The parts of an extraction as a whole.
+
+    Parameters
+    ----------
+    results : iterable of PartResult
+        In the order of the source's parts; a part without anything but problems may stand for the source's own.
+    criteria : Criteria
+        What counted as a departure.
+    preparation : Preparation
+        How recordings were brought to a common form.
+    reader : str
+        Its name.
+    files : sequence of SourceFile
+        What was read.
+
+    Returns
+    -------
+    Extraction
+        Departures, and the account of everything else.
+    """
+    whole = joined_results(results)
+    refused = np.sum([account.refused.sum(axis=0) for account in whole.accounts], axis=0, initial=0)
+    counts = np.broadcast_to(refused, (len(REASONS),))
+    kinds, samples = whole.evidence.kinds, sum(account.samples for account in whole.accounts)
     provenance = Provenance(
         criteria=criteria,
-        refused=Refused(**{reason: int(counts[code]) for code, reason in enumerate(REASONS)}),
-        sources=recordings.sources if isinstance(recordings, Recordings) else (),
-        recordings=sum(driven.size for driven in seconds),
+        refused=Refused(**{reason: int(count) for reason, count in zip(REASONS, counts, strict=True)}),
+        sources=tuple(files),
+        recordings=sum(account.recordings for account in whole.accounts),
         samples=samples,
-        invalid_samples=invalid,
-        # fsum is exact, so the hours do not depend on how the recordings were split
-        hours=math.fsum(value for driven in seconds for value in driven.tolist()) / 3600.0,
-        curvature="none" if not kinds else kinds.pop() if len(kinds) == 1 else "mixed",
-        warnings=tuple(warnings),
+        invalid_samples=samples - sum(account.usable for account in whole.accounts),
+        hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
+        curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
+        warnings=warnings_in_words(whole.evidence, criteria.vehicle_width, preparation.nominal_lane_width),
+        reader=reader,
+        preparation=preparation,
+        problems=tuple(str(problem) for problem in whole.problems),
     )
-    columns = {
-        field.name: np.concatenate([getattr(part, field.name) for part in found])
-        for field in dataclasses.fields(Departures)
-    }
-    return Extraction(Departures(**columns), provenance)
-
-
-def _no_departures() -> Departures:
-    numbers = dict.fromkeys((*PARAMETER_NAMES, "start_time"), np.empty(0))
-    return Departures(
-        side=np.empty(0, dtype=np.int64),
-        recording=np.empty(0, dtype=np.str_),
-        samples=np.empty(0, dtype=np.int64),
-        **numbers,
-    )
-
-
-def _extract_table(
-    table: RecordingTable, criteria: Criteria, check: UnitCheck
-) -> tuple[Departures, IntArray, FloatArray, BoolArray]:
-    """Departures of one table, the reason of each candidate, seconds driven in each recording, usable samples."""
-    usable = table.usable
-    if not usable.all():  # infinities and absurd numbers would only raise floating point warnings further on
-        table = table.blanked(usable)
-    place = np.flatnonzero(usable)
-    median_step = median_steps(table)
-    check.add(table, usable, median_step)
-    limit = np.fmax(GAP_STEPS * median_step, GAP_FLOOR)
-    if criteria.max_gap is not None:
-        limit = np.full_like(limit, criteria.max_gap)
-    if place.size == 0:
-        return _no_departures(), np.empty(0, dtype=np.int64), np.zeros(table.names.size), usable
-    same, cause = breaks(table, place, limit, criteria.max_jump)
-
-    owner = table.recording_index[place]
-    step = np.diff(table.t[place])
-    drove = same & (np.diff(place) == 1) & (step <= limit[owner[1:]])
-    driven: FloatArray = np.bincount(owner[1:][drove], weights=step[drove], minlength=table.names.size).astype(float)
-
-    margin = 0.5 * (criteria.vehicle_width - table.lane_width)
-    edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
-    runs = find_runs(table, place, edges, same, cause)
-    reason = runs.reason.copy()
-
-    chosen = np.flatnonzero(reason == ACCEPTED)
-    curvature = _curvature(table, usable, median_step, limit)
-    signals, start_time, source = signals_of_runs(table, runs, chosen, edges, curvature)
-    verdict = _judge(table, runs.side[chosen], signals, source, criteria)
-    reason[chosen] = verdict
-
-    good = np.flatnonzero(verdict == ACCEPTED)
-    rows = np.repeat(verdict == ACCEPTED, np.diff(signals.offsets))
-    length = np.diff(signals.offsets)[good]
-    kept = dataclasses.replace(
-        signals,
-        offsets=np.concatenate([[0], np.cumsum(length)]),
-        **{name: getattr(signals, name)[rows] for name in ("t", "y", "v", "c")},
-    )
-    run = chosen[good]
-    parameters = reduce_signals(kept, runs.side[run])
-    plausible = np.abs(parameters.a_mean) <= LARGEST_ACCELERATION
-    reason[run[~plausible]] = CODE["implausible"]
-    departures = Departures(
-        **{field.name: getattr(parameters, field.name) for field in dataclasses.fields(parameters)},
-        recording=table.names[table.recording_index[runs.first[run]]],
-        start_time=start_time[good],
-        samples=kept.samples,
-    ).take(plausible)
-    # a candidate's reason is the strongest of its runs'
-    by_candidate: IntArray = np.full(int(runs.candidate.max(initial=-1)) + 1, ACCEPTED, dtype=np.int64)
-    np.minimum.at(by_candidate, runs.candidate, reason)
-    return departures, by_candidate, driven, usable
-
-
-def _judge(
-    table: RecordingTable, side: IntArray, signals: DepartureSignals, source: IntArray, criteria: Criteria
-) -> IntArray:
-    """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings; "implausible" is seen only later."""
-    starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
-    verdict = np.full(signals.n, ACCEPTED)
-    if signals.n == 0:
-        return verdict
-    T = signals.t[last]
-    step = np.diff(signals.t, append=0.0) * 0.5 * (signals.v + np.append(signals.v[1:], 0.0))
-    step[last] = 0.0
-    d_x = np.add.reduceat(step, starts)
-    # the weakest first: a stronger reason overwrites it
-    if table.turn_signal is not None:
-        towards = table.turn_signal[source] == np.repeat(side, np.diff(signals.offsets))
-        towards[last] = False  # back inside: a signal set only then says nothing of the departure
-        verdict[np.logical_or.reduceat(towards, starts)] = CODE["intended"]
-    # a vehicle that stops or reverses covers no distance the parabola could be fitted over
-    stands = np.minimum.reduceat(signals.v, starts) <= 0.0
-    verdict[stands | ~(d_x > criteria.min_speed * T)] = CODE["slow"]
-    verdict[signals.samples < 3] = CODE["too_few_samples"]
-    verdict[criteria.max_duration < T] = CODE["too_long"]
-    verdict[criteria.min_duration > T] = CODE["too_short"]
-    return verdict
-
-
-def _curvature(table: RecordingTable, usable: BoolArray, median_step: FloatArray, limit: FloatArray) -> FloatArray:
-    """Curvature of the lane, (m,) [1/m]: recorded, or estimated from the yaw rate, or 0."""
-    if table.curvature is not None:
-        return table.curvature
-    if table.yaw_rate is None:
-        return np.zeros(table.samples)
-    recording = table.recording_index
-    first = np.ones(table.samples, dtype=bool)
-    # a step next to a sample without a time is NaN: no gap by itself, for that sample is not usable anyway
-    first[1:] = (recording[1:] != recording[:-1]) | (np.diff(table.t) > limit[recording[1:]])
-    width = np.rint(HALF_WINDOW / np.fmax(median_step, 1e-6))
-    half_width = np.nan_to_num(width).astype(np.int64)[recording]
-    return curvature_from_yaw_rate(table.yaw_rate, table.speed, usable, first, half_width)
+    departures = whole.departures
+    if len({account.origin.source for account in whole.accounts}) <= 1:
+        # a column that is the same everywhere: the provenance tells it
+        extra = tuple(column for column in departures.extra if column.name != SOURCE)
+        departures = dataclasses.replace(departures, extra=extra)
+    return Extraction(departures, provenance, whole.accounts, whole.drawn, whole.problems)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import stat
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.table import RecordingTable, check_times
 
 if TYPE_CHECKING:
@@ -20,25 +20,6 @@ if TYPE_CHECKING:
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
 BLOCK_BYTES: Final = 16 << 20
-
-
-@dataclasses.dataclass(frozen=True)
-class SourceFile:
-    """A file that was read.
-
-    Attributes
-    ----------
-    name : str
-        File name without its folder.
-    bytes : int
-        Size.
-    sha256 : str
-        Digest of the content, hexadecimal.
-    """
-
-    name: str
-    bytes: int
-    sha256: str
 
 
 class Recordings:
@@ -160,7 +141,12 @@ def read_recordings(
 
 
 def _tables(source: str, blocks: Iterator[pl.DataFrame], owner: dict[str, str]) -> Iterator[RecordingTable]:
-    """Regroup blocks of rows into tables of whole recordings: the last recording of a block waits for the next."""
+    for frame in whole_recordings(blocks):
+        yield _table(source, frame, owner)
+
+
+def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Regroup blocks of rows so that each holds whole recordings: the last recording of a block waits for the next."""
     import polars as pl
 
     waiting: list[pl.DataFrame] = []
@@ -175,10 +161,10 @@ def _tables(source: str, blocks: Iterator[pl.DataFrame], owner: dict[str, str]) 
         other = (block["recording"] != last).reverse().arg_true()
         tail = int(other[0]) if other.len() else block.height
         waiting[-1] = block[: block.height - tail]
-        yield _table(source, pl.concat(waiting), owner)
+        yield pl.concat(waiting)
         waiting = [block[block.height - tail :]]
     if waiting:
-        yield _table(source, pl.concat(waiting), owner)
+        yield pl.concat(waiting)
 
 
 def _table(source: str, frame: pl.DataFrame, owner: dict[str, str]) -> RecordingTable:
@@ -193,6 +179,19 @@ def _table(source: str, frame: pl.DataFrame, owner: dict[str, str]) -> Recording
         raise _repeated(source, word, labelled, rows[starts], owner)
     owner.update(dict.fromkeys(labelled, source))
 
+    table = RecordingTable(
+        names=np.array(labelled, dtype=np.str_),
+        offsets=np.append(starts, frame.height).astype(np.int64),
+        source=source,
+        **columns_of(frame),
+    )
+    check_times(table, word, rows)
+    return table
+
+
+def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
+    """The columns of a frame as those of a `RecordingTable` or a `Recording`, by name; None for one that it lacks."""
+
     def numbers(name: str) -> npt.NDArray[np.float64] | None:
         return frame[name].to_numpy().astype(np.float64) if name in frame.columns else None
 
@@ -201,22 +200,17 @@ def _table(source: str, frame: pl.DataFrame, owner: dict[str, str]) -> Recording
     if "lane" in frame.columns:
         valid = valid & frame["lane"].is_not_null().to_numpy()
         lane = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
-    table = RecordingTable(
-        names=np.array(labelled, dtype=np.str_),
-        offsets=np.append(starts, frame.height).astype(np.int64),
-        t=frame["t"].to_numpy(),
-        lane_offset=frame["lane_offset"].to_numpy(),
-        lane_width=frame["lane_width"].to_numpy(),
-        speed=frame["speed"].to_numpy(),
-        valid=valid,
-        curvature=numbers("curvature"),
-        yaw_rate=numbers("yaw_rate"),
-        lane=lane,
-        turn_signal=frame["turn_signal"].to_numpy() if "turn_signal" in frame.columns else None,
-        source=source,
-    )
-    check_times(table, word, rows)
-    return table
+    return {
+        "t": frame["t"].to_numpy(),
+        "lane_offset": frame["lane_offset"].to_numpy(),
+        "lane_width": frame["lane_width"].to_numpy(),
+        "speed": frame["speed"].to_numpy(),
+        "valid": valid,
+        "curvature": numbers("curvature"),
+        "yaw_rate": numbers("yaw_rate"),
+        "lane": lane,
+        "turn_signal": frame["turn_signal"].to_numpy() if "turn_signal" in frame.columns else None,
+    }
 
 
 def _repeated(

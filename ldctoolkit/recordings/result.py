@@ -3,51 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 
 from ldctoolkit.departures import Departures
-from ldctoolkit.errors import InputError
+from ldctoolkit.recordings.account import Account
+from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.drawn import Drawn
 from ldctoolkit.recordings.events import REASONS
-from ldctoolkit.recordings.read import SourceFile
-
-
-@dataclasses.dataclass(frozen=True)
-class Criteria:
-    """What counts as a departure.
-
-    Attributes
-    ----------
-    vehicle_width : float [m]
-        Width over the wheels' outer edges.
-    min_duration, max_duration : float [s]
-        Both allowed values included.
-    min_speed : float [m/s]
-        The mean speed lies above.
-    max_gap : float [s] or None
-        Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s.
-    max_jump : float [m]
-        Largest step of the offset from one sample to the next.
-    """
-
-    vehicle_width: float = 1.9
-    min_duration: float = 0.5
-    max_duration: float = 10.0
-    min_speed: float = 5.0
-    max_gap: float | None = None
-    max_jump: float = 0.6
-
-    def __post_init__(self) -> None:
-        def refuse(name: str, good: bool, allowed: str) -> None:
-            if not good:
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
-
-        refuse("vehicle_width", 0.5 <= self.vehicle_width <= 4.0, "0.5 to 4 m")
-        refuse("min_duration", 0.0 <= self.min_duration < math.inf, "0 s or more")
-        refuse("max_duration", self.min_duration < self.max_duration < math.inf, "more than min_duration, finite")
-        refuse("min_speed", 0.0 <= self.min_speed < math.inf, "0 m/s or more")
-        refuse("max_gap", self.max_gap is None or 0.0 < self.max_gap < math.inf, "more than 0 s, or None")
-        refuse("max_jump", self.max_jump > 0.0, "more than 0 m")
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.source_file import SourceFile
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,6 +75,12 @@ class Provenance:
         "measured", "yaw_rate", "none" or "mixed".
     warnings : tuple of str
         What looked wrong with the recordings.
+    reader : str
+        Name of the reader: "table", "spmd-das1", ...
+    preparation : Preparation
+        How recordings were brought to a common form.
+    problems : tuple of str
+        What could not be used, with file and line.
     """
 
     criteria: Criteria = dataclasses.field(default_factory=Criteria)
@@ -121,6 +92,9 @@ class Provenance:
     hours: float = 0.0
     curvature: str = "none"
     warnings: tuple[str, ...] = ()
+    reader: str = "table"
+    preparation: Preparation = dataclasses.field(default_factory=Preparation)
+    problems: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,10 +107,19 @@ class Extraction:
         In the order of the recordings and, inside each, of time.
     provenance : Provenance
         Criteria, counts and sources.
+    accounts : tuple of Account
+        Counts of each source and label.
+    drawn : Drawn
+        Some departures with their signals, to be looked at.
+    problems : tuple of Problem
+        What could not be used; the rest was.
     """
 
     departures: Departures
     provenance: Provenance
+    accounts: tuple[Account, ...] = ()
+    drawn: Drawn = dataclasses.field(default_factory=Drawn)
+    problems: tuple[Problem, ...] = ()
 
     @property
     def refused(self) -> Refused:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from ldctoolkit.recordings.table import BoolArray, FloatArray, RecordingTable
@@ -55,6 +57,16 @@ class UnitCheck:
         elif table.yaw_rate is not None:
             counts["yaw rate > 1.5"] = _count(np.abs(table.yaw_rate[usable]) > 1.5)
         for name, count in counts.items():
+            self._count[name] = self._count.get(name, 0) + count
+
+    @property
+    def counts(self) -> tuple[tuple[str, int], ...]:
+        """What was counted so far."""
+        return tuple(self._count.items())
+
+    def take(self, counts: Iterable[tuple[str, int]]) -> None:
+        """Add what another check has counted."""
+        for name, count in counts:
             self._count[name] = self._count.get(name, 0) + count
 
     def _share(self, name: str, of: str = "samples") -> float:

@@ -94,6 +94,7 @@ class DepartureSources:
         departures = Departures(
             side=np.repeat([LEFT, RIGHT], [part.shape[0] for part, _ in parts]),
             **{name: x[:, j].copy() for j, name in enumerate(PARAMETER_NAMES)},
+            extra=(),
             recording=np.full(x.shape[0], ""),
             start_time=np.zeros(x.shape[0]),
             samples=np.zeros(x.shape[0], dtype=np.int64),

@@ -7,11 +7,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Provenance, Refused, read_departures
+from ldctoolkit.recordings.joined import joined_departures
 
 
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
@@ -31,11 +30,7 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
     provenance = merged_provenance(names, [found for _, found in tables])
     if len(tables) == 1:
         return tables[0][0], provenance
-    columns = {
-        field.name: np.concatenate([getattr(departures, field.name) for departures, _ in tables])
-        for field in dataclasses.fields(Departures)
-    }
-    return Departures(**columns), provenance
+    return joined_departures([departures for departures, _ in tables]), provenance
 
 
 def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:
@@ -65,6 +60,7 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
                 )
     refused = [dataclasses.asdict(one.refused) for one in found]
     kinds = {one.curvature for one in found}
+    readers = {one.reader for one in found}
     return Provenance(
         criteria=first.criteria,
         refused=Refused(**{reason: sum(one[reason] for one in refused) for reason in refused[0]}),
@@ -75,4 +71,7 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
         hours=sum(one.hours for one in found),
         curvature=first.curvature if len(kinds) == 1 else "mixed",
         warnings=tuple(dict.fromkeys(warning for one in found for warning in one.warnings)),
+        reader=first.reader if len(readers) == 1 else "mixed",
+        preparation=first.preparation,
+        problems=tuple(problem for one in found for problem in one.problems),
     )

@@ -1,0 +1,135 @@
+"""Departures that are kept with their signals, to be looked at: the deepest, and some drawn by lot."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable
+from typing import Final
+
+from ldctoolkit.departures import Departures, DepartureSignals
+from ldctoolkit.recordings.recording import FloatArray
+
+KEPT: Final = 12
+"""Departures of each kind that are kept of each source."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnEvent:
+    """One departure with its signals, outward frame.
+
+    Attributes
+    ----------
+    source, recording : str
+        Where it was found.
+    side : int
+        `LEFT` or `RIGHT`.
+    start_time : float [s]
+        Of the crossing outwards, on the recording's clock.
+    parameters : (8,)
+        In the order of `PARAMETER_NAMES`.
+    t, y, v, c : (k,) [s], [m], [m/s], [1/m]
+        From crossing to crossing.
+    lot : int
+        Decides which departures are drawn by lot; from recording and time alone, so no split of the work matters.
+    """
+
+    source: str
+    recording: str
+    side: int
+    start_time: float
+    parameters: FloatArray
+    t: FloatArray
+    y: FloatArray
+    v: FloatArray
+    c: FloatArray
+    lot: int
+
+    @property
+    def depth(self) -> tuple[float, str, float]:
+        """Sorts the deepest first."""
+        return (-float(self.parameters[1]), self.recording, self.start_time)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Departures to look at.
+
+    Attributes
+    ----------
+    deepest : tuple of DrawnEvent
+        Up to 12 of each source, deepest first.
+    by_lot : tuple of DrawnEvent
+        Up to 12 of each source, in the order of their lots.
+    """
+
+    deepest: tuple[DrawnEvent, ...] = ()
+    by_lot: tuple[DrawnEvent, ...] = ()
+
+
+def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
+    """The departures to keep of n found ones.
+
+    Parameters
+    ----------
+    departures : Departures
+        n departures.
+    signals : DepartureSignals
+        Of the same.
+    sources : list of str
+        Source of each, n of them.
+
+    Returns
+    -------
+    Drawn
+        Up to 12 of each kind and source.
+    """
+    lots = [_lot(name, time) for name, time in zip(departures.recording, departures.start_time, strict=True)]
+    matrix = departures.matrix()
+
+    def event(i: int) -> DrawnEvent:
+        rows = slice(int(signals.offsets[i]), int(signals.offsets[i + 1]))
+        return DrawnEvent(
+            sources[i],
+            str(departures.recording[i]),
+            int(departures.side[i]),
+            float(departures.start_time[i]),
+            matrix[i].copy(),
+            signals.t[rows].copy(),
+            signals.y[rows].copy(),
+            signals.v[rows].copy(),
+            signals.c[rows].copy(),
+            lots[i],
+        )
+
+    of_source: dict[str, list[int]] = {}
+    for i, source in enumerate(sources):
+        of_source.setdefault(source, []).append(i)
+    deepest: list[DrawnEvent] = []
+    by_lot: list[DrawnEvent] = []
+    for places in of_source.values():
+        deep = sorted(places, key=lambda i: (-matrix[i, 1], str(departures.recording[i]), departures.start_time[i]))
+        deepest += [event(i) for i in deep[:KEPT]]
+        by_lot += [event(i) for i in sorted(places, key=lambda i: lots[i])[:KEPT]]
+    return Drawn(tuple(deepest), tuple(by_lot))
+
+
+def joined_drawn(parts: Iterable[Drawn]) -> Drawn:
+    """The departures to keep of several shares of the work."""
+    given = list(parts)
+    return Drawn(
+        _best([event for part in given for event in part.deepest], lambda event: event.depth),
+        _best([event for part in given for event in part.by_lot], lambda event: (event.lot, *event.depth)),
+    )
+
+
+def _best(events: list[DrawnEvent], key: object) -> tuple[DrawnEvent, ...]:
+    of_source: dict[str, list[DrawnEvent]] = {}
+    for event in events:
+        of_source.setdefault(event.source, []).append(event)
+    return tuple(event for found in of_source.values() for event in sorted(found, key=key)[:KEPT])  # type: ignore[call-overload]
+
+
+def _lot(recording: str, start_time: float) -> int:
+    digest = hashlib.blake2b(f"{recording}|{float(start_time)!r}".encode(), digest_size=7)
+    return int.from_bytes(digest.digest(), "big")

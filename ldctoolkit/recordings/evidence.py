@@ -1,0 +1,159 @@
+"""What is counted while recordings pass, so that at the end it can be said in words what looks wrong with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
+from ldctoolkit.recordings.table import RecordingTable
+
+FLAT: Final = 1e-6
+"""A lane that bends less [1/m] counts as straight."""
+
+SHORTEST_TWIN: Final = 100
+"""Recordings with fewer usable samples are not compared with others."""
+
+TURN_WINDOW: Final = 1.0
+"""Time [s] over which turns by yaw rate and by heading are compared."""
+
+TURN_SPEED: Final = 8.0
+"""Below this speed [m/s] the course over ground is noise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """Sums and counts over r recordings.
+
+    Attributes
+    ----------
+    units : tuple of (str, int)
+        From `UnitCheck.counts`.
+    kinds : tuple of str
+        Where the curvature comes from: "measured", "yaw_rate", "none"; sorted.
+    lanes : bool
+        All of them have a column `lane`.
+    turns : (4,)
+        Windows, and over them the sums of h^2, h r and r^2 of the turns by heading h and by yaw rate r.
+    bends : (2,) int
+        Usable samples with a yaw rate or curvature, and those of them that are not straight.
+    names : (r,) str
+        Names of the recordings.
+    fingerprints : (r,) str
+        Digest of offset and width of each; empty for short ones.
+    median_widths : (r,) [m]
+        Median lane width of each, before any scaling; NaN where it has no usable sample.
+    notes : tuple of (str, int)
+        What recordings lack, in words, and how many lack it.
+    """
+
+    units: tuple[tuple[str, int], ...]
+    kinds: tuple[str, ...]
+    lanes: bool
+    turns: FloatArray
+    bends: IntArray
+    names: npt.NDArray[np.str_]
+    fingerprints: npt.NDArray[np.str_]
+    median_widths: FloatArray
+    notes: tuple[tuple[str, int], ...] = ()
+
+
+def no_evidence() -> Evidence:
+    """Of no recordings."""
+    text = np.empty(0, dtype=np.str_)
+    return Evidence((), (), True, np.zeros(4), np.zeros(2, dtype=np.int64), text, text, np.empty(0))
+
+
+def evidence_of(
+    table: RecordingTable,
+    usable: npt.NDArray[np.bool_],
+    median_step: FloatArray,
+    units: Sequence[tuple[str, int]],
+    recordings: Sequence[Recording],
+) -> Evidence:
+    """Evidence of one table; `recordings` are the same r as far as they are known one by one, else empty."""
+    count = table.names.size
+    medians, prints = np.full(count, np.nan), [""] * count
+    for i in range(count):
+        rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
+        good = usable[rows]
+        widths = table.lane_width[rows][good]
+        if widths.size:
+            medians[i] = np.median(widths) / (recordings[i].lane_scale if recordings else 1.0)
+        if widths.size >= SHORTEST_TWIN:
+            digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
+            digest.update(table.lane_offset[rows][good].tobytes())
+            prints[i] = digest.hexdigest()
+    bend = table.curvature if table.curvature is not None else table.yaw_rate
+    bends = np.zeros(2, dtype=np.int64)
+    if bend is not None:
+        curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
+        bends[:] = curved.size, np.count_nonzero(curved)
+    turns = np.zeros((len(recordings), 4))
+    for i, recording in enumerate(recordings):
+        turns[i] = _turns(recording, float(median_step[i]))
+    notes: dict[str, int] = {}
+    for recording in recordings:
+        for note in recording.notes:
+            notes[note] = notes.get(note, 0) + 1
+    kind = "measured" if table.curvature is not None else "none" if table.yaw_rate is None else "yaw_rate"
+    return Evidence(
+        units=tuple(units),
+        kinds=(kind,),
+        lanes=table.lane is not None,
+        turns=turns.sum(axis=0),
+        bends=bends,
+        names=table.names,
+        fingerprints=np.array(prints, dtype=np.str_),
+        median_widths=medians,
+        notes=tuple(notes.items()),
+    )
+
+
+def _turns(recording: Recording, step: float) -> FloatArray:
+    """Windows and sums of one recording: turns by heading against turns by yaw rate."""
+    if recording.heading is None or recording.yaw_rate is None or not step > 0.0:
+        return np.zeros(4)
+    lag = max(1, round(TURN_WINDOW / step))
+    if recording.samples <= lag:
+        return np.zeros(4)
+    t, yaw_rate = recording.t, recording.yaw_rate
+    # unusable numbers poison a window on purpose: it is not compared then
+    swept = np.concatenate([[0.0], np.cumsum(np.nan_to_num(0.5 * (yaw_rate[1:] + yaw_rate[:-1]) * np.diff(t)))])
+    lost = np.cumsum(~(recording.valid & np.isfinite(yaw_rate)))
+    heading = recording.heading[lag:] - recording.heading[:-lag]
+    by_heading = np.angle(np.exp(1j * heading))
+    by_yaw_rate = swept[lag:] - swept[:-lag]
+    good = np.isfinite(by_heading) & (lost[lag:] == lost[:-lag]) & recording.valid[:-lag]
+    good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
+        np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
+    )
+    h, r = by_heading[good], by_yaw_rate[good]
+    return np.array([float(h.size), float(h @ h), float(h @ r), float(r @ r)])
+
+
+def joined_evidence(parts: Iterable[Evidence]) -> Evidence:
+    """Evidence of all recordings; in the order of the parts."""
+    given = list(parts) or [no_evidence()]
+    units: dict[str, int] = {}
+    notes: dict[str, int] = {}
+    for part in given:
+        for total, counts in ((units, part.units), (notes, part.notes)):
+            for name, count in counts:
+                total[name] = total.get(name, 0) + count
+    return Evidence(
+        units=tuple(units.items()),
+        kinds=tuple(sorted({kind for part in given for kind in part.kinds})),
+        lanes=all(part.lanes for part in given),
+        turns=np.sum([part.turns for part in given], axis=0),
+        bends=np.sum([part.bends for part in given], axis=0),
+        names=np.concatenate([part.names for part in given]),
+        fingerprints=np.concatenate([part.fingerprints for part in given]),
+        median_widths=np.concatenate([part.median_widths for part in given]),
+        notes=tuple(notes.items()),
+    )

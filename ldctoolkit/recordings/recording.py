@@ -1,0 +1,161 @@
+"""A recording: one drive of one vehicle, in the toolkit's units and signs, whatever file it came from."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import RecordingError
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True)
+class Label:
+    """A property of a recording that departures can be grouped by.
+
+    Attributes
+    ----------
+    name : str
+        Becomes a column of the departures table: ``driver``, ``behaviour``, ``road``.
+    value : str
+    """
+
+    name: str
+    value: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Something in a source that could not be used; the rest is.
+
+    Attributes
+    ----------
+    file : str
+        Name of the file, without folders of this machine.
+    place : str
+        ``"line 17"``, ``"row 5"``; empty for the file as a whole.
+    what : str
+        What is wrong and what was done about it.
+
+    Examples
+    --------
+    >>> str(Problem("DataLane.csv", "line 17", "the time runs backwards; the row is left out"))
+    'DataLane.csv, line 17: the time runs backwards; the row is left out'
+    """
+
+    file: str
+    place: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.file}, {self.place}: {self.what}" if self.place else f"{self.file}: {self.what}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """m samples of one drive, in SI units and with the signs of ISO 8855.
+
+    What every reader gives. Numbers of samples that cannot be used may be NaN.
+
+    Attributes
+    ----------
+    name : str
+        Identifier, unique among the recordings of a source.
+    t : (m,) [s]
+        Time on the recording's own clock, finite; repeated times are allowed, falling ones are not.
+    lane_offset : (m,) [m]
+        Vehicle's centre from the lane's centre, positive to the left.
+    lane_width : (m,) [m]
+        Width of the lane that the vehicle is in.
+    speed : (m,) [m/s]
+        Speed along the road.
+    valid : (m,) bool
+        False where the source itself says that the sample cannot be used.
+    curvature : (m,) [1/m] or None
+        Lane curvature, positive to the left.
+    yaw_rate : (m,) [rad/s] or None
+        Yaw rate, positive to the left; used only where `curvature` is None.
+    lane : (m,) int or None
+        Label of the lane; only equality counts.
+    turn_signal : (m,) int or None
+        +1 left, -1 right, 0 none.
+    heading : (m,) [rad] or None
+        Course over ground, counter-clockwise, NaN where there is none; `yaw_rate` is checked against it.
+    labels : tuple of Label
+        What departures can be grouped by.
+    source : str
+        What it came from, for the account: a file or a folder.
+    lane_scale : float
+        Factor that offset and width were multiplied with; 1 for none.
+    notes : tuple of str
+        What the recording lacks, in words.
+
+    Raises
+    ------
+    RecordingError
+        For columns of different lengths, times that fall or are not finite, or an empty name.
+
+    Examples
+    --------
+    >>> t = np.arange(3) * 0.1
+    >>> one = Recording("a", t, np.zeros(3), np.full(3, 3.6), np.full(3, 25.0), np.ones(3, bool))
+    >>> one.samples
+    3
+    """
+
+    name: str
+    t: FloatArray
+    lane_offset: FloatArray
+    lane_width: FloatArray
+    speed: FloatArray
+    valid: BoolArray
+    curvature: FloatArray | None = None
+    yaw_rate: FloatArray | None = None
+    lane: IntArray | None = None
+    turn_signal: IntArray | None = None
+    heading: FloatArray | None = None
+    labels: tuple[Label, ...] = ()
+    source: str = ""
+    lane_scale: float = 1.0
+    notes: tuple[str, ...] = ()
+
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal", "heading",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise RecordingError("a recording's name is empty")
+        for column in self.COLUMNS:
+            values = getattr(self, column)
+            if values is not None and values.shape != (self.samples,):
+                raise RecordingError(
+                    f"recording {self.name!r}: {column} has the shape {values.shape}; allowed: ({self.samples},), as t"
+                )
+        if not np.isfinite(self.t).all():
+            raise RecordingError(f"recording {self.name!r}: t[{int(np.argmin(np.isfinite(self.t)))}] is not finite")
+        if (self.t[1:] < self.t[:-1]).any():
+            i = int(np.argmax(self.t[1:] < self.t[:-1]))
+            raise RecordingError(
+                f"recording {self.name!r}: t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s; "
+                "allowed: times that do not fall"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, m."""
+        return int(self.t.size)
+
+    def take(self, rows: IntArray | BoolArray | slice) -> Recording:
+        """The same recording with chosen samples."""
+        taken: dict[str, Any] = {}
+        for name in self.COLUMNS:
+            values = getattr(self, name)
+            taken[name] = None if values is None else values[rows]
+        return dataclasses.replace(self, **taken)

@@ -1,0 +1,173 @@
+"""Sources of recordings: what a reader has to offer, and readers by name."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final, Protocol, runtime_checkable
+
+from ldctoolkit.errors import LdcError, RecordingError, UnknownNameError, nearest
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.source_file import SourceFile
+
+GROUP: Final = "ldctoolkit.recordings"
+"""Entry-point group of readers."""
+
+AUTO: Final = "auto"
+
+
+@runtime_checkable
+class RecordingPart(Protocol):
+    """A share of a source that is read in one go: whole recordings, which fit into memory together.
+
+    It is sent to worker processes, so it is plain data. Which recordings lie in which part depends on the source alone.
+
+    Attributes
+    ----------
+    key : str
+        Unique in the source, and the same whenever the source is opened again.
+    bytes : int
+        About how much is read, for the progress.
+    """
+
+    @property
+    def key(self) -> str:
+        """Unique in the source."""
+
+    @property
+    def bytes(self) -> int:
+        """About how much is read."""
+
+    def read(self) -> Iterator[Recording | Problem]:
+        """Recordings in a fixed order, and what could not be used; raises `LdcError` if nothing of it can."""
+
+
+@runtime_checkable
+class RecordingSource(Protocol):
+    """Files that a reader has looked through.
+
+    Attributes
+    ----------
+    parts : sequence of RecordingPart
+        In a fixed order.
+    files : sequence of SourceFile
+        What was found, with digests.
+    problems : sequence of Problem
+        What was seen while looking; parts tell their own while they are read.
+    """
+
+    @property
+    def parts(self) -> Sequence[RecordingPart]:
+        """In a fixed order."""
+
+    @property
+    def files(self) -> Sequence[SourceFile]:
+        """What was found."""
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was seen while looking."""
+
+
+@runtime_checkable
+class RecordingReader(Protocol):
+    """Reads one kind of recordings.
+
+    Found by the entry-point group ``ldctoolkit.recordings``; the entry point's name is the reader's, its value an
+    object (an instance, or a module) with these members.
+
+    Attributes
+    ----------
+    name : str
+        As given to ``ldc extract --format``.
+    title : str
+        A few words.
+    vehicle_width : float [m]
+        Taken unless the user gives another.
+    step : float [s] or None
+        Step that recordings are resampled to unless the user gives another; None leaves them as they are.
+    """
+
+    name: str
+    title: str
+    vehicle_width: float
+    step: float | None
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """What was found, in a few words, if these paths are of this kind; otherwise an empty text.
+
+        It looks at names, folders and first lines only, and raises nothing for content of another kind.
+        """
+
+    def open(self, paths: Sequence[Path]) -> RecordingSource:
+        """Look through files and folders.
+
+        Raises
+        ------
+        RecordingError
+            If nothing can be used; single faults are problems of the source.
+        """
+
+
+@functools.cache
+def _installed() -> dict[str, importlib.metadata.EntryPoint]:
+    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
+
+
+def reader_names() -> tuple[str, ...]:
+    """Names of all installed readers, sorted."""
+    return tuple(sorted(_installed()))
+
+
+@functools.cache
+def recording_reader(name: str) -> RecordingReader:
+    """The reader of that name.
+
+    Raises
+    ------
+    UnknownNameError
+        Naming the nearest known reader.
+    LdcError
+        If it cannot be loaded, or is not made as `RecordingReader` asks for.
+
+    Examples
+    --------
+    >>> recording_reader("uah-driveset").step
+    0.1
+    """
+    point = _installed().get(name)
+    if point is None:
+        raise UnknownNameError(f"format {name!r}: no such reader; {nearest(name, (AUTO, *reader_names()))}")
+    try:
+        reader = point.load()
+    except Exception as error:  # the file may be anybody's code: whatever it raises must name the reader
+        kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
+        raise LdcError(f"format {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
+    if not isinstance(reader, RecordingReader):
+        raise LdcError(f"format {name!r} ({point.value}): allowed: name, title, vehicle_width, step, recognise, open")
+    if reader.name != name:
+        raise LdcError(f"format {name!r} ({point.value}): its name is {reader.name!r}; allowed: the same as here")
+    return reader
+
+
+def recognise(paths: Sequence[Path]) -> tuple[RecordingReader, str]:
+    """The one reader that these paths are for, and what it found.
+
+    Raises
+    ------
+    RecordingError
+        If no reader knows them, or several do.
+    """
+    found = [(reader, words) for reader in map(recording_reader, reader_names()) if (words := reader.recognise(paths))]
+    if len(found) == 1:
+        return found[0]
+    shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
+    if not found:
+        raise RecordingError(
+            f"{shown}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a reader "
+            "says what it misses)"
+        )
+    said = "; ".join(f"{reader.name}: {words}" for reader, words in found)
+    raise RecordingError(f"{shown}: several readers know such files ({said}); choose one with --format")

@@ -1,0 +1,113 @@
+"""What looked wrong with recordings, in words."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from ldctoolkit.recordings.evidence import Evidence
+from ldctoolkit.recordings.units import UnitCheck
+
+FEWEST_TURNS: Final = 100
+"""Windows that it takes to compare yaw rate and heading."""
+
+LEAST_TURNING: Final = 0.02
+"""Root mean square of the turns by heading [rad in 1 s] that it takes: on a straight road both are noise."""
+
+TWINS_NAMED: Final = 5
+
+PLAUSIBLE_WIDTHS: Final = (2.8, 4.3)
+"""Median lane widths [m] that roads are built with, country road and motorway, and a little more."""
+
+METRES: Final = (1.5, 6.0)
+"""Median lane widths that may be in metres at all."""
+
+UNEVEN: Final = 1.25
+"""A larger ratio of the recordings' median lane widths is one of scale, not of roads."""
+
+
+def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_width: float | None) -> tuple[str, ...]:
+    """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of all recordings.
+    vehicle_width : float [m]
+        Width that was taken.
+    nominal_lane_width : float [m] or None
+        Lane width that recordings were scaled to.
+
+    Returns
+    -------
+    tuple of str
+        One sentence each.
+    """
+    check = UnitCheck(vehicle_width)
+    check.take(evidence.units)
+    found = list(check.messages())
+    if "none" in evidence.kinds:
+        found.append("no column 'curvature' or 'yaw_rate': the lane's curvature is taken as 0 (c_0 = dc = 0)")
+    if not evidence.lanes:
+        found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
+    found += _turning(evidence)
+    if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
+        found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
+    told = any("lane_width" in words or "vehicle width" in words for words in found)
+    if nominal_lane_width is None and not told:
+        found += _scale(evidence)
+    found += _twins(evidence)
+    total = evidence.names.size
+    found += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
+    return tuple(found)
+
+
+def _turning(evidence: Evidence) -> list[str]:
+    windows, hh, hr, rr = evidence.turns
+    if windows < FEWEST_TURNS or hh < LEAST_TURNING**2 * windows:
+        return []
+    likeness = hr / max(np.sqrt(hh * rr), 1e-300)
+    scale = hr / hh
+    if likeness < -0.5:
+        return [
+            f"the yaw rate turns against the GPS heading (correlation {likeness:.2f}): it is positive to the right; "
+            "give --yaw-rate-factor -1, or all curvatures have the wrong sign"
+        ]
+    if likeness < 0.5:
+        return [f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful"]
+    if not 0.8 < scale < 1.25:
+        return [
+            f"the yaw rate is {scale:.3g} times what the GPS heading turns: another unit? "
+            f"(--yaw-rate-factor {1.0 / scale:.3g} would make them agree)"
+        ]
+    return []
+
+
+def _scale(evidence: Evidence) -> list[str]:
+    widths = evidence.median_widths[np.isfinite(evidence.median_widths)]
+    if widths.size == 0:
+        return []
+    low, middle, high = (float(value) for value in np.quantile(widths, [0.0, 0.5, 1.0]))
+    if not METRES[0] < middle < METRES[1]:
+        return []  # another unit, of which the check of units tells
+    uneven = widths.size >= 3 and high > UNEVEN * low
+    if PLAUSIBLE_WIDTHS[0] <= middle <= PLAUSIBLE_WIDTHS[1] and not uneven:
+        return []
+    return [
+        f"the median lane width of a recording runs from {low:.2f} to {high:.2f} m (middle {middle:.2f}): the scale of "
+        "offset and width is doubtful, as with a single camera; --nominal-lane-width 3.5 scales each recording"
+    ]
+
+
+def _twins(evidence: Evidence) -> list[str]:
+    known = np.flatnonzero(evidence.fingerprints != "")
+    _, inverse, count = np.unique(evidence.fingerprints[known], return_inverse=True, return_counts=True)
+    groups = [known[inverse == i] for i in np.flatnonzero(count > 1)]
+    if not groups:
+        return []
+    groups.sort(key=lambda group: int(group[0]))
+    named = "; ".join(" = ".join(str(evidence.names[i]) for i in group[:3]) for group in groups[:TWINS_NAMED])
+    more = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
+    repeated = sum(group.size - 1 for group in groups)
+    return [f"{repeated} recordings repeat another's samples, and their departures count twice: {named}{more}"]
