@@ -99,8 +99,8 @@ def read_header(path: Path) -> Header:
             first = stream.readline(LONGEST_HEADER)
     except OSError as error:
         raise RecordingError(f"cannot be read: {error.strerror or error}") from None
-    for mark, name in _PACKED.items():
-        if first.startswith(mark):
+    for magic, name in _PACKED.items():
+        if first.startswith(magic):
             raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
     if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in first[:64]:
         raise RecordingError("the text is UTF-16 or not a text; allowed: UTF-8, so save it as that")

@@ -1,0 +1,208 @@
+"""Reader for the SPMD tables DataLane and DataWsu (data acquisition system 1).
+
+The lane table has the camera's distances, the other one the vehicle's own signals and its GPS; rows of both belong
+together by device, trip and time, which is in centiseconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.spmd_das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
+from ldctoolkit.recordings.table_files import find_tables, shown_names
+from ldctoolkit.recordings.table_text import Header, read_header
+from ldctoolkit.recordings.trip_index import TripIndex, index_trips
+from ldctoolkit.recordings.trip_rows import TripTable, collect_trips, told
+
+PART_BYTES: Final = 24 << 20
+"""Text of both tables that is read in one go."""
+
+KEY: Final = ("Device", "Trip")
+_COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
+_TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
+_NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Das1Source:
+    """Tables that were looked through.
+
+    Attributes
+    ----------
+    parts : tuple of Das1Part
+        In the order of the lane tables.
+    files : tuple of SourceFile
+        Lane tables first.
+    problems : tuple of Problem
+        What cannot be used.
+    """
+
+    parts: tuple[Das1Part, ...]
+    files: tuple[SourceFile, ...]
+    problems: tuple[Problem, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SpmdDas1:
+    """The reader ``spmd-das1``.
+
+    Attributes
+    ----------
+    name, title : str
+        How it is called.
+    vehicle_width : float [m]
+        Twice the distance of 0.91 m from centre to edge that published queries of these tables use.
+    step : float [s]
+        The tables' own.
+    part_bytes : int
+        About how much text a part reads.
+
+    Examples
+    --------
+    >>> SpmdDas1().step
+    0.1
+    """
+
+    name: str = "spmd-das1"
+    title: str = "SPMD tables DataLane and DataWsu"
+    vehicle_width: float = 1.82
+    step: float | None = 0.1
+    part_bytes: int = PART_BYTES
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """What was found if there is such a table among the files or in the folders."""
+        kinds: list[str] = []
+        for path, named in find_tables(paths):
+            try:
+                kind = _kind(read_header(path).columns)
+            except RecordingError:
+                kind = ""
+            if kind:
+                kinds.append(kind)
+            elif named:
+                return ""
+        return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in _COLUMNS if kind in kinds)
+
+    def open(self, paths: Sequence[Path]) -> Das1Source:
+        """Look through the tables for where each trip lies.
+
+        Raises
+        ------
+        RecordingError
+            If there is no lane table, no other table, or no trip that both hold.
+        """
+        found = find_tables(paths)
+        problems: list[Problem] = []
+        tables: dict[str, list[tuple[TripTable, TripIndex]]] = {kind: [] for kind in _COLUMNS}
+        for (path, named), shown in zip(found, shown_names([path for path, _ in found]), strict=True):
+            try:
+                header = read_header(path)
+                kind = _kind(header.columns)
+                if not kind:
+                    if named or _named(path):
+                        problems.append(Problem(shown, "line 1", _unknown(header)))
+                    continue
+                _check(header, kind)
+                if _named(path) not in ("", kind):
+                    words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
+                    problems.append(Problem(shown, "", words))
+                index = index_trips(path, header.begin, 2)
+            except RecordingError as error:
+                if named or _named(path):
+                    problems.append(Problem(shown, "", f"{str(error).removeprefix(path.name + ': ')}; it is left out"))
+                continue
+            if not index.stretches:
+                problems.append(Problem(shown, "", "a header but no usable row; it is left out"))
+            tables[kind].append((TripTable(shown, str(path.resolve()), header.columns, index.bytes), index))
+        files = tuple(
+            SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
+        )
+        parts = self._parts(tables["DataLane"], tables["DataWsu"], problems)
+        return Das1Source(parts, files, tuple(problems))
+
+    def _parts(
+        self,
+        lane: Sequence[tuple[TripTable, TripIndex]],
+        wsu: Sequence[tuple[TripTable, TripIndex]],
+        problems: list[Problem],
+    ) -> tuple[Das1Part, ...]:
+        def nothing(what: str) -> RecordingError:
+            told_ = "".join(f"; {problem}" for problem in problems[:5])
+            return RecordingError(f"spmd-das1: {what}{told_}")
+
+        for kind, some in (("DataLane", lane), ("DataWsu", wsu)):
+            if not some:
+                raise nothing(f"no table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))}) was found")
+        lanes, odd = collect_trips(lane)
+        problems += odd
+        others, odd = collect_trips(wsu)
+        problems += odd
+        alone: dict[int, list[tuple[int, str, str]]] = {}
+        together = []
+        for key, (number, stretches) in lanes.items():
+            if key in others:
+                other, there = others[key]
+                together.append((number, other, stretches[0].begin, stretches, there))
+            else:
+                words = f"trip {key[0]}/{key[1]} has no rows in DataWsu that could be used; it is left out"
+                alone.setdefault(number, []).append((stretches[0].line, "alone", words))
+        for number, faults in alone.items():
+            problems += told(lane[number][0].name, faults)
+        if not together:
+            raise nothing("no trip has rows in both DataLane and DataWsu")
+        together.sort(key=lambda trip: trip[:3])
+        parts: list[Das1Part] = []
+        batch: list[TripPlace] = []
+        size = 0
+        for i, (number, other, _, stretches, there) in enumerate(together):
+            batch.append((stretches, there))
+            size += trip_bytes(batch[-1])
+            if i + 1 == len(together) or size >= self.part_bytes or together[i + 1][:2] != (number, other):
+                first = batch[0][0][0]
+                key_ = f"{lane[number][0].name}:{first.device}/{first.trip}"
+                parts.append(Das1Part(key_, lane[number][0], wsu[other][0], tuple(batch)))
+                batch, size = [], 0
+        return tuple(parts)
+
+
+def _kind(columns: Sequence[str]) -> str:
+    """Which table has these columns; empty for neither."""
+    lower = {name.lower() for name in columns}
+    for kind, telling in _TOLD_BY.items():
+        if lower.issuperset(name.lower() for name in telling):
+            return kind
+    return ""
+
+
+def _named(path: Path) -> str:
+    """Which table the file's name speaks of; empty for none."""
+    match = _NAMED.search(path.name)
+    if match is None or "summary" in path.name.lower():
+        return ""
+    return "DataLane" if match[1].lower() == "lane" else "DataWsu"
+
+
+def _unknown(header: Header) -> str:
+    shown = ", ".join(header.columns[:8]) + (", ..." if len(header.columns) > 8 else "")
+    return f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
+
+
+def _check(header: Header, kind: str) -> None:
+    lower = [name.lower() for name in header.columns]
+    if tuple(lower[:2]) != tuple(name.lower() for name in KEY):
+        raise RecordingError(f"the first columns are {', '.join(header.columns[:2])}; allowed: {', '.join(KEY)}")
+    for name in _COLUMNS[kind]:
+        if name.lower() not in lower:
+            raise RecordingError(f"column {name!r} is missing; {nearest(name, header.columns)}")
+        if lower.count(name.lower()) > 1:
+            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
+
+
+READER: Final = SpmdDas1()

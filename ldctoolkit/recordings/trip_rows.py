@@ -1,0 +1,298 @@
+"""Rows of trips out of big text tables: which stretches make up a trip, and their cells in the order of time."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.table_text import Cells, read_cells
+from ldctoolkit.recordings.trip_index import Stretch, TripIndex
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+Key = tuple[int, int]
+
+MOST_PROBLEMS: Final = 20
+"""Problems of one kind that are told one by one; the others are counted."""
+
+LARGEST_TRIP: Final = 1 << 29
+"""Bytes of text; more of one trip would be months, and it would not fit into memory."""
+
+LARGEST_TIME: Final = 1e11
+"""A time of this size or more, in the table's own unit, is none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TripTable:
+    """A text table that holds trips.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in problems.
+    path : str
+        Where it is.
+    columns : tuple of str
+        Names of its columns.
+    bytes : int
+        Size when it was indexed.
+    """
+
+    name: str
+    path: str
+    columns: tuple[str, ...]
+    bytes: int
+
+
+@dataclasses.dataclass(frozen=True)
+class TripRows:
+    """Cells of several trips, one trip after the other, times of a trip never falling.
+
+    Attributes
+    ----------
+    cells : Cells
+        m rows.
+    trip : (m,) int
+        Which of the trips asked for a row belongs to; never falls.
+    problems : tuple of Problem
+        What was left out.
+    """
+
+    cells: Cells
+    trip: IntArray
+    problems: tuple[Problem, ...]
+
+
+def collect_trips(
+    indexed: Sequence[tuple[TripTable, TripIndex]],
+) -> tuple[dict[Key, tuple[int, tuple[Stretch, ...]]], list[Problem]]:
+    """Put the stretches of each trip together.
+
+    Parameters
+    ----------
+    indexed : sequence of (TripTable, TripIndex)
+        Tables of one kind.
+
+    Returns
+    -------
+    dict of (device, trip) to (int, tuple of Stretch)
+        Which table a trip lies in, and where; in the order of the tables. Trips that two tables hold are left out,
+        for nobody knows which of them is right.
+    list of Problem
+        What was left out, or looks odd.
+    """
+    trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
+    problems: list[Problem] = []
+    dropped: set[Key] = set()
+    for number, (table, index) in enumerate(indexed):
+        own: dict[Key, list[Stretch]] = {}
+        apart: dict[Key, int] = {}
+        last: Key | None = None
+        for one in index.stretches:
+            key = (one.device, one.trip)
+            own.setdefault(key, []).append(one)
+            if key != last and len(own[key]) > 1 and key not in apart:
+                apart[key] = one.line
+            last = key
+        faults = [(fault.line, "key", fault.what) for fault in index.faults]
+        problems += told(table.name, faults)
+        if index.more_faults:
+            problems.append(
+                Problem(table.name, "", f"{index.more_faults} more lines do not begin with a trip's numbers")
+            )
+        problems += told(
+            table.name,
+            (
+                (line, "apart", f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; "
+                 "they are put together in the order of the file")
+                for key, line in apart.items()
+            ),
+        )  # fmt: skip
+        twice: list[tuple[int, str, str]] = []
+        large: list[tuple[int, str, str]] = []
+        for key, stretches in own.items():
+            line = stretches[0].line
+            if key in trips or key in dropped:
+                if key in trips:
+                    other, first = trips.pop(key)
+                    where = f"{indexed[other][0].name}, line {first[0].line}"
+                else:
+                    where = "an earlier table"
+                twice.append((line, "twice", f"trip {_shown(key)} is also in {where}; it is left out"))
+                dropped.add(key)
+            elif sum(one.end - one.begin for one in stretches) > LARGEST_TRIP:
+                large.append((line, "large", f"trip {_shown(key)} is larger than {LARGEST_TRIP} bytes; it is left out"))
+                dropped.add(key)
+            else:
+                trips[key] = number, tuple(stretches)
+        problems += told(table.name, [*twice, *large])
+    return trips, problems
+
+
+def _shown(key: Key) -> str:
+    return f"{key[0]}/{key[1]}"
+
+
+def told(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:
+    """Problems of a file from (line, kind, words): the first of each kind one by one, the others counted.
+
+    Examples
+    --------
+    >>> [str(one) for one in told("a.csv", [(3, "x", "bad"), (4, "x", "worse"), (9, "x", "worst")], most=1)]
+    ['a.csv, line 3: bad', 'a.csv, line 4: 2 more lines like line 3, to line 9']
+    """
+    problems: list[Problem] = []
+    seen: dict[str, list[int]] = {}
+    for line, kind, words in faults:
+        seen.setdefault(kind, []).append(line)
+        if len(seen[kind]) <= most:
+            problems.append(Problem(file, f"line {line}", words))
+    for lines in seen.values():
+        if len(lines) > most:
+            count = len(lines) - most
+            more = f"{count} more line{'s' * (count > 1)} like line {lines[0]}, to line {lines[-1]}"
+            problems.append(Problem(file, f"line {lines[most]}", more))
+    return problems
+
+
+def read_trips(
+    table: TripTable,
+    trips: Sequence[tuple[Stretch, ...]],
+    wanted: Mapping[str, str],
+    *,
+    time: str,
+    cells: Sequence[int] = (),
+) -> TripRows:
+    """Read the rows of trips, and leave out those that cannot be used.
+
+    Parameters
+    ----------
+    table : TripTable
+        The table.
+    trips : sequence of tuple of Stretch
+        Where each trip lies.
+    wanted : mapping of str to str
+        Names to give to columns, and the names they have in the table.
+    time : str
+        Which of the given names is the time.
+    cells : sequence of int, optional
+        Allowed numbers of cells in a line; by default one for each column.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is not the one that was indexed.
+    """
+    pieces = [one for stretches in trips for one in stretches]
+    text = _read(table, pieces)
+    found = read_cells(text, table.columns, list(wanted.values()), cells=cells)
+    first = np.array([one.line for one in pieces], dtype=np.int64)
+    lines = np.array([one.lines for one in pieces], dtype=np.int64)
+    before = np.cumsum(lines) - lines
+    owner = np.repeat(np.arange(len(trips)), [sum(one.lines for one in stretches) for stretches in trips])
+
+    def line_of(row: IntArray) -> IntArray:
+        piece = np.searchsorted(before, row, side="right") - 1
+        # an empty piece would share its place with the next; there is none
+        line: IntArray = row - before[piece] + first[piece]
+        return line
+
+    at = line_of(np.array([fault.row for fault in found.faults], dtype=np.int64)).tolist()
+    faults = [
+        (line, fault.kind, f"{fault.what}; the line is left out") for line, fault in zip(at, found.faults, strict=True)
+    ]
+    values = dict(zip(wanted, found.values, strict=True))
+    trip, t = owner[found.row], values[time]
+    timed = np.abs(t) < LARGEST_TIME  # False for NaN
+    column = wanted[time]
+    faults += [
+        (line, "time", f"column {column!r} holds no usable time; the line is left out")
+        for line in line_of(found.row[~timed]).tolist()
+    ]
+    keep = np.flatnonzero(timed)
+    forward, back = forward_rows(trip[keep], t[keep])
+    for row, count in back:
+        line, i = int(line_of(found.row[keep[row : row + 1]])[0]), int(keep[row])
+        one = trips[int(trip[i])][0]
+        rows = "this line is" if count == 1 else f"{count} lines of the trip are"
+        faults.append((line, "back", f"trip {one.device}/{one.trip}: the time runs backwards; {rows} left out"))
+    if not forward.all() or keep.size < t.size:
+        keep = keep[forward]
+        trip = trip[keep]
+        values = {name: column_[keep] for name, column_ in values.items()}
+    faults.sort(key=lambda fault: fault[0])
+    named = Cells(tuple(values), tuple(values.values()), found.row[keep])
+    return TripRows(named, trip, tuple(told(table.name, faults)))
+
+
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
+    parts: list[bytes] = []
+    try:
+        with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
+            changed = os.fstat(stream.fileno()).st_size != table.bytes
+            i = 0
+            while i < len(pieces) and not changed:
+                begin, end = pieces[i].begin, pieces[i].end
+                i += 1
+                while i < len(pieces) and pieces[i].begin == end:
+                    end = pieces[i].end
+                    i += 1
+                stream.seek(begin)
+                while begin < end and (data := stream.read(end - begin)):
+                    parts.append(data)
+                    begin += len(data)
+                changed = begin < end
+                if parts and not parts[-1].endswith(b"\n"):
+                    parts.append(b"\n")
+    except OSError as error:
+        raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
+    text = b"".join(parts)
+    if changed or text.count(b"\n") != sum(one.lines for one in pieces):
+        raise RecordingError(f"{table.name}: the file has changed since it was looked through")
+    return text
+
+
+def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, int]]]:
+    """Which rows to keep so that the times of no trip fall.
+
+    Parameters
+    ----------
+    trip : (m,) int
+        Number of each row's trip; never falls.
+    t : (m,)
+        Times, finite.
+
+    Returns
+    -------
+    keep : (m,) bool
+        False for rows before an earlier row's time, or, where that leaves out fewer rows of the trip, for rows behind a
+        later row's: one time that jumps ahead does not cost the rest of the trip.
+    back : list of (int, int)
+        First row left out of each trip, and how many.
+
+    Examples
+    --------
+    >>> keep, back = forward_rows(np.zeros(5, dtype=int), np.array([0.0, 10.0, 900.0, 30.0, 40.0]))
+    >>> keep.tolist(), back
+    ([True, True, False, True, True], [(2, 1)])
+    """
+    keep = np.ones(t.size, dtype=bool)
+    falls = np.flatnonzero((t[1:] < t[:-1]) & (trip[1:] == trip[:-1]))
+    back: list[tuple[int, int]] = []
+    for one in np.unique(trip[falls + 1]):
+        low, high = np.searchsorted(trip, one), np.searchsorted(trip, one, side="right")
+        times = t[low:high]
+        ahead = times >= np.maximum.accumulate(times)
+        behind = times <= np.minimum.accumulate(times[::-1])[::-1]
+        good = ahead if ahead.sum() >= behind.sum() else behind
+        keep[low:high] = good
+        back.append((int(low + np.argmin(good)), int(np.sum(~good))))
+    return keep, back
