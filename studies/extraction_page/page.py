@@ -1,0 +1,107 @@
+"""The page: counts, histograms and drawings of an extraction in one file without a script."""
+
+from __future__ import annotations
+
+from markupsafe import Markup
+
+from ldctoolkit.recordings import Extraction
+from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.version import __version__
+from studies.extraction_page import counts, event_plots, facts, panels
+from studies.extraction_page.counts import Row
+from studies.report.rendering import asset, render
+from studies.report.words.text import plural
+
+_PACKAGE = "studies.extraction_page"
+
+SECTIONS = (
+    ("warnings", "Warnings"),
+    ("read", "What was read"),
+    ("sides", "Hours and departures"),
+    ("refusals", "Refused"),
+    ("groups", "Groups"),
+    ("parameters", "Parameters"),
+    ("widths", "Lane width"),
+    ("deepest", "Deepest"),
+    ("random", "By lot"),
+)
+"""Identifiers of the sections, which stay the same from version to version, and their titles."""
+
+MOST_PROBLEMS = 300
+MOST_FILES = 200
+
+
+def make_page(extraction: Extraction) -> str:
+    """The page as one HTML document; the same extraction gives the same text.
+
+    Parameters
+    ----------
+    extraction : Extraction
+
+    Returns
+    -------
+    str
+    """
+    accounts, departures, origin = extraction.accounts, extraction.departures, extraction.provenance
+    whole = counts.total(accounts)
+    rows = counts.by_source(accounts)
+    sources = len({one.origin.source for one in accounts})
+    several = departures.n > 0 and len(rows) > 1
+    heads, small = panels.small_table(departures, facts.source_column(extraction), rows) if several else ([], [])
+    widths = panels.width_panels(whole, rows) if whole is not None else []
+    drawn = _drawn(extraction, rows)
+    return str(
+        render(
+            "extraction.html",
+            _PACKAGE,
+            style=Markup("\n").join((asset("report.css"), asset("extraction.css", _PACKAGE))),
+            version=__version__,
+            title=f"{plural(departures.n, 'departure')} in {plural(extraction.recordings, 'recording')}",
+            sections=SECTIONS,
+            summary=facts.summary(extraction, whole, sources),
+            warnings=extraction.warnings,
+            tiles=facts.tiles(extraction, whole),
+            problems=extraction.problems[:MOST_PROBLEMS],
+            problem_count=len(extraction.problems),
+            facts=facts.facts(extraction),
+            files=origin.sources[:MOST_FILES],
+            file_count=len(origin.sources),
+            whole=whole,
+            rows=rows,
+            reasons=_reasons(whole),
+            reason_title=counts.reason_title,
+            meanings=counts.MEANINGS,
+            groups=[(name, counts.by_label(accounts, name)) for name in counts.label_names(accounts)],
+            counts=facts.side_counts(extraction),
+            parameters=panels.parameter_panels(departures) if departures.n else [],
+            quantiles=panels.quantile_rows(departures) if departures.n else [],
+            small_heads=heads,
+            small=small,
+            widths=widths,
+            widths_left_out=len(rows) if len(widths) == 1 and len(rows) > 1 and small else 0,
+            nominal=origin.preparation.nominal_lane_width is not None,
+            hours=facts.hours,
+            rate=facts.rate,
+            size=facts.size,
+            **drawn,
+        )
+    )
+
+
+def _reasons(whole: Row | None) -> list[str]:
+    """Reasons that hold for any candidate, in their order."""
+    if whole is None:
+        return []
+    return [reason for reason in REASONS if whole.refusals(0)[reason] or whole.refusals(1)[reason]]
+
+
+def _drawn(extraction: Extraction, rows: tuple[Row, ...]) -> dict[str, object]:
+    """Departures with their signals: of all sources, and source by source where there are several."""
+    drawn = extraction.drawn
+    names = [row.sources[0] for row in rows if len(row.sources) == 1]
+    return {
+        "deepest": event_plots.deepest_of_all(drawn.deepest),
+        "by_lot": event_plots.by_lot_of_all(drawn.by_lot),
+        "by_source": event_plots.by_source(drawn.deepest, drawn.by_lot, names) if len(rows) > 1 else (),
+        "thinned": any(event.t.size > event_plots.MOST_DOTS for event in (*drawn.deepest, *drawn.by_lot)),
+    }
