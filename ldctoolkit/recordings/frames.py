@@ -24,6 +24,12 @@ COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_sig
 ROW: Final = "(row)"
 """Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
 
+FAULT: Final = "(fault)"
+"""Column that is true for a sample that is at fault, or next to a line that could not be used; only where faults are
+collected instead of raised."""
+
+Faults = list[RecordingError]
+
 LONGEST_LINE: Final = 1 << 20
 """A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
 
@@ -53,6 +59,16 @@ class Meter:
         return self._sha256.hexdigest()
 
 
+class Unmetered(Meter):
+    """Neither counts nor hashes."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda _: None)
+
+    def update(self, data: bytes | memoryview) -> None:
+        """Pass over the bytes."""
+
+
 class _Metered(io.RawIOBase):
     """A raw stream whose bytes pass a meter."""
 
@@ -70,7 +86,7 @@ class _Metered(io.RawIOBase):
         return len(data)
 
 
-def frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
     """Blocks of a recording file: the known columns, typed, and `ROW`.
 
     Parameters
@@ -81,6 +97,8 @@ def frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]
         About how many bytes of text are taken at once.
     meter : Meter
         Sees every byte of the file.
+    faults : list of RecordingError, optional
+        Where given, faults of single lines and values are added to it, and the blocks have the column `FAULT`.
 
     Yields
     ------
@@ -92,7 +110,8 @@ def frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]
     RecordingError
         Naming file, column and place.
     """
-    blocks = parquet_frames(path, block_bytes, meter) if is_parquet(path) else csv_frames(path, block_bytes, meter)
+    read = parquet_frames if is_parquet(path) else csv_frames
+    blocks = read(path, block_bytes, meter, faults)
     seen: set[str] = set()
     present: list[str] = []
     rows = 0
@@ -120,8 +139,20 @@ def is_parquet(path: Path) -> bool:
     return path.name.lower().endswith(".parquet")
 
 
-def csv_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+def csv_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
     """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
+    for header, block, line in csv_blocks(path, block_bytes, meter):
+        if faults is None:
+            yield _parse(path, header, block, line)
+            continue
+        try:
+            yield _parse(path, header, block, line).with_columns(pl.lit(False).alias(FAULT))
+        except RecordingError:
+            yield _parse_faulty(path, header, block, line, faults)
+
+
+def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[list[str], bytes, int]]:
+    """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first."""
     zipped = path.name.lower().endswith(".gz")
     with path.open("rb") as raw:
         metered = io.BufferedReader(_Metered(raw, meter), 1 << 18)
@@ -142,10 +173,10 @@ def csv_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFr
                 if len(rest) >= LONGEST_LINE and not block:
                     raise RecordingError(f"{path.name}, line {line}: longer than {LONGEST_LINE} bytes; this is not CSV")
                 if block:
-                    yield _parse(path, header, block, line)
+                    yield header, block, line
                     line += block.count(b"\n")
             if rest:
-                yield _parse(path, header, rest, line)
+                yield header, rest, line
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise RecordingError(f"{path.name}: broken gzip ({error}); is the file cut short or not gzip?") from None
 
@@ -163,7 +194,7 @@ def _csv_header(path: Path, first: bytes) -> list[str]:
     names = [name.strip() for name in _fields(path, text, 1)]
     if len(names) == 1 and any(mark in text for mark in ";\t|"):
         raise RecordingError(f"{path.name}, line 1: columns are not separated by commas: {text[:60]!r}")
-    _check_columns(path, names)
+    check_columns(path, names)
     return names
 
 
@@ -175,7 +206,8 @@ def _fields(path: Path, text: str, line: int) -> list[str]:
         raise RecordingError(f"{path.name}, line {line}: {fault}; allowed: lines that end in LF or CR LF") from None
 
 
-def _check_columns(path: Path, names: Sequence[str]) -> None:
+def check_columns(path: Path, names: Sequence[str]) -> None:
+    """Refuse a header that lacks a column or repeats one."""
     for name in COLUMNS:
         if names.count(name) > 1:
             raise RecordingError(f"{path.name}: column '{name}' appears {names.count(name)} times")
@@ -218,6 +250,34 @@ def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFra
     return _typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
 
 
+def _parse_faulty(path: Path, header: list[str], block: bytes, line: int, faults: Faults) -> pl.DataFrame:
+    """Lines of which some are at fault: these are left out where they cannot be split, and told."""
+    good, places, broken = [], [], []
+    for number, raw in enumerate(block.replace(b"\r\n", b"\n").split(b"\n"), line):
+        fault = _fault_of_line(path, len(header), raw, number)
+        if fault is not None:
+            faults.append(fault)
+            broken.append(number)
+        elif raw.strip():
+            good.append(raw)
+            places.append(number)
+    names = [name for name in COLUMNS if name in header]
+    cells: dict[str, list[str | None]] = {name: [] for name in names}
+    index = {name: header.index(name) for name in names}
+    for raw in good:
+        row = next(csv.reader([raw.decode()]))
+        for name, i in index.items():
+            cells[name].append(row[i] if i < len(row) else None)
+    rows = np.array(places, dtype=np.int64)
+    near = np.zeros(rows.size, dtype=bool)
+    if rows.size:
+        after = np.searchsorted(rows, np.array(broken, dtype=np.int64))
+        near[np.maximum(after - 1, 0)] = True
+        near[np.minimum(after, rows.size - 1)] = True
+    frame = pl.DataFrame(cells, schema=dict.fromkeys(names, pl.String))
+    return _typed(path, frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near)), "line", faults)
+
+
 def _open_quote(text: bytes) -> bool:
     """Whether any line has an odd number of quotation marks; the CSV parser must not see such a line."""
     marks = np.frombuffer(text, dtype=np.uint8)
@@ -229,19 +289,29 @@ def _open_quote(text: bytes) -> bool:
 def _line_fault(path: Path, fields: int, block: bytes, line: int, reason: str) -> RecordingError:
     """What is wrong with a block that cannot be split into columns; looked for line by line, only after a failure."""
     for number, raw in enumerate(block.split(b"\n"), line):
-        try:
-            text = raw.decode("utf-8").rstrip("\r")
-        except UnicodeDecodeError as error:
-            return RecordingError(f"{path.name}, line {number}: the text is not UTF-8 ({error.reason})")
-        if text.count('"') % 2:
-            return RecordingError(f"{path.name}, line {number}: a quotation mark is not closed on its line")
-        found = len(_fields(path, text, number))
-        if found > fields:
-            return RecordingError(f"{path.name}, line {number}: {found} fields; the header has {fields} columns")
+        fault = _fault_of_line(path, fields, raw, number)
+        if fault is not None:
+            return fault
     return RecordingError(f"{path.name}, after line {line - 1}: cannot be read as CSV: {reason.splitlines()[0]}")
 
 
-def parquet_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.DataFrame]:
+def _fault_of_line(path: Path, fields: int, raw: bytes, number: int) -> RecordingError | None:
+    """Why a line cannot be split into columns, if it cannot."""
+    try:
+        text = raw.decode("utf-8").rstrip("\r")
+        if text.count('"') % 2:
+            return RecordingError(f"{path.name}, line {number}: a quotation mark is not closed on its line")
+        found = len(_fields(path, text, number))
+    except UnicodeDecodeError as error:
+        return RecordingError(f"{path.name}, line {number}: the text is not UTF-8 ({error.reason})")
+    except RecordingError as error:
+        return error
+    if found > fields:
+        return RecordingError(f"{path.name}, line {number}: {found} fields; the header has {fields} columns")
+    return None
+
+
+def parquet_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
     """Blocks of rows of a Parquet file."""
     with path.open("rb") as raw:
         while data := raw.read(1 << 20):
@@ -250,7 +320,7 @@ def parquet_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.Da
     try:
         # missing files, directories and patterns were refused before, so a fault here lies in the content
         schema = pl.read_parquet_schema(path)
-        _check_columns(path, list(schema))
+        check_columns(path, list(schema))
         lazy = pl.scan_parquet(path, glob=False).select(name for name in COLUMNS if name in schema)
         first = 0
         while True:
@@ -258,28 +328,35 @@ def parquet_frames(path: Path, block_bytes: int, meter: Meter) -> Iterator[pl.Da
             if frame.height == 0:
                 return
             numbered = frame.with_columns(pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW))
-            yield _typed(path, numbered, "row")
+            if faults is not None:
+                numbered = numbered.with_columns(pl.lit(False).alias(FAULT))
+            yield _typed(path, numbered, "row", faults)
             first += frame.height
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 
-def _typed(path: Path, frame: pl.DataFrame, word: str) -> pl.DataFrame:
-    """Columns in their final types; the first value that does not fit is named."""
+def _typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = None) -> pl.DataFrame:
+    """Columns in their final types; the first value that does not fit is named, and raised unless faults are wanted."""
+    marked = np.zeros(frame.height, dtype=bool)
 
     def refuse(name: str, bad: pl.Series, allowed: str) -> None:
         if bad.any():
             i = bad.arg_max() or 0
             more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
             value = frame[name][i]
-            raise RecordingError(
+            fault = RecordingError(
                 f"{path.name}, {word} {frame[ROW][i]}: column '{name}' holds {value!r}; allowed: {allowed}{more}"
             )
+            if faults is None:
+                raise fault
+            faults.append(fault)
+            marked[:] |= bad.fill_null(False).to_numpy()
 
     columns: list[pl.Series] = [frame[ROW]]
     for name in frame.columns:
         values = frame[name]
-        if name == ROW:
+        if name in (ROW, FAULT):
             continue
         if name in NUMBERS:
             if values.dtype == pl.String:
@@ -310,4 +387,6 @@ def _typed(path: Path, frame: pl.DataFrame, word: str) -> pl.DataFrame:
             off = lower.is_in(_SIGNAL_OFF).fill_null(True)
             refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
             columns.append(known.fill_null(0).alias(name))
+    if faults is not None:
+        columns.append(pl.Series(FAULT, marked | frame[FAULT].to_numpy()))
     return pl.DataFrame(columns)

@@ -1,0 +1,242 @@
+"""Reader for the SPMD table HV_Primary (data acquisition system 2): lane tracker, vehicle and GPS in one row."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings import spmd_das2_columns as names
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.spmd_das2_columns import Layout, layout_of
+from ldctoolkit.recordings.table_files import find_tables, shown_names
+from ldctoolkit.recordings.table_text import Cells
+from ldctoolkit.recordings.trip_index import Stretch, TripIndex, index_trips
+from ldctoolkit.recordings.trip_rows import TripTable, collect_trips, read_trips
+
+FloatArray = npt.NDArray[np.float64]
+
+PART_BYTES: Final = 32 << 20
+"""Text that is read in one go."""
+
+USABLE_PROBABILITY: Final = 500.0
+"""Both markers must exist with at least this probability, of 1000."""
+
+WIDTH_TOLERANCE: Final = 0.5
+"""The markers must be as far apart as the tracker's lane width says, within this [m]: else one of them is not the
+lane's, and the width is an assumed one (12 feet)."""
+
+_NAMED: Final = re.compile(r"hv[ _-]?primary", re.IGNORECASE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Das2Part:
+    """Some trips of a table.
+
+    Attributes
+    ----------
+    key : str
+        Names the file and the first trip.
+    table : TripTable
+        The file.
+    cells : tuple of int
+        Allowed numbers of cells in a row.
+    trips : tuple of tuple of Stretch
+        Where each trip lies.
+    """
+
+    key: str
+    table: TripTable
+    cells: tuple[int, ...]
+    trips: tuple[tuple[Stretch, ...], ...]
+
+    @property
+    def bytes(self) -> int:
+        """Text that is read."""
+        return sum(map(_bytes, self.trips))
+
+    def read(self) -> Iterator[Recording | Problem]:
+        """Recordings in the order of the table; problems come first."""
+        known = {name.lower(): name for name in self.table.columns}
+        wanted = {name: known[name.lower()] for name in (*names.REQUIRED, *names.OPTIONAL) if name.lower() in known}
+        rows = read_trips(self.table, self.trips, wanted, time="Time", cells=self.cells)
+        yield from rows.problems
+        columns = signals_of(rows.cells)
+        missing = [name for name in names.OPTIONAL if name not in wanted]
+        notes = (f"no column {', '.join(missing)}",) if missing else ()
+        ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1))
+        for stretches, begin, end in zip(self.trips, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+            if begin == end:
+                continue  # every row was left out, and told
+            name = f"{stretches[0].device}/{stretches[0].trip}"
+            own: dict[str, Any] = {key: None if column is None else column[begin:end] for key, column in columns.items()}
+            yield Recording(name, source=self.table.name, notes=notes, **own)
+
+
+def _bytes(trip: Sequence[Stretch]) -> int:
+    return sum(one.end - one.begin for one in trip)
+
+
+def signals_of(cells: Cells) -> dict[str, Any]:
+    """Columns of a `Recording` from the cells of rows.
+
+    The crossing flags and the lane-change flags of the tracker are not used: what sets them is not documented.
+    """
+
+    def optional(name: str) -> FloatArray | None:
+        return cells[name] if name in cells.names else None
+
+    def filled(name: str) -> FloatArray:
+        return cells[name] if name in cells.names else np.full(cells.row.size, np.nan)
+
+    left, right = cells[names.LEFT] / 1000.0, cells[names.RIGHT] / 1000.0
+    width = right - left
+    told = filled(names.WIDTH) / 1000.0
+    agree = ~(told > 0.0) | (np.abs(width - told) <= WIDTH_TOLERANCE)  # without a told width nothing contradicts
+    seen = (cells[names.LEFT_PROBABILITY] >= USABLE_PROBABILITY) & (
+        cells[names.RIGHT_PROBABILITY] >= USABLE_PROBABILITY
+    )
+    gps = filled(names.GPS_VALID) == 1.0
+    speed = cells[names.SPEED]
+    yaw_rate = optional(names.YAW_RATE)
+    signal = (filled(names.LEFT_SIGNAL) > 0.0).astype(np.int64) - (filled(names.RIGHT_SIGNAL) > 0.0)
+    return {
+        "t": cells["Time"] / 1000.0,
+        "lane_offset": 0.5 * (left + right),
+        "lane_width": width,
+        "speed": np.where(np.isfinite(speed), speed, np.where(gps, filled(names.GPS_SPEED), np.nan)),
+        "valid": seen & agree & (width > 0.0),
+        "yaw_rate": None if yaw_rate is None else np.radians(yaw_rate),
+        "heading": np.where(gps, -np.radians(filled(names.GPS_HEADING)), np.nan),
+        "turn_signal": signal.astype(np.int64),
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class Das2Source:
+    """Tables that were looked through.
+
+    Attributes
+    ----------
+    parts : tuple of Das2Part
+        In the order of the tables.
+    files : tuple of SourceFile
+        The tables.
+    problems : tuple of Problem
+        What cannot be used.
+    """
+
+    parts: tuple[Das2Part, ...]
+    files: tuple[SourceFile, ...]
+    problems: tuple[Problem, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SpmdDas2:
+    """The reader ``spmd-das2``.
+
+    Attributes
+    ----------
+    name, title : str
+        How it is called.
+    vehicle_width : float [m]
+        Twice the distance of 0.91 m from centre to edge that published queries of these tables use.
+    step : float [s]
+        The table's own.
+    part_bytes : int
+        About how much text a part reads.
+
+    Examples
+    --------
+    >>> SpmdDas2().step
+    0.1
+    """
+
+    name: str = "spmd-das2"
+    title: str = "SPMD table HV_Primary"
+    vehicle_width: float = 1.82
+    step: float | None = 0.1
+    part_bytes: int = PART_BYTES
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """What was found if there is such a table among the files or in the folders."""
+        found: list[bool] = []
+        for path, _ in find_tables(paths):
+            try:
+                layout = layout_of(path)
+            except RecordingError:
+                continue
+            if layout is not None:
+                found.append(layout.header)
+        if not found:
+            return ""
+        without = f", {found.count(False)} of them without a header" if False in found else ""
+        return f"{len(found)} of HV_Primary{without}"
+
+    def open(self, paths: Sequence[Path]) -> Das2Source:
+        """Look through the tables for where each trip lies.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such table, or no trip in any.
+        """
+        found = find_tables(paths)
+        problems: list[Problem] = []
+        tables: list[tuple[TripTable, TripIndex]] = []
+        layouts: list[Layout] = []
+        for (path, named), shown in zip(found, shown_names([path for path, _ in found]), strict=True):
+            meant = named or _NAMED.search(path.name) is not None
+            try:
+                layout = layout_of(path)
+                if layout is None:
+                    if meant:
+                        problems.append(Problem(shown, "line 1", _unknown()))
+                    continue
+                index = index_trips(path, layout.begin, layout.line)
+            except RecordingError as error:
+                if meant:
+                    problems.append(Problem(shown, "", f"{str(error).removeprefix(path.name + ': ')}; it is left out"))
+                continue
+            if not index.stretches:
+                problems.append(Problem(shown, "", "no usable row"))
+            tables.append((TripTable(shown, str(path.resolve()), layout.columns, index.bytes), index))
+            layouts.append(layout)
+        trips, odd = collect_trips(tables)
+        problems += odd
+        if not trips:
+            told = "".join(f"; {problem}" for problem in problems[:5])
+            raise RecordingError(f"spmd-das2: no trip of a table HV_Primary was found{told}")
+        files = tuple(SourceFile(table.name, index.bytes, index.sha256) for table, index in tables)
+        parts: list[Das2Part] = []
+        for number, ((table, _), layout) in enumerate(zip(tables, layouts, strict=True)):
+            own = [stretches for where, stretches in trips.values() if where == number]
+            own.sort(key=lambda stretches: stretches[0].begin)
+            parts += self._parts(table, layout, own)
+        return Das2Source(tuple(parts), files, tuple(problems))
+
+    def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
+        batch: list[tuple[Stretch, ...]] = []
+        size = 0
+        for i, stretches in enumerate(trips):
+            batch.append(stretches)
+            size += _bytes(stretches)
+            if i + 1 == len(trips) or size >= self.part_bytes:
+                first = batch[0][0]
+                yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, tuple(batch))
+                batch, size = [], 0
+
+
+def _unknown() -> str:
+    cells = " or ".join(map(str, names.CELLS))
+    return f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
+
+
+READER: Final = SpmdDas2()

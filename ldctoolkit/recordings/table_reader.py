@@ -1,0 +1,245 @@
+"""Reader of plain recording tables as a source: a part is a file; a recording at fault is left out, the others stay."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.read import BLOCK_BYTES, SUFFIXES, check_file, columns_of, whole_recordings
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.recordings.table_names import check_header, header_names, repeated_names
+
+if TYPE_CHECKING:
+    import polars as pl
+
+KNOWN_BY: Final = 3
+"""A file with so many of the five columns that are needed is meant as a recording table."""
+
+MOST_TOLD: Final = 20
+"""So many problems of one file are told one by one; the others are counted."""
+
+_PLACE: Final = re.compile(r"(?:, ((?:after )?(?:line|row) \d+))?: (.*)", re.DOTALL)
+
+
+@dataclasses.dataclass(frozen=True)
+class TablePart:
+    """One file of recordings.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    key : str
+        Its place among the source's files, and its name.
+    bytes : int
+        Its size.
+    left_out : tuple of str
+        Recordings that another file holds, too.
+    """
+
+    path: str
+    key: str
+    bytes: int
+    left_out: tuple[str, ...] = ()
+
+    def read(self) -> Iterator[Recording | Problem]:
+        """Recordings in the file's order; one with a fault in any of its rows is left out, and told."""
+        path = Path(self.path)
+        told = 0
+        more: Problem | None = None
+        for one in _recordings(path, set(self.left_out)):
+            if isinstance(one, Recording):
+                yield one
+                continue
+            told += 1
+            if told <= MOST_TOLD:
+                yield one
+            else:
+                more = one
+        if more is not None:
+            count = told - MOST_TOLD
+            yield Problem(
+                path.name, "", f"{count} more problem{'s' * (count > 1)}; the last: {more.place}: {more.what}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class TableSource:
+    """Files of recordings; see `RecordingSource`."""
+
+    parts: tuple[TablePart, ...]
+    files: tuple[SourceFile, ...]
+    problems: tuple[Problem, ...]
+
+
+class TableReader:
+    """Reads plain recording tables; see `RecordingReader`."""
+
+    name: str = "table"
+    title: str = "plain recording tables (CSV, CSV.gz, Parquet)"
+    vehicle_width: float = 1.9
+    step: float | None = None
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """What was found, if one of the files has a recording table's header; otherwise an empty text."""
+        from ldctoolkit.recordings.frames import REQUIRED
+
+        found = sum(len(set(header_names(path)) & set(REQUIRED)) >= KNOWN_BY for path in _files(paths))
+        return f"{found} recording table{'s' * (found > 1)}" if found else ""
+
+    def open(self, paths: Sequence[Path]) -> TableSource:
+        """Look through files, or folders that hold them.
+
+        Raises
+        ------
+        RecordingError
+            If nothing can be used.
+        """
+        problems: list[Problem] = []
+        found: dict[Path, SourceFile] = {}
+        twins: dict[str, str] = {}
+        for path in _files(paths):
+            try:
+                if not path.name.lower().endswith(SUFFIXES) and not path.is_dir():
+                    raise RecordingError(f"{path.name}: the suffix is not known; allowed: {', '.join(SUFFIXES)}")
+                check_file(path, "a recording file, or a folder that holds some,")
+                if path.resolve() in found:
+                    raise RecordingError(f"{path.name}: given twice")
+                check_header(path)
+                file = source_file(path)
+                if file.sha256 in twins:
+                    twin = twins[file.sha256]
+                    raise RecordingError(f"{path.name}: holds the same as {twin}, byte by byte; it is left out")
+                found[path.resolve()] = file
+                twins[file.sha256] = path.name
+            except RecordingError as error:
+                problems.append(problem_of(error, path))
+            except OSError as error:
+                problems.append(Problem(path.name, "", f"cannot be read: {error.strerror or error}"))
+        if not found:
+            others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+            raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
+        left_out, repeated = repeated_names(list(found)) if len(found) > 1 else ((), ())
+        parts = tuple(
+            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i] if left_out else ())
+            for i, (path, file) in enumerate(found.items())
+        )
+        return TableSource(parts, tuple(found.values()), (*problems, *repeated))
+
+
+READER: Final = TableReader()
+
+
+def problem_of(error: RecordingError, path: Path) -> Problem:
+    """An error that names file, place and fault, as a `Problem`.
+
+    Examples
+    --------
+    >>> problem_of(RecordingError("a.csv, line 3: 7 fields; the header has 5 columns"), Path("a.csv")).place
+    'line 3'
+    """
+    text = str(error)
+    rest = text.removeprefix(str(path)) if text.startswith(str(path)) else text.removeprefix(path.name)
+    split = _PLACE.fullmatch(rest) if rest != text else None
+    return Problem(path.name, "", text) if split is None else Problem(path.name, split[1] or "", split[2])
+
+
+def _files(paths: Sequence[Path]) -> Iterator[Path]:
+    """The files themselves; of a folder those with a recording table's suffix and columns, or else the folder."""
+    from ldctoolkit.recordings.frames import REQUIRED
+
+    for path in map(Path, paths):
+        inside: list[Path] = []
+        try:
+            if path.is_dir():
+                inside = [one for one in sorted(path.iterdir()) if one.name.lower().endswith(SUFFIXES)]
+        except (OSError, ValueError):
+            pass  # opening it tells why
+        tables = [one for one in inside if len(set(header_names(one)) & set(REQUIRED)) >= KNOWN_BY]
+        yield from tables or [path]
+
+
+def _recordings(path: Path, left_out: set[str]) -> Iterator[Recording | Problem]:
+    """Recordings of a file and problems, as they come."""
+    from ldctoolkit.recordings.frames import Unmetered, frames
+
+    faults: list[RecordingError] = []
+    seen: dict[str, int] = {}
+    try:
+        for frame in whole_recordings(_labelled(frames(path, BLOCK_BYTES, Unmetered(), faults))):
+            yield from (problem_of(fault, path) for fault in faults)
+            faults.clear()
+            yield from _of_frame(path, frame, seen, left_out)
+    except RecordingError as error:
+        faults.append(error)
+    except OSError as error:
+        faults.append(RecordingError(f"{path.name}: cannot be read: {error.strerror or error}"))
+    yield from (problem_of(fault, path) for fault in faults)
+
+
+def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
+    import polars as pl
+
+    from ldctoolkit.recordings.frames import FAULT
+
+    for block in blocks:
+        nameless = block["recording"].fill_null("") == ""
+        if nameless.any():
+            near = nameless.shift(1).fill_null(False) | nameless.shift(-1).fill_null(False)
+            block = block.with_columns((block[FAULT] | near).alias(FAULT)).filter(~nameless)
+        yield block.with_columns(pl.col("recording").cast(pl.String))
+
+
+def _of_frame(
+    path: Path, frame: pl.DataFrame, seen: dict[str, int], left_out: set[str]
+) -> Iterator[Recording | Problem]:
+    from ldctoolkit.recordings.frames import FAULT, ROW
+
+    frame = frame.filter(frame["t"].is_finite() | frame[FAULT])  # a sample without a time is passed over
+    if frame.height == 0:
+        return
+    word = "row" if path.name.lower().endswith(".parquet") else "line"
+    labels = frame["recording"]
+    starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
+    ends = np.append(starts[1:], frame.height)
+    rows, fault = frame[ROW].to_numpy(), frame[FAULT].to_numpy()
+    columns = columns_of(frame)
+    t = columns["t"]
+    unsorted = np.zeros(t.size, dtype=bool)
+    unsorted[1:] = ~(t[1:] > t[:-1])
+    for name, start, end in zip(labels.gather(starts).to_list(), starts.tolist(), ends.tolist(), strict=True):
+        place = f"{word} {rows[start]}"
+        if name in seen:
+            what = f"comes in separate pieces, the first from {word} {seen[name]}; this one is left out"
+            yield Problem(path.name, place, f"recording {name!r} {what}")
+            continue
+        seen[name] = int(rows[start])
+        if name in left_out:
+            continue
+        here = slice(start, end)
+        if fault[here].any():
+            i = start + int(np.argmax(fault[here]))
+            yield Problem(path.name, f"{word} {rows[i]}", f"recording {name!r} has a fault here; it is left out")
+            continue
+        falls = unsorted[start + 1 : end]
+        if falls.any():
+            i = start + 1 + int(np.argmax(falls))
+            what = "is repeated" if t[i] == t[i - 1] else f"comes after t = {float(t[i - 1])!r} s: times are not sorted"
+            more = f" ({int(falls.sum())} places in all)" if falls.sum() > 1 else ""
+            yield Problem(
+                path.name,
+                f"{word} {rows[i]}",
+                f"column 't', recording {name!r}: t = {float(t[i])!r} s {what}; "
+                f"allowed: times that increase inside a recording{more}; it is left out",
+            )
+            continue
+        values: dict[str, Any] = {column: None if found is None else found[here] for column, found in columns.items()}
+        yield Recording(name=name, source=path.name, **values)
