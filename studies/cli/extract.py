@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, console, number, output_file, progress_bar, warn
+from studies.cli._console import Subparsers, number, output_file, positive_number, progress_bar, warn
+
+if TYPE_CHECKING:
+    from ldctoolkit.recordings.criteria import Criteria
+    from ldctoolkit.recordings.opened import OpenedRecordings
+    from ldctoolkit.recordings.preparation import Preparation
+
+SOME_LEFT_OUT = 3
+"""Exit code where departures were written, but not all of the input could be used."""
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -12,12 +22,31 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "extract",
         help="find lane departures in driving recordings",
-        description="Find the lane departures in driving recordings (CSV, CSV.gz, Parquet) and write one row each: "
-        "the eight parameters, side, recording, start time. Every refused candidate is counted by reason.",
+        description="Find the lane departures in driving recordings (plain tables, SPMD, UAH-DriveSet, or what an "
+        "installed reader knows) and write one row each: the eight parameters, side, recording, start time. Every "
+        "refused candidate is counted by reason. Running it again after it was stopped goes on with what is missing. "
+        "Exit code 3: done, but some of the input could not be used; it is named.",
     )
-    parser.add_argument("paths", nargs="+", metavar="PATH", help="recording tables")
+    parser.add_argument("paths", nargs="+", metavar="PATH", help="files or folders of one format")
+    parser.add_argument(
+        "--format",
+        default="auto",
+        metavar="NAME",
+        help="table, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which looks at "
+        "columns and folders)",
+    )
     parser.add_argument("-o", "--output", required=True, metavar="FILE.parquet", help="departures table to write")
-    parser.add_argument("--vehicle-width", type=number, default=1.9, metavar="M", help="in m (default: %(default)s)")
+    parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
+    parser.add_argument("--vehicle-width", type=number, metavar="M", help="in m (default: the format's; table: 1.9)")
+    parser.add_argument(
+        "--step", type=number, metavar="S", help="common time step in s (default: the format's; table: as recorded)"
+    )
+    parser.add_argument(
+        "--nominal-lane-width", type=number, metavar="M", help="scale each recording to this median lane width, in m"
+    )
+    parser.add_argument(
+        "--yaw-rate-factor", type=number, metavar="X", help="multiply the recorded yaw rate (default: 1)"
+    )
     parser.add_argument("--min-duration", type=number, default=0.5, metavar="S", help="in s (default: %(default)s)")
     parser.add_argument("--max-duration", type=number, default=10.0, metavar="S", help="in s (default: %(default)s)")
     parser.add_argument("--min-speed", type=number, default=5.0, metavar="V", help="in m/s (default: %(default)s)")
@@ -27,42 +56,71 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "--max-jump", type=number, default=0.6, metavar="M", help="largest step of the offset (default: %(default)s)"
     )
+    parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
+    )
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from rich.table import Table
-
-    from ldctoolkit.departures import LEFT
-    from ldctoolkit.recordings import extract_departures, read_recordings, write_departures
+    from ldctoolkit.recordings.opened import open_recordings
+    from studies.cli._extract_table import print_extraction, tell_problems
+    from studies.extraction import NothingReadError, run_extraction
 
     target = output_file(chosen.output, ".parquet")
-    with progress_bar("reading") as progress:
-        found = extract_departures(
-            read_recordings(chosen.paths, progress=progress),
-            vehicle_width=chosen.vehicle_width,
-            min_duration=chosen.min_duration,
-            max_duration=chosen.max_duration,
-            min_speed=chosen.min_speed,
-            max_gap=chosen.max_gap,
-            max_jump=chosen.max_jump,
-        )
-    write_departures(target, found.departures, found.provenance)
+    page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
+    # workers of a cluster start in folders of their own
+    paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
+    recordings = open_recordings(paths, format=chosen.format)
+    said = f"{recordings.reader.name}: {recordings.found}"
+    try:
+        with progress_bar(said) as progress:
+            found = run_extraction(
+                recordings,
+                _criteria(chosen, recordings),
+                _preparation(chosen, recordings),
+                output=target,
+                workers=chosen.workers,
+                dask=chosen.dask,
+                progress=progress,
+            )
+    except NothingReadError as error:
+        if len(error.problems) > 1:
+            tell_problems(error.problems)
+        raise
 
+    print(said)
+    tell_problems(found.problems)
     for warning in found.warnings:
         warn(warning)
-    out = console()
-    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {found.hours:.1f} h")
-    table = Table()
-    table.add_column("candidate")
-    table.add_column("count", justify="right")
-    left = int((found.departures.side == LEFT).sum())
-    table.add_row("departure, left", str(left))
-    table.add_row("departure, right", str(len(found.departures) - left), end_section=True)
-    for reason, count in found.refused.items():
-        table.add_row(f"refused: {reason.replace('_', ' ')}", str(count))
-    out.print(table)
+    print_extraction(found)
     if len(found.departures) == 0:
         warn("no departures were found")
     print(f"{len(found.departures)} departures written to {target}")
+    if page is not None:
+        from studies.extraction_page import write_extraction_page
+
+        write_extraction_page(page, found)
+        print(f"page about the extraction written to {page}")
+    return SOME_LEFT_OUT if found.problems else 0
+
+
+def _criteria(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Criteria:
+    from ldctoolkit.recordings.criteria import Criteria
+
+    width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
+    return Criteria(width, chosen.min_duration, chosen.max_duration, chosen.min_speed, chosen.max_gap, chosen.max_jump)
+
+
+def _preparation(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Preparation:
+    from ldctoolkit.recordings.preparation import Preparation
+
+    return Preparation(
+        step=recordings.reader.step if chosen.step is None else chosen.step,
+        nominal_lane_width=chosen.nominal_lane_width,
+        yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
+    )

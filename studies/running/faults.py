@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ldctoolkit.errors import LdcError
-from studies.running.executors.protocol import Fault
+from studies.running.executors.protocol import Fault, Work
 from studies.running.tasks import RunKey, Task
 
 _STRIKES: Final = 2
@@ -35,7 +35,7 @@ class Faults:
         self._lost = 0
         self.workers_live = False
 
-    def guilty(self, task: Task, fault: Fault, *, certain: bool) -> bool:
+    def guilty(self, task: Work, fault: Fault, *, certain: bool) -> bool:
         """Whether a task has to be cut, after one more end of its worker."""
         strikes = self._strikes[task.number] = self._strikes.get(task.number, 0) + 1
         return certain and (fault == "late" or strikes >= _STRIKES)

@@ -1,0 +1,287 @@
+"""Wherever parts run and whatever happens to them: the same departures, and what was left out is told."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ldctoolkit.errors import InputError, LdcError, StoreError
+from ldctoolkit.recordings import extract_departures, read_departures
+from ldctoolkit.recordings.opened import OpenedRecordings
+from ldctoolkit.recordings.preparation import Preparation
+from studies.extraction import NothingReadError, run_extraction
+from studies.running.executors import Ended, Work
+from studies.storage.folder_lock import locked
+
+Made = Callable[..., OpenedRecordings]
+Content = Callable[[Any], tuple[Any, ...]]
+
+
+def times(source: OpenedRecordings) -> list[int]:
+    """How often each part was read."""
+    return [part.times for part in source.source.parts]  # type: ignore[attr-defined]
+
+
+def texts(found: Any) -> list[str]:
+    return [str(problem) for problem in found.problems]
+
+
+GOOD = ("good",) * 5
+
+
+def test_parts_in_this_process_are_as_the_library_extracts_them(made: Made, content: Content) -> None:
+    source = made(*GOOD)
+    found = run_extraction(source, workers=1)
+    assert content(found) == content(extract_departures(source))
+    assert len(found.departures) == 30
+    assert found.recordings == 15
+    assert texts(found) == ["file 9: is empty", *(f"part {i}, line 7: is left out" for i in range(5))]
+    assert found.provenance.criteria.vehicle_width == 1.8
+    assert found.provenance.preparation == Preparation(step=0.1)
+
+
+def test_two_processes_give_the_same_bits(made: Made, content: Content, tmp_path: Path) -> None:
+    output = tmp_path / "d.parquet"
+    found = run_extraction(made(*GOOD), workers=2, output=output)
+    assert content(found) == content(extract_departures(made(*GOOD)))
+    departures, provenance = read_departures(output)
+    assert (departures.T == found.departures.T).all()
+    assert provenance == found.provenance
+    run_extraction(made(*GOOD), workers=1, output=tmp_path / "e.parquet")
+    assert (tmp_path / "e.parquet").read_bytes() == output.read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "e.parquet", "notes"]
+
+
+def test_a_part_that_ends_its_worker_is_left_out_and_told(made: Made, content: Content, tmp_path: Path) -> None:
+    how = ["good", "good", "dies", "good", "dies once", "good"]
+    source = made(*how)
+    found = run_extraction(source, workers=2, output=tmp_path / "d.parquet")
+    assert [text for text in texts(found) if "worker" in text] == [
+        "part 2: ended its worker process each time it was read (out of memory?); it is left out"
+    ]
+    assert times(source)[2] >= 2
+    whole = extract_departures(made(*["good"] * 6))
+    others = [not name.startswith("drive 2") or name == "drive 2" for name in whole.departures.recording.tolist()]
+    others[:6] = [True] * 6  # drives 0 to 2 are of the first part
+    assert found.departures.recording.tolist() == whole.departures.take(others).recording.tolist()
+    assert found.departures.d_y.tolist() == whole.departures.take(others).d_y.tolist()
+    assert not (tmp_path / "d.parquet.parts").exists()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_part_raises_is_a_problem_of_that_part(made: Made, tmp_path: Path, workers: int) -> None:
+    found = run_extraction(made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet")
+    assert found.recordings == 6
+    told = [text for text in texts(found) if "line 7" not in text]
+    assert told[0] == "file 9: is empty"
+    assert told[1] == "part 1: ZeroDivisionError: a reader's own fault"
+    assert told[2].startswith("part 2: ")
+    assert "nothing here can be used" in told[2]
+    assert len(told) == 3
+
+
+@pytest.mark.parametrize("how", [("refused",), ("refused", "raises", "refused")])
+def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path, how: tuple[str, ...]) -> None:
+    with pytest.raises(NothingReadError, match=rf"file 9: is empty \({1 + len(how)} problems in all\)") as told:
+        run_extraction(made(*how), workers=1, output=tmp_path / "d.parquet")
+    assert len(told.value.problems) == 1 + len(how)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: Content, tmp_path: Path) -> None:
+    output = tmp_path / "d.parquet"
+    how = ("good", "good", "interrupted", "good")
+    with pytest.raises(KeyboardInterrupt):
+        run_extraction(made(*how), workers=1, output=output)
+    assert not output.exists()
+    told: list[tuple[int, int]] = []
+    source = made(*how)
+    found = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
+    assert times(source) == [1, 1, 2, 1]
+    assert told == [(300, 400), (400, 400)]
+    assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
+
+
+def test_one_part_needs_no_folder(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_extraction(made("interrupted"), workers=1, output=tmp_path / "d.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_nothing_is_left_where_no_part_was_finished(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_extraction(made("interrupted", "good"), workers=1, output=tmp_path / "d.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def stopped(made: Made, output: Path, **named: Any) -> Path:
+    """A work folder with two finished parts of three."""
+    with pytest.raises(KeyboardInterrupt):
+        run_extraction(made("good", "good", "interrupted", **named), workers=1, output=output)
+    return output.with_name(f"{output.name}.parts")
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part"])
+def test_a_damaged_part_is_read_again(
+    made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
+) -> None:
+    output = tmp_path / "d.parquet"
+    part = min(stopped(made, output).glob("part-000001-*"))
+    data = part.read_bytes()
+    flipped = bytearray(data)
+    flipped[len(data) // 2] ^= 1
+    part.write_bytes({"cut": data[:-9], "flipped": bytes(flipped), "emptied": b"", "not a part": b"hello"}[damage])
+    source = made("good", "good", "interrupted")
+    found = run_extraction(source, workers=1, output=output)
+    assert times(source) == [1, 2, 2]
+    assert "part-000001" in caplog.text
+    assert "broken" in caplog.text
+    assert content(found) == content(extract_departures(made("good", "good", "good")))
+
+
+@pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest"])
+def test_parts_of_another_extraction_are_never_used(
+    made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, change: str
+) -> None:
+    output = tmp_path / "d.parquet"
+    folder = stopped(made, output)
+    source = made(
+        "good", "good", "good", *["good"] * (change == "parts"), digest=("1" if change == "files" else "0") * 64
+    )
+    preparation = Preparation(step=0.2 if change == "preparation" else 0.1)
+    if change == "manifest":
+        (folder / "manifest.json").write_text("{")
+    found = run_extraction(source, preparation=preparation, workers=1, output=output)
+    assert times(source)[:3] == [2, 2, 2]
+    words = {
+        "files": "the files have changed",
+        "preparation": "step: 0.1 there, 0.2 now",
+        "parts": "they are divided in another way",
+        "manifest": "its manifest is broken",
+    }
+    assert f"its parts are of another extraction and are removed ({words[change]})" in caplog.text
+    assert content(found) == content(extract_departures(source, preparation=preparation))
+    assert not folder.exists()
+
+
+def test_a_folder_of_something_else_is_left_alone(made: Made, tmp_path: Path) -> None:
+    folder = tmp_path / "d.parquet.parts"
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("x")
+    with pytest.raises(StoreError, match=r"is not the work folder of an extraction \(it holds thesis.tex\)"):
+        run_extraction(made(*GOOD), workers=1, output=tmp_path / "d.parquet")
+    assert sorted(path.name for path in folder.iterdir()) == [".lock", "thesis.tex"]
+    (tmp_path / "e.parquet.parts").write_text("x")
+    with pytest.raises(StoreError, match="is no folder"):
+        run_extraction(made(*GOOD), workers=1, output=tmp_path / "e.parquet")
+
+
+def test_what_a_user_adds_to_the_folder_stays(made: Made, tmp_path: Path) -> None:
+    folder = stopped(made, tmp_path / "d.parquet")
+    (folder / "notes.txt").write_text("x")
+    run_extraction(made("good", "good", "good"), workers=1, output=tmp_path / "d.parquet")
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+
+
+def test_one_run_at_a_time(made: Made, tmp_path: Path) -> None:
+    folder = stopped(made, tmp_path / "d.parquet")
+    before = sorted(folder.iterdir())
+    with locked(folder), pytest.raises(StoreError, match="another run is writing into this folder"):
+        run_extraction(made("good", "good", "good"), workers=1, output=tmp_path / "d.parquet")
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_table_that_cannot_be_written_loses_no_part(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise LdcError("no space left")
+
+    source = made("good", "good")
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.extraction.runner.write_departures", full)
+        with pytest.raises(LdcError, match="no space left"):
+            run_extraction(source, workers=1, output=tmp_path / "d.parquet")
+    run_extraction(source, workers=1, output=tmp_path / "d.parquet")
+    assert times(source) == [1, 1]
+    assert not (tmp_path / "d.parquet.parts").exists()
+
+
+class Mortal:
+    """Two workers that die by plan, alone or together."""
+
+    name, isolated, workers = "processes", True, 2
+
+    def __init__(self, deadly: Callable[[Work], bool]) -> None:
+        self.deadly = deadly
+        self.tasks: list[Work] = []
+
+    def start(self, task: Work) -> None:
+        self.tasks.append(task)
+
+    def wait(self) -> list[Ended]:
+        under_way, queued = self.tasks[:2], self.tasks[2:]
+        if not under_way:
+            return []
+        if any(map(self.deadly, under_way)):
+            self.tasks = []
+            lost = [Ended(task) for task in queued]
+            return lost + [Ended(task, None, "died", len(under_way) == 1) for task in under_way]
+        self.tasks = self.tasks[1:]
+        return [Ended(under_way[0], under_way[0].run({}))]
+
+    def close(self, *, orderly: bool) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.extraction.runner.make_executor", lambda *_: executor)
+        yield
+
+
+@pytest.mark.parametrize("deadly", [{0}, {3}, {1, 2}, {0, 1, 2, 3, 4}])
+def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
+    made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]
+) -> None:
+    source = made(*GOOD, "good")
+    with on(Mortal(lambda task: task.number in deadly), monkeypatch):
+        found = run_extraction(source)
+    told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
+    assert told == [f"part {i}" for i in sorted(deadly)]
+    assert found.recordings == 3 * (6 - len(deadly))
+
+
+def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    with on(Mortal(lambda _: True), monkeypatch), pytest.raises(LdcError, match="worker processes end whatever they"):
+        run_extraction(made(*GOOD))
+
+
+@pytest.mark.parametrize("workers", [0, -1, True, 1.5, "2"])
+def test_workers_are_a_whole_number(made: Made, workers: Any) -> None:
+    with pytest.raises(InputError, match=r"workers: .*allowed: a whole number >= 1"):
+        run_extraction(made("good"), workers=workers)
+
+
+def test_finished_parts_need_no_workers(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed between the last part and the table: the next run only writes it."""
+    source = made("good", "good")
+
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.extraction.runner.write_departures", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run_extraction(source, workers=1, output=tmp_path / "d.parquet")
+        patch.setattr("studies.extraction.runner.make_executor", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run_extraction(source, workers=1, output=tmp_path / "d.parquet")
+    assert run_extraction(source, workers=1, output=tmp_path / "d.parquet").recordings == 6
+    assert times(source) == [1, 1]
