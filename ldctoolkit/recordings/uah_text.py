@@ -119,8 +119,8 @@ def in_order(t: FloatArray) -> BoolArray:
     kept = np.ones(t.size, dtype=bool)
     if (t[1:] >= t[:-1]).all():
         return kept
-    before = np.append(-np.inf, t[:-2])
-    kept[:-1] = ~((t[:-1] > t[1:]) & (t[1:] >= before))
+    before, later = np.append(-np.inf, t[:-2]), np.append(t[2:], -np.inf)
+    kept[:-1] = ~((t[:-1] > t[1:]) & (t[1:] >= before) & (t[:-1] > later))
     rest = t[kept]
     kept[kept] = rest >= np.maximum.accumulate(rest)
     return kept
