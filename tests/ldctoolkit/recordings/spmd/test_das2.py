@@ -1,0 +1,298 @@
+"""The reader spmd-das2: shapes of the table, planted departures, what is usable, every fault by file and line."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.extract import extract_departures
+from ldctoolkit.recordings.opened import open_recordings
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.spmd_das2 import SpmdDas2
+
+Write = Callable[..., Path]
+BOM = b"\xef\xbb\xbf"
+
+
+@pytest.fixture
+def write(tmp_path: Path, das2: Any) -> Write:
+    def to_file(
+        lines: Sequence[str],
+        name: str = "HV_Primary.csv",
+        *,
+        header: bool = True,
+        start: bytes = b"",
+        end: str = "\r\n",
+    ) -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        head = [",".join(das2.COLUMNS)] if header else []
+        path.write_bytes(start + "".join(line + end for line in [*head, *lines]).encode())
+        return path
+
+    return to_file
+
+
+def read(*paths: Path, part_bytes: int = 1 << 25) -> tuple[dict[str, Recording], list[Problem]]:
+    """All recordings by name, and all problems."""
+    source = SpmdDas2(part_bytes=part_bytes).open(paths)
+    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
+    recordings = [item for item in items if isinstance(item, Recording)]
+    assert len({one.name for one in recordings}) == len(recordings)
+    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    return {one.name: one for one in recordings}, problems
+
+
+def lines_of(das1: Any, das2: Any, trip: int, rows: int = 30, cells: int = 53, **more: Any) -> list[str]:
+    found: list[str] = das2.lines_of(das2.rows_of(das1.planted_drive(10, trip, rows=rows), **more), cells)
+    return found
+
+
+def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
+    one_day, two_month = sample / "one-day" / "HV_Primary_04_11_13.csv", sample / "two-month" / "HV_Primary.csv"
+    recordings, problems = read(one_day, two_month)
+    assert problems == []
+    assert {name: one.samples for name, one in recordings.items()} == {
+        "10/1417759": 19,
+        "10/1417715": 1,
+        "10/412198": 19,
+    }
+    with_header, without = recordings["10/1417759"], recordings["10/412198"]
+    # by hand from the first rows
+    np.testing.assert_allclose(with_header.t, np.arange(19) * 0.1)
+    np.testing.assert_allclose([with_header.lane_offset[0], with_header.lane_width[0]], [0.8585, 4.277])
+    np.testing.assert_allclose([without.lane_offset[0], without.lane_width[0]], [0.297, 3.56])
+    np.testing.assert_allclose([with_header.speed[0], without.speed[0]], [8.194445, 16.655556])
+    np.testing.assert_allclose(without.yaw_rate[0], np.radians(0.031525), rtol=1e-9)
+    np.testing.assert_allclose(without.heading[0], -np.radians(140.720001))
+    # the tracker sees one marker at most there
+    assert not any(one.valid.any() for one in recordings.values())
+    assert np.isnan(recordings["10/1417715"].speed).all()
+
+
+@pytest.mark.parametrize("folder", ["one-day", "two-month", "."])
+def test_the_sample_folders_are_recognised(sample: Path, folder: str) -> None:
+    assert "HV_Primary" in SpmdDas2().recognise([sample / folder])
+    assert len(SpmdDas2().open([sample / folder]).files) == (2 if folder == "." else 1)
+
+
+def test_other_tables_are_not_recognised(sample: Path, tmp_path: Path) -> None:
+    others = [one for one in sorted(sample.rglob("*.csv")) if "HV_Primary" not in one.name]
+    assert others
+    assert [SpmdDas2().recognise([one]) for one in others] == [""] * len(others)
+    assert SpmdDas2().recognise([tmp_path / "none.csv", tmp_path]) == ""
+
+
+SHAPES = {
+    "header, 53 cells": {},
+    "header, 45 cells": {"header45": True, "cells": 45},
+    "no header": {"header": False, "cells": 45, "odd": True},
+    "no header, mixed, byte order mark, LF": {"header": False, "cells": 45, "mixed": True, "start": BOM, "end": "\n"},
+    "header, byte order mark": {"start": BOM},
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_planted_departures_come_back(shape: str, das1: Any, das2: Any, write: Write) -> None:
+    how: dict[str, Any] = dict(SHAPES[shape])
+    cells, odd, mixed = how.pop("cells", 53), how.pop("odd", False), how.pop("mixed", False)
+    drives = [das1.planted_drive(10, 1), das1.planted_drive(10, 2, first=-7), das1.planted_drive(11, 1)]
+    drives = [dataclasses.replace(one, time=np.asarray(one.time) + 7) for one in drives]  # no multiples of the step
+    rows = [line for one in drives for line in das2.lines_of(das2.rows_of(one), cells)]
+    if mixed:
+        rows[::3] = [row + ",NULL" * 8 for row in rows[::3]]
+    if how.pop("header45", False):
+        rows, how["header"] = [",".join(das2.COLUMNS[:45]), *rows], False
+    path = write([das2.ODD_FIRST] * odd + rows, **how)
+    opened = open_recordings([path])
+    assert opened.reader.name == "spmd-das2"
+    found = extract_departures(opened)
+    assert found.problems == ()
+    departures = found.departures
+    assert departures.n == 3 * len(das1.PLANTED)
+    assert departures.recording.tolist() == [f"{one.device}/{one.trip}" for one in drives for _ in das1.PLANTED]
+    for i, (drive, planted) in enumerate((drive, one) for drive in drives for one in das1.PLANTED):
+        assert departures.side[i] == planted.side
+        assert abs(departures.start_time[i] - drive.time[0] / 100.0 - planted.start) <= 0.1
+        assert abs(departures.T[i] - planted.T) <= 0.1
+        assert abs(departures.d_y[i] - planted.d_y) <= 0.01
+        # outward: a left bend bends outwards for a departure to the left
+        road = planted.side * das1.curvature_at(np.array([planted.start, planted.start + planted.T]))
+        assert np.sign(departures.c_0[i]) == np.sign(road[0])
+        assert abs(departures.c_0[i] - road[0]) < 2e-4
+        if abs(road[1] - road[0]) > 5e-5:
+            assert np.sign(departures.dc[i]) == np.sign(road[1] - road[0])
+    assert not any("yaw" in words for words in found.warnings)
+
+
+def test_a_yaw_rate_of_the_other_sign_is_warned_about(das1: Any, das2: Any, write: Write) -> None:
+    drive = das1.planted_drive(10, 1)
+    other = dataclasses.replace(drive, yaw_rate=-drive.yaw_rate, heading=drive.heading)
+    found = extract_departures(open_recordings([write(das2.lines_of(das2.rows_of(other)))]))
+    assert any("yaw" in words for words in found.warnings)
+
+
+def test_what_is_usable(das1: Any, das2: Any, write: Write) -> None:
+    left = [900] * 30
+    right, width = list(left), [f"{3600.0}"] * 30
+    left[3], left[4], right[5], right[6] = 499, 500, 0, "NULL"  # type: ignore[call-overload]
+    width[7], width[8], width[9], width[10] = "3050.0", "3150", "NULL", "4150.0"
+    lines = lines_of(
+        das1, das2, 1, LaneTrack_Probability_Left_Exist=left, LaneTrack_Probability_Right_Exists=right,
+        LaneTrack_Lane_Width=width,
+    )  # fmt: skip
+    recordings, problems = read(write(lines))
+    assert problems == []
+    assert np.flatnonzero(~recordings["10/1"].valid).tolist() == [3, 5, 6, 7, 10]
+
+
+def test_speed_signals_and_heading(das1: Any, das2: Any, write: Write) -> None:
+    cells: dict[str, list[Any]] = {
+        "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""],
+        "GPS_Speed": [11.5] * 30,
+        "GPS_Valid": [1] * 20 + [0] * 9 + [1],
+        "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
+        "InVehicle_Turn_Signal_Right": [1, 0, 1] + [0] * 27,
+    }
+    one = read(write(lines_of(das1, das2, 1, **cells)))[0]["10/1"]
+    np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
+    assert one.turn_signal is not None
+    assert one.turn_signal[:4].tolist() == [0, 1, -1, 0]
+    assert one.heading is not None
+    assert np.isnan(one.heading).sum() == 9
+
+
+def test_parts_do_not_change_recordings(das1: Any, das2: Any, write: Write) -> None:
+    path = write([line for trip in range(1, 8) for line in lines_of(das1, das2, trip, rows=9 * trip)])
+    whole, _ = read(path)
+    for part_bytes in (1, 5000, 20000):
+        parts = SpmdDas2(part_bytes=part_bytes).open([path]).parts
+        assert len({part.key for part in parts}) == len(parts) > 1
+        split, _ = read(path, part_bytes=part_bytes)
+        assert list(split) == list(whole)
+        for name, one in whole.items():
+            for column in Recording.COLUMNS:
+                np.testing.assert_array_equal(getattr(split[name], column), getattr(one, column))
+
+
+def check(problems: list[Problem], place: str, words: str) -> None:
+    assert any(one.place == place and words in one.what for one in problems), [str(one) for one in problems]
+
+
+def changed(lines: list[str], row: int, column: int, value: str) -> None:
+    cells = lines[row].split(",")
+    cells[column] = value
+    lines[row] = ",".join(cells)
+
+
+FAULTS: dict[str, tuple[Callable[[list[str]], None], str, str]] = {
+    "text for a number": (lambda rows: changed(rows, 4, 32, "far"), "line 6", "'far'"),
+    "a surplus cell": (lambda rows: changed(rows, 4, 3, "1,2"), "line 6", "54 cells"),
+    "cut short": (lambda rows: rows.__setitem__(29, rows[29][:60]), "line 31", "cells"),
+    "no time": (lambda rows: changed(rows, 4, 2, "NULL"), "line 6", "time"),
+    "time backwards": (lambda rows: changed(rows, 20, 2, "55"), "line 22", "backwards"),
+    "no trip": (lambda rows: changed(rows, 4, 1, "x"), "line 6", "device and trip"),
+    "a header again": (lambda rows: rows.__setitem__(4, "DeviceID,Trip,Time"), "line 6", "device and trip"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, das1: Any, das2: Any, write: Write) -> None:
+    damage, place, words = FAULTS[fault]
+    rows = lines_of(das1, das2, 1)
+    damage(rows)
+    recordings, problems = read(write([*rows, *lines_of(das1, das2, 2)]))
+    check(problems, place, words)
+    assert all(one.file == "HV_Primary.csv" for one in problems)
+    assert recordings["10/1"].samples == 29
+    assert recordings["10/2"].samples == 30
+
+
+def test_bytes_that_are_not_utf_8(das1: Any, das2: Any, write: Write) -> None:
+    path = write(lines_of(das1, das2, 1))
+    path.write_bytes(path.read_bytes().replace(b"15        ", b"15  \xff\xe9   ", 1))
+    recordings, problems = read(path)
+    check(problems, "line 2", "UTF-8")
+    assert recordings["10/1"].samples == 29
+
+
+def test_a_trip_in_several_stretches_is_put_together(das1: Any, das2: Any, write: Write) -> None:
+    one, two = lines_of(das1, das2, 1), lines_of(das1, das2, 2)
+    recordings, problems = read(write([*one[:10], *two, *one[10:]]))
+    check(problems, "line 42", "10/1")
+    whole, _ = read(write([*one, *two]))
+    np.testing.assert_array_equal(recordings["10/1"].lane_offset, whole["10/1"].lane_offset)
+
+
+def test_a_trip_in_two_files_is_left_out(das1: Any, das2: Any, write: Write) -> None:
+    first = write(lines_of(das1, das2, 1) + lines_of(das1, das2, 2), "october/HV_Primary.csv")
+    second = write(lines_of(das1, das2, 3) + lines_of(das1, das2, 1), "april/HV_Primary.csv")
+    recordings, problems = read(first, second)
+    assert sorted(recordings) == ["10/2", "10/3"]
+    [problem] = problems
+    assert (problem.file, problem.place) == ("april/HV_Primary.csv", "line 32")
+    assert "october/HV_Primary.csv, line 2" in problem.what
+
+
+WHOLE: dict[str, tuple[Callable[[bytes], bytes], str]] = {
+    "empty": (lambda _: b"", "empty"),
+    "semicolons": (lambda text: text.replace(b",", b";"), "semicolons"),
+    "UTF-16": (lambda text: text.decode().encode("utf-16"), "UTF-16"),
+    "another table": (lambda _: b"Device,Trip,Time,LaneDistanceLeft,LaneDistanceRight\r\n1,1,0,-1,1\r\n", "HV_Primary"),
+    "a column missing": (lambda text: text.replace(b"LaneTrack_Distance_Right_Marker", b"Right", 1), "Right_Marker"),
+    "a column twice": (lambda text: text.replace(b"InVehicle_Throttle_Position", b"GPS_Speed", 1), "2 times"),
+    "other first columns": (
+        lambda text: text.replace(b"DeviceID,Trip,Time", b"Trip,DeviceID,Time", 1),
+        "DeviceID, Trip",
+    ),
+    "header only": (lambda text: text.split(b"\n")[0] + b"\n", "no usable row"),
+    "packed": (lambda _: b"PK\3\4" + bytes(range(256)) * 4, "ZIP"),
+}
+
+
+ANYHOW = ("semicolons", "UTF-16")
+"""These can be in a table without a header, too."""
+
+
+@pytest.mark.parametrize(
+    ("fault", "header"), [*((fault, True) for fault in WHOLE), *((fault, False) for fault in ANYHOW)]
+)
+def test_a_file_that_cannot_be_used(fault: str, header: bool, das1: Any, das2: Any, write: Write) -> None:
+    damage, words = WHOLE[fault]
+    bad = write(lines_of(das1, das2, 1), "bad.csv", header=header)
+    bad.write_bytes(damage(bad.read_bytes()))
+    with pytest.raises(RecordingError, match=words):
+        read(bad)
+    good = write(lines_of(das1, das2, 2), "good.csv")
+    recordings, problems = read(bad, good)
+    assert list(recordings) == ["10/2"]
+    [problem] = problems
+    assert problem.file == "bad.csv"
+    assert words in str(problem)
+
+
+def test_columns_that_are_not_needed_may_be_missing(das1: Any, das2: Any, write: Write) -> None:
+    rows = [
+        {name: cell for name, cell in row.items() if name not in ("InVehicle_Yaw_Rate", "GPS_Valid")}
+        for row in das2.rows_of(das1.planted_drive(10, 1, rows=30))
+    ]
+    path = write([",".join(rows[0]), *(",".join(row.values()) for row in rows)], header=False)
+    recordings, problems = read(path)
+    assert problems == []
+    assert recordings["10/1"].yaw_rate is None
+    assert recordings["10/1"].notes == ("no column InVehicle_Yaw_Rate, GPS_Valid",)
+
+
+def test_a_file_that_changes_after_it_was_opened(das1: Any, das2: Any, write: Write) -> None:
+    path = write(lines_of(das1, das2, 1))
+    source = SpmdDas2().open([path])
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(RecordingError, match="changed"):
+        list(source.parts[0].read())
