@@ -54,7 +54,10 @@ class Shares:
         [0.5, 0.25]
         """
         known = values[np.isfinite(values)]
-        share = np.histogram(known, edges)[0] / max(known.size, 1)
+        # edges are multiples of a round number and may miss a value that lies on the last one by its last digit
+        slack = 1e-6 * (edges[1] - edges[0])
+        inside = known[(known >= edges[0] - slack) & (known <= edges[-1] + slack)]
+        share = np.histogram(np.clip(inside, edges[0], edges[-1]), edges)[0] / max(known.size, 1)
         return cls(known.size, edges, share, float(np.median(known)) if known.size else float("nan"))
 
     @property

@@ -10,7 +10,7 @@ from ldctoolkit.version import __version__
 from studies.extraction_page import counts, event_plots, facts, panels
 from studies.extraction_page.counts import Row
 from studies.report.rendering import asset, render
-from studies.report.words.text import plural
+from studies.report.words.text import plural, printable
 
 _PACKAGE = "studies.extraction_page"
 
@@ -71,7 +71,7 @@ def make_page(extraction: Extraction) -> str:
             reasons=_reasons(whole),
             reason_title=counts.reason_title,
             meanings=counts.MEANINGS,
-            groups=[(name, counts.by_label(accounts, name)) for name in counts.label_names(accounts)],
+            groups=[(printable(name), counts.by_label(accounts, name)) for name in counts.label_names(accounts)],
             counts=facts.side_counts(extraction),
             parameters=panels.parameter_panels(departures) if departures.n else [],
             quantiles=panels.quantile_rows(departures) if departures.n else [],

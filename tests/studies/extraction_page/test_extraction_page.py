@@ -1,0 +1,348 @@
+# ruff: noqa: RUF001 - the page shows true minus signs and dashes
+"""The page of an extraction: whole, self-contained, right about every number, for every kind of extraction."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import StoreError
+from ldctoolkit.recordings import (
+    Criteria,
+    Extraction,
+    Preparation,
+    RecordingTable,
+    SourceFile,
+    extract_departures,
+    recording_reader,
+)
+from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.recording import Label, Problem
+from studies.extraction_page import write_extraction_page
+from studies.extraction_page.page import MOST_PROBLEMS, SECTIONS, make_page
+
+EVIL = "<script>alert(1)</script> \"q\" 'x' & \u202e"
+
+
+class Parsed(HTMLParser):
+    """Tables by caption, text by section, names of drawings; refuses tags that are not closed in order."""
+
+    VOID = frozenset({"meta", "br"})
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tables: dict[str, list[list[str]]] = {}
+        self.text: dict[str, str] = {}
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.tags: list[str] = []
+        self.images: list[str] = []
+        self._section, self._caption, self._rows = "", "", list[list[str]]()
+        self.feed(page)
+        self.close()
+        assert self.tags == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._note(tag, dict(attrs))
+        if tag not in self.VOID:
+            self.tags.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._note(tag, dict(attrs))
+
+    def _note(self, tag: str, given: dict[str, str | None]) -> None:
+        self.ids += [given["id"]] if given.get("id") else []  # type: ignore[list-item]
+        self.addresses += [given[key] or "" for key in ("href", "src") if key in given]
+        if given.get("role") == "img":
+            self.images.append(given.get("aria-label") or "")
+        if tag == "section":
+            self._section = given["id"] or ""
+            self.text[self._section] = ""
+        elif tag == "table":
+            self._caption, self._rows = "", []
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.tags.pop() == tag
+        if tag == "table":
+            assert self._caption not in self.tables
+            self.tables[self._caption] = [[" ".join(cell.split()) for cell in row] for row in self._rows]
+        if tag == "section":
+            self._section = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._section:
+            self.text[self._section] += data
+        if "caption" in self.tags:
+            self._caption += data
+        elif {"td", "th"} & set(self.tags):
+            self._rows[-1][-1] += data
+
+
+def parsed(extraction: Extraction) -> Parsed:
+    return Parsed(make_page(extraction))
+
+
+def plain(number: str) -> float:
+    return float(number.replace("−", "-").replace(",", ""))
+
+
+def test_self_contained_and_well_formed(make: ModuleType) -> None:
+    page = make_page(make.make_extraction(3, labels=True))
+    found = Parsed(page)
+    assert list(found.text) == [id for id, _ in SECTIONS]
+    assert len(found.ids) == len(set(found.ids))
+    assert all(address.startswith("#") and address[1:] in found.ids for address in found.addresses)
+    assert "<script" not in page
+    assert not re.search(r"https?:|@import|url\(", page)
+    # 8 parameters and lane width of 3 sources, twice 12 departures of all and of each source
+    assert len(found.images) == 8 + 1 + 3 + 3 * 9 + 24 + 3 * 24
+    assert all(len(words.split()) > 3 for words in found.images)
+
+
+def test_every_row_holds_the_numbers_of_its_account(make: ModuleType) -> None:
+    extraction = make.make_extraction(3, (30, 20))
+    rows = parsed(extraction).tables["By source and side"][2:]
+    assert [row[0] for row in rows] == ["D1", "D2", "D3", "All"]
+    for row, account in zip(rows, extraction.accounts, strict=False):
+        assert row[1:6] == ["4", "2.00", "1.67 (83 %)", "30", "18.0"]
+        assert row[6] == str(sum(int(count) for count in account.refused[0]))
+        assert row[7:9] == ["20", "12.0"]
+        assert row[9] == str(sum(int(count) for count in account.refused[1]))
+    assert rows[3][:6] == ["All", "12", "6.00", "5.00 (83 %)", "90", "18.0"]
+    assert int(rows[3][6]) + int(rows[3][9]) == extraction.refused.total
+
+
+def test_reasons_are_counted_by_source_and_side(make: ModuleType) -> None:
+    extraction = make.make_extraction(2)
+    found = parsed(extraction)
+    (caption,) = (one for one in found.tables if "refused, by reason" in one)
+    assert caption == f"{extraction.refused.total} of {extraction.candidates} candidates refused, by reason"
+    by_reason = {row[0].replace(" ", "_"): row[2:] for row in found.tables[caption][1:]}
+    assert list(by_reason) == [reason for reason, count in extraction.refused.items() if count]
+    for reason, (left, right, share) in by_reason.items():
+        count = getattr(extraction.refused, reason)
+        assert int(left) + int(right) == count
+        assert plain(share.split()[0]) == pytest.approx(100 * count / extraction.candidates, abs=0.051)
+    table = found.tables["Refused by source and reason: left / right"]
+    for row, account in zip(table[1:], extraction.accounts, strict=False):
+        for name, cell in zip(table[0][1:], row[1:], strict=True):
+            k = REASONS.index(name.replace(" ", "_"))
+            left, right = int(account.refused[0, k]), int(account.refused[1, k])
+            assert cell == (f"{left} / {right}" if left or right else "0")
+    assert table[3][0] == "All"
+
+
+def test_a_reason_that_never_holds_is_left_out(make: ModuleType) -> None:
+    one = make.make_extraction(1)
+    refused = one.accounts[0].refused.copy()
+    refused[:, REASONS.index("jump")] = 0
+    changed = dataclasses.replace(one, accounts=(dataclasses.replace(one.accounts[0], refused=refused),))
+    assert "the offset jumps in it" in parsed(one).text["refusals"]
+    assert "the offset jumps in it" not in parsed(changed).text["refusals"]
+    nothing = dataclasses.replace(one.accounts[0], refused=np.zeros_like(refused))
+    assert "No candidate was refused" in parsed(dataclasses.replace(one, accounts=(nothing,))).text["refusals"]
+
+
+def test_groups_by_label(make: ModuleType) -> None:
+    """Six drivers, three behaviours; one more source without labels."""
+    extraction = make.make_extraction(6, (30, 20), labels=True)
+    bare = dataclasses.replace(extraction.accounts[0], origin=make.Origin("D9"))
+    found = parsed(dataclasses.replace(extraction, accounts=(*extraction.accounts, bare)))
+    rows = found.tables["By behaviour and side"][2:]
+    assert [row[0] for row in rows] == ["aggressive", "drowsy", "normal", "not known"]
+    assert [row[4] for row in rows] == ["60", "60", "60", "30"]
+    assert [row[7] for row in rows] == ["40", "40", "40", "20"]
+    assert len(found.tables["By driver and side"]) == 2 + 7
+    assert "Refused by driver and reason: left / right" in found.tables
+    assert "carry no labels" in parsed(make.make_extraction(1)).text["groups"]
+
+
+def test_quantiles_are_those_of_the_departures(make: ModuleType) -> None:
+    extraction = make.make_extraction(1, (31, 21))
+    rows = parsed(extraction).tables["Parameters in numbers: 5 % quantile, median, 95 % quantile"][2:]
+    assert len(rows) == 8
+    for row, (name, scale) in zip(rows, (("T", 1), *((None, 0),) * 6, ("dc", 1000)), strict=True):
+        if name is None:
+            continue
+        for side, cells in ((1, row[1:4]), (-1, row[4:7])):
+            values = sorted(
+                scale * v
+                for v, s in zip(getattr(extraction.departures, name), extraction.departures.side, strict=True)
+                if s == side
+            )
+            middle = values[len(values) // 2]  # odd counts
+            assert plain(cells[1]) == pytest.approx(middle, abs=0.0051)
+            assert plain(cells[0]) < plain(cells[1]) < plain(cells[2])
+
+
+def test_what_was_read_is_told(make: ModuleType) -> None:
+    extraction = make.make_extraction(
+        2,
+        criteria=Criteria(vehicle_width=2.05, min_speed=7.0),
+        preparation=Preparation(step=0.05, nominal_lane_width=3.5, yaw_rate_factor=-1.0),
+    )
+    files = (SourceFile("D1/a.txt", 31_400_000, "0123456789abcdef" * 4),)
+    provenance = dataclasses.replace(extraction.provenance, sources=files)
+    found = parsed(dataclasses.replace(extraction, provenance=provenance))
+    told = dict(row for row in found.tables["Format and criteria"][1:])
+    own = recording_reader("uah-driveset").vehicle_width
+    assert told["Vehicle width"] == f"2.05 m, given by the user; the reader uah-driveset takes {own:g} m by itself"
+    assert told["Time step"] == "0.05 s, by local medians of valid samples"
+    assert told["Nominal lane width"].startswith("3.5 m: offset and width of each recording scaled")
+    assert told["Mean speed"] == "above 7 m/s"
+    assert told["Curvature"] == "from yaw rate and speed; yaw rate times −1"
+    (caption,) = (one for one in found.tables if "SHA-256" in one)
+    assert found.tables[caption][1] == ["D1/a.txt", "31.4 MB", "0123456789ab"]
+    same = parsed(make.make_extraction(1, criteria=Criteria(vehicle_width=own)))
+    assert dict(row for row in same.tables["Format and criteria"][1:])["Vehicle width"] == (
+        f"{own:g} m, what the reader uah-driveset takes unless another is given"
+    )
+
+
+def test_a_reader_that_is_not_installed(make: ModuleType) -> None:
+    told = parsed(make.make_extraction(1, reader="other-makers")).tables["Format and criteria"]
+    assert ["Format", "other-makers"] in told
+    assert ["Vehicle width", "1.8 m, as given"] in told
+
+
+def test_warnings_and_problems_stand_at_the_top(make: ModuleType) -> None:
+    problems = tuple(Problem(f"{k % 7}.txt", f"line {k}", "text where a number is needed") for k in range(1000))
+    page = make_page(make.make_extraction(1, problems=problems, warnings=("the yaw rate turns against the heading",)))
+    found = Parsed(page)
+    assert page.index("the yaw rate turns against") < page.index("What was read, and how")
+    rows = found.tables[f"Problems by file and place: the first {MOST_PROBLEMS} of 1,000"]
+    assert rows[1:] == [[one.file, one.place, one.what] for one in problems[:MOST_PROBLEMS]]
+    assert "1,000" in found.text["warnings"]
+    quiet = parsed(make.make_extraction(1)).text["warnings"]
+    assert "No warnings" in quiet
+    assert "No problems" in quiet
+
+
+@pytest.mark.parametrize(
+    ("sources", "each"),
+    [
+        (0, (0, 0)),
+        (1, (0, 0)),
+        (3, (0, 0)),
+        (1, (1, 0)),
+        (1, (0, 5)),
+        (2, (0, 1)),
+        (1, (3, 3)),
+        (50, (4, 0)),
+        (1, (900, 2)),
+    ],
+)
+def test_every_kind_of_extraction(make: ModuleType, sources: int, each: tuple[int, int]) -> None:
+    found = parsed(make.make_extraction(sources, each, labels=sources == 3))
+    words = " ".join(found.text.values()) + " ".join(found.images)
+    for never in ("nan", "None", "inf ", "Infinity", "Undefined"):
+        assert never not in words, never
+    assert all(len(text.split()) > 4 for text in found.text.values())
+    if not sum(each) * sources:
+        assert "No departures were found" in found.text["parameters"]
+        assert "No departures were found" in found.text["deepest"]
+
+
+def test_hours_of_nothing_valid(make: ModuleType) -> None:
+    one = make.make_extraction(2, (0, 0))
+    accounts = tuple(
+        dataclasses.replace(a, valid_ns=0, read_ns=0, usable=0, widths=0 * a.widths, refused=0 * a.refused)
+        for a in one.accounts
+    )
+    found = parsed(dataclasses.replace(one, accounts=accounts))
+    assert found.tables["By source and side"][2][3:6] == ["0.00 (– %)", "0", "–"]
+    assert "No valid samples" in found.text["widths"]
+
+
+@pytest.mark.parametrize("sources", [50, 400])
+def test_many_sources_stay_light(make: ModuleType, sources: int) -> None:
+    """At 50 samples a second, so that drawings are as heavy as they get; the rest is gathered in one row."""
+    extraction = make.make_extraction(sources, (20, 20), labels=True, dt=0.02)
+    page = make_page(extraction)
+    assert len(page) < 2_000_000
+    rows = Parsed(page).tables["By source and side"][2:]
+    assert rows[-1][0] == "All"
+    assert len(rows) == min(sources, 60) + 1
+    assert sum(plain(row[4]) for row in rows[:-1]) == plain(rows[-1][4]) == 20 * sources
+    assert sum(plain(row[9]) for row in rows[:-1]) == plain(rows[-1][9])
+    if sources > 60:
+        assert rows[-2][0] == "341 more"
+
+
+def test_same_extraction_same_bytes(make: ModuleType, tmp_path: Path) -> None:
+    first = write_extraction_page(tmp_path / "a.html", make.make_extraction(2)).read_bytes()
+    assert write_extraction_page(tmp_path / "b.html", make.make_extraction(2)).read_bytes() == first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
+
+
+def test_text_of_others_is_text(make: ModuleType) -> None:
+    extraction = make.make_extraction(2, warnings=(EVIL,), problems=(Problem(EVIL, EVIL, EVIL),), reader=EVIL)
+    origins = [make.Origin(EVIL + str(i), (Label(EVIL, EVIL),)) for i in range(2)]
+    accounts = tuple(
+        dataclasses.replace(one, origin=origin) for one, origin in zip(extraction.accounts, origins, strict=True)
+    )
+    drawn = extraction.drawn
+    events = tuple(dataclasses.replace(one, source=EVIL + "0", recording=EVIL) for one in drawn.deepest)
+    hostile = dataclasses.replace(
+        extraction, accounts=accounts, drawn=dataclasses.replace(drawn, deepest=events, by_lot=events)
+    )
+    page = make_page(hostile)
+    Parsed(page)
+    assert "<script" not in page
+    assert "\u202e" not in page
+    assert "&lt;script&gt;alert(1)" in page
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(make: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_extraction_page(tmp_path / "none" / "a.html", make.make_extraction(1))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_from_recordings_to_the_page() -> None:
+    """Five planted departures to the left and two to the right, and one that the recording cuts."""
+    t = np.arange(0.0, 80.0, 0.1)
+    offset = np.zeros(t.size)
+    for k, side in enumerate((1, 1, 1, 1, 1, -1, -1)):
+        offset += side * (0.85 + 0.3) * np.exp(-(((t - 8.0 - 10.0 * k) / 2.0) ** 4))
+    offset += 1.3 * np.clip(t - 77.5, 0.0, 1.0)
+    table = RecordingTable.from_arrays(
+        recording=["trip"] * t.size, t=t, lane_offset=offset, lane_width=3.6, speed=25.0, curvature=1e-3
+    )
+    found = parsed(extract_departures([table]))
+    (row,) = found.tables["By source and side"][2:]
+    assert [row[i] for i in (4, 6, 7, 9)] == ["5", "1", "2", "0"]
+    assert "cut by end" in found.text["refusals"]
+    assert found.text["deepest"].count("trip, from") == found.text["random"].count("trip, from") == 7
+    told = dict(one for one in found.tables["Format and criteria"][1:])
+    assert told["Curvature"] == "recorded by the source"
+    assert told["Time step"] == "as recorded"
+
+
+def test_importing_it_is_light() -> None:
+    code = "import sys, studies.extraction_page; print({'matplotlib', 'jinja2', 'scipy', 'polars'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_words_of_a_drawing_say_what_it_shows(make: ModuleType) -> None:
+    extraction = make.make_extraction(1, (31, 0))
+    images = [html.unescape(one) for one in parsed(extraction).images]
+    middle = sorted(extraction.departures.T.tolist())[15]
+    assert images[0].startswith(f"All departures: T, duration. left median {middle:.2f} s; right none.")
+    deepest = extraction.departures.d_y.max()
+    (first, *_) = [one for one in images if one.startswith("Departure")]
+    assert first.startswith(f"Departure to the left, d_y = {deepest:.2f} m, T = ")
