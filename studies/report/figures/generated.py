@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,6 +25,12 @@ MODEL_DASH: Final = (4.0, 2.0)
 _TICKS: Final = 9
 _LABELS: Final = 10.5
 """Sizes of the text beside pairs [pt]: the grid of seven by seven is wide, and its panels are small."""
+
+_CHARACTER: Final = 0.6
+"""Width of a digit, of the text's size."""
+
+_SPILL: Final = 2.0
+"""How far a tick's label may reach beside its panel [pt]: a third of the way to the next one."""
 
 _SHADES: Final = (0.22, 0.5, 0.95)
 """Of the generated departures' colour: all cells, those that hold the densest 90 %, and 50 %."""
@@ -75,8 +82,11 @@ def pairs_figure(side: SideMatch) -> Figure:
                 if j > i:
                     axes.set_axis_off()
                     continue
-                _draw_pair(axes, by_name[names[j], names[i + 1]], side.key, 72.0 * size * axes.get_position().width)
-                axes.xaxis.set_major_locator(MaxNLocator(2, prune="both") if i == d - 1 else NullLocator())
+                points = 72.0 * size * axes.get_position().width
+                _draw_pair(axes, by_name[names[j], names[i + 1]], side.key, points)
+                axes.xaxis.set_major_locator(NullLocator())
+                if i == d - 1:
+                    axes.set_xticks(_roomy(MaxNLocator(2, prune="both").tick_values(*axes.get_xlim()), axes, points))
                 axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if j == 0 else NullLocator())
                 axes.tick_params(labelsize=_TICKS)
                 if i == d - 1:
@@ -85,6 +95,20 @@ def pairs_figure(side: SideMatch) -> Figure:
                     axes.set_ylabel(axis_label(names[i + 1]), fontsize=_LABELS)
                     axes.yaxis.set_label_coords(-0.62 / (size * axes.get_position().width), 0.5)
         return figure
+
+
+def _roomy(ticks: Sequence[float], axes: Axes, points: float) -> list[float]:
+    """Ticks whose labels stay below their own panel, so that those of the next panel have room."""
+    low, high = axes.get_xlim()
+    chosen: list[float] = []
+    free = -_SPILL
+    half = 0.5 * _CHARACTER * _TICKS * max((len(f"{tick:g}") for tick in ticks), default=0)  # all have the same digits
+    for tick in ticks:
+        place = (tick - low) / (high - low) * points
+        if place - half >= free and place + half <= points + _SPILL:
+            chosen.append(float(tick))
+            free = place + half + _SPILL
+    return chosen
 
 
 def _draw_pair(axes: Axes, pair: Pair, side: str, points: float) -> None:
