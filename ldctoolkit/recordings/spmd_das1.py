@@ -96,7 +96,7 @@ class SpmdDas1:
         Raises
         ------
         RecordingError
-            If there is no lane table, no other table, or no trip that both hold.
+            If there is no lane table or no other table. Tables without a common trip give no part, and problems.
         """
         found = find_tables(paths)
         problems: list[Problem] = []
@@ -133,13 +133,10 @@ class SpmdDas1:
         wsu: Sequence[tuple[TripTable, TripIndex]],
         problems: list[Problem],
     ) -> tuple[Das1Part, ...]:
-        def nothing(what: str) -> RecordingError:
-            told_ = "".join(f"; {problem}" for problem in problems[:5])
-            return RecordingError(f"spmd-das1: {what}{told_}")
-
         for kind, some in (("DataLane", lane), ("DataWsu", wsu)):
             if not some:
-                raise nothing(f"no table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))}) was found")
+                needed = f"no table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))}) was found"
+                raise RecordingError("; ".join([f"spmd-das1: {needed}", *map(str, problems[:5])]))
         lanes, odd = collect_trips(lane)
         problems += odd
         others, odd = collect_trips(wsu)
@@ -155,8 +152,6 @@ class SpmdDas1:
                 alone.setdefault(number, []).append((stretches[0].line, "alone", words))
         for number, faults in alone.items():
             problems += told(lane[number][0].name, faults)
-        if not together:
-            raise nothing("no trip has rows in both DataLane and DataWsu")
         together.sort(key=lambda trip: trip[:3])
         parts: list[Das1Part] = []
         batch: list[TripPlace] = []
@@ -200,7 +195,7 @@ def _check(header: Header, kind: str) -> None:
         raise RecordingError(f"the first columns are {', '.join(header.columns[:2])}; allowed: {', '.join(KEY)}")
     for name in _COLUMNS[kind]:
         if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {nearest(name, header.columns)}")
+            raise RecordingError(f"column {name!r} is missing; {nearest(name, header.columns[:64])}")
         if lower.count(name.lower()) > 1:
             raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
 

@@ -74,7 +74,7 @@ def shown_names(paths: Sequence[Path]) -> list[str]:
     >>> shown_names([Path("/d/april/DataLane.csv"), Path("/d/october/DataLane.csv"), Path("/d/april/DataWsu.csv")])
     ['april/DataLane.csv', 'october/DataLane.csv', 'DataWsu.csv']
     """
-    whole = [path.resolve().parts for path in paths]
+    whole = [path.absolute().parts for path in paths]
     names = [parts[-1] for parts in whole]
     for length in range(2, max(map(len, whole), default=1) + 1):
         count = Counter(names)

@@ -112,6 +112,8 @@ def read_header(path: Path) -> Header:
         text = first.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RecordingError(f"the first line is not UTF-8 ({error.reason})") from None
+    if "\r" in text.rstrip("\r\n"):
+        raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
     names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
     if len(names) == 1:
         for mark, words in _DELIMITERS.items():

@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
+from ldctoolkit.recordings.part_result import PartResult, joined_results
+from ldctoolkit.recordings.spmd_das1 import READER, Das1Source, SpmdDas1
+
+
+def extracted(source: Das1Source) -> PartResult:
+    criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
+    return joined_results(extract_part(part, criteria, preparation) for part in source.parts)
+
+
+def read_all(source: Das1Source) -> tuple[list[Recording], list[Problem]]:
+    items = [item for part in source.parts for item in part.read()]
+    return [one for one in items if isinstance(one, Recording)], [one for one in items if isinstance(one, Problem)]
+
+
+def assert_same(left: Iterable[Recording], right: Iterable[Recording]) -> None:
+    for one, other in zip(left, right, strict=True):
+        assert one.name == other.name
+        for column in Recording.COLUMNS:
+            np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+
+
+@pytest.mark.parametrize("first", [0, 43580])
+def test_planted_departures_are_given_back(das1: ModuleType, tmp_path: Path, first: int) -> None:
+    das1.write_tables(tmp_path, [das1.planted_drive(10107, 60, first=first)])
+    found = extracted(READER.open([tmp_path])).departures
+    assert found.n == len(das1.PLANTED)
+    for i, one in enumerate(das1.PLANTED):
+        assert found.side[i] == one.side
+        assert found.recording[i] == "10107/60"
+        assert found.start_time[i] == pytest.approx(first / 100.0 + one.start, abs=0.1)
+        assert found.T[i] == pytest.approx(one.T, abs=0.1)
+        assert found.d_y[i] == pytest.approx(one.d_y, abs=0.01)
+        c = one.side * das1.curvature_at(np.array([one.start, one.start + one.T]))
+        assert np.sign(found.c_0[i]) == np.sign(c[0])
+        # the road bends by a sine: near its crest the slope says nothing
+        if abs(c[1] - c[0]) > 1e-4:
+            assert np.sign(found.dc[i]) == np.sign(c[1] - c[0])
+    bends = {(side, np.sign(side * c)) for side, c in zip(found.side, found.c_0, strict=True)}
+    assert bends == {(1, 1), (1, -1), (-1, 1), (-1, -1)}  # both sides in both bends
+
+
+def test_units_signs_and_validity(das1: ModuleType, tmp_path: Path) -> None:
+    lane = (
+        "Device,Trip,Time,LaneDistanceLeft,LaneDistanceRight,LaneHeading,LaneQualityRight,LaneQualityLeft\n"
+        "7,1,0,-1.5,2.5,-9.5000006E-3,2,3\n"
+        "7,1,10,-1.875,1.875,-1.024,3,3\n"
+        "7,1,20,-1.5,2.5,0,1,3\n"
+        "7,1,30,-1.5,2.5,0,3,0\n"
+        "7,1,40,-1.5,NULL,0,3,3\n"
+        "7,1,50,1.5,-2.5,0,3,3\n"
+        "7,1,60,-2.0,1.5,0,3,3\n"
+        "7,1,70,-2.0,1.5,0,3,3\n"
+    )
+    header = ["Device", "Trip", "Time", *das1.WSU_COLUMNS[3:]]
+    base = dict.fromkeys(header, 0) | {"Device": 7, "Trip": 1, "GpsValidWsu": 1, "GpsSpeedWsu": 9.0, "ValidCanWsu": 1}
+    base |= {"SpeedWsu": 36.0, "YawRateWsu": 180.0, "GpsHeadingWsu": 90.0}
+    changes: list[dict[str, object]] = [
+        {}, {"TurnSngLWsu": 1.0}, {"TurnSngRWsu": 1}, {"TurnSngRWsu": 1, "TurnSngLWsu": 1}, {"ValidCanWsu": 0},
+        {"ValidCanWsu": 0, "GpsValidWsu": 0}, {"SpeedWsu": "NULL"},
+    ]  # fmt: skip
+    rows = [base | {"Time": 10 * i} | change for i, change in enumerate(changes)]
+    wsu = "\n".join([",".join(header), *(",".join(str(row[name]) for name in header) for row in rows)])
+    (tmp_path / "DataLane.csv").write_text(lane)
+    (tmp_path / "DataWsu.csv").write_text(wsu)
+    (one,), problems = read_all(READER.open([tmp_path]))
+    assert problems == []
+    assert one.name == "7/1"
+    assert one.source == "DataLane.csv"
+    nan = np.nan
+    np.testing.assert_allclose(one.t, np.arange(8) * 0.1)
+    np.testing.assert_array_equal(one.lane_offset, [0.5, 0.0, 0.5, 0.5, nan, -0.5, -0.25, -0.25])
+    np.testing.assert_array_equal(one.lane_width, [4.0, 3.75, 4.0, 4.0, nan, -4.0, 3.5, 3.5])
+    np.testing.assert_array_equal(one.valid, [True, False, False, False, False, False, True, True])
+    np.testing.assert_allclose(one.speed, [10, 10, 10, 10, 9, nan, 9, nan])
+    assert one.yaw_rate is not None
+    assert one.heading is not None
+    np.testing.assert_allclose(one.yaw_rate, [np.pi, np.pi, np.pi, np.pi, nan, nan, np.pi, nan])
+    np.testing.assert_allclose(one.heading, -np.pi / 2 * np.array([1, 1, 1, 1, 1, nan, 1, nan]))
+    np.testing.assert_array_equal(one.turn_signal, [0, 1, -1, 0, 0, 0, 0, 0])
+
+
+def test_rows_are_joined_within_half_a_step(das1: ModuleType, tmp_path: Path) -> None:
+    drive = das1.planted_drive(7, 1, rows=100)
+    for lag, near in ((5, True), (-5, True), (4, True)):
+        das1.write_tables(tmp_path, [drive], lag=lag)
+        (one,), _ = read_all(READER.open([tmp_path]))
+        assert np.isfinite(one.speed).all() == near
+    shifted = dataclasses.replace(drive, time=drive.time * 3)  # every third row has a partner, and no other
+    (tmp_path / "DataLane.csv").write_bytes(das1.text_of(das1.lane_frame([drive])))
+    (tmp_path / "DataWsu.csv").write_bytes(das1.text_of(das1.wsu_frame([shifted])))
+    (one,), _ = read_all(READER.open([tmp_path]))
+    np.testing.assert_array_equal(np.isfinite(one.speed), np.arange(100) % 3 == 0)
+
+
+def fleet(das1: ModuleType) -> list[object]:
+    rng = np.random.default_rng(5)
+    return [
+        das1.planted_drive(10100 + i // 7, i, das1.PLANTED[: i % 9], first=int(rng.integers(0, 999)), rows=300 + 97 * i)
+        for i in range(17)
+    ]
+
+
+def test_parts_of_any_size_give_the_same(das1: ModuleType, tmp_path: Path) -> None:
+    drives = fleet(das1)
+    das1.write_tables(tmp_path, drives[:9], suffix="_October")
+    das1.write_tables(tmp_path, drives[9:], suffix="_April")
+    whole = READER.open([tmp_path])
+    recordings, problems = read_all(whole)
+    assert len(whole.parts) == 2  # two lane tables
+    assert [one.name for one in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
+    assert problems == []
+    assert whole.problems == ()
+    found = extracted(whole).departures
+    assert found.n > 50
+    for part_bytes in (1, 50_000, 200_000):
+        source = SpmdDas1(part_bytes=part_bytes).open([tmp_path])
+        assert len(source.parts) > 2
+        assert len({part.key for part in source.parts}) == len(source.parts)
+        assert sum(part.bytes for part in source.parts) == sum(part.bytes for part in whole.parts)
+        assert_same(read_all(source)[0], recordings)
+        other = extracted(source).departures
+        np.testing.assert_array_equal(other.matrix(), found.matrix())
+        np.testing.assert_array_equal(other.recording, found.recording)
+    assert pickle.loads(pickle.dumps(whole.parts)) == whole.parts
+
+
+def test_the_order_of_trips_in_the_other_table_does_not_matter(das1: ModuleType, tmp_path: Path) -> None:
+    drives = fleet(das1)
+    lane, wsu = das1.write_tables(tmp_path, drives)
+    recordings, _ = read_all(READER.open([lane, wsu]))
+    wsu.write_bytes(das1.text_of(das1.wsu_frame(drives[::-1])))
+    assert_same(read_all(READER.open([wsu, lane]))[0], recordings)
+
+
+def test_columns_are_found_by_name(das1: ModuleType, tmp_path: Path) -> None:
+    drives = fleet(das1)[:3]
+    lane, wsu = das1.write_tables(tmp_path, drives)
+    recordings, _ = read_all(READER.open([tmp_path]))
+    frame = das1.lane_frame(drives)
+    order = ["Device", "Trip", *reversed([name for name in das1.LANE_COLUMNS[2:] if name != "LaneHeading"])]
+    lane.write_bytes(das1.text_of(frame.select(order)).replace(b"LaneDistanceLeft", b" lanedistanceleft "))
+    wsu.write_bytes(das1.text_of(das1.wsu_frame(drives).with_columns(pl.lit('a "word"').alias("Note"))))
+    assert_same(read_all(READER.open([tmp_path]))[0], recordings)
+
+
+@pytest.mark.parametrize("name", ["padded", "quoted", "null", "blank lines", "lf", "no last line end", "exponents"])
+def test_shapes_of_text_that_do_no_harm(das1: ModuleType, tmp_path: Path, name: str) -> None:
+    drives = fleet(das1)[:3]
+    lane, wsu = das1.write_tables(tmp_path, drives)
+    recordings, _ = read_all(READER.open([tmp_path]))
+    for path in (lane, wsu):
+        text = path.read_bytes().decode("utf-8-sig")
+        head, *rows = text.split("\r\n")
+        rows = rows[:-1]
+        cells = [row.split(",") for row in rows]
+        if name == "padded":
+            cells = [[f" {cell:<10}" for cell in row] for row in cells]
+        elif name == "quoted":
+            cells = [[f'"{cell}"' for cell in row] for row in cells]
+        elif name == "null":
+            unused = das1.LANE_COLUMNS.index("LaneHeading") if path is lane else das1.WSU_COLUMNS.index("WiperWsu")
+            cells = [[*row[:unused], "NULL", *row[unused + 1 :]] for row in cells]
+        elif name == "exponents":
+            cells = [[*row[:3], *(f"{float(cell):.17E}" for cell in row[3:])] for row in cells]
+        rows = [",".join(row) for row in cells]
+        if name == "blank lines":
+            rows = [f"{row}\r\n\r\n   " if i % 100 == 0 else row for i, row in enumerate(rows)]
+        end = "\n" if name == "lf" else "\r\n"
+        path.write_bytes(end.join([head, *rows, *([] if name == "no last line end" else [""])]).encode())
+    again, problems = read_all(READER.open([tmp_path]))
+    assert problems == []
+    assert_same(again, recordings)
+
+
+def test_other_tables_of_the_folder_are_passed_over(das1: ModuleType, tmp_path: Path) -> None:
+    inner = tmp_path / "October" / "DAS1"
+    inner.mkdir(parents=True)
+    das1.write_tables(inner, fleet(das1)[:2])
+    (tmp_path / "DataFrontTargets.csv").write_text("Device,Trip,Time,TargetId\n1,2,3,4\n")
+    (tmp_path / "Trip_Summary_File_DataWsu_April.csv").write_text("DeviceID,TripID\n1,2\n")
+    (tmp_path / "readme.txt").write_text("words")
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
+    assert READER.recognise([tmp_path]) == "1 of DataLane, 1 of DataWsu"
+    source = READER.open([tmp_path])
+    assert source.problems == ()
+    assert [one.name for one in source.files] == ["DataLane.csv", "DataWsu.csv"]
+    assert [one.bytes for one in source.files] == [(inner / one.name).stat().st_size for one in source.files]
+    assert READER.recognise([tmp_path / "DataFrontTargets.csv"]) == ""
+    assert READER.recognise([tmp_path / "picture.png", inner]) == ""
+
+
+def test_tables_with_one_name_are_told_apart(das1: ModuleType, tmp_path: Path) -> None:
+    for i, month in enumerate(("october", "april")):
+        (tmp_path / month).mkdir()
+        das1.write_tables(tmp_path / month, fleet(das1)[2 * i : 2 * i + 2])
+    source = READER.open([tmp_path])
+    assert [one.name for one in source.files] == [
+        "april/DataLane.csv", "october/DataLane.csv", "april/DataWsu.csv", "october/DataWsu.csv",
+    ]  # fmt: skip
+    assert {one.source for one in read_all(source)[0]} == {"april/DataLane.csv", "october/DataLane.csv"}
+
+
+@pytest.mark.parametrize(("folder", "suffix"), [("two-month", ""), ("one-day", "_04_11_13")])
+def test_the_real_tables_heads(sample: Path, folder: str, suffix: str) -> None:
+    """They are of different trips, so each is tried with a made partner of its trip too."""
+    source = READER.open([sample / folder])
+    assert source.parts == ()
+    (problem,) = source.problems
+    assert "no rows in DataWsu" in problem.what
+    lane = sample / folder / f"DataLane{suffix}.csv"
+    wsu = sample / folder / f"DataWsu{suffix}.csv"
+    assert READER.recognise([lane, wsu]) == "1 of DataLane, 1 of DataWsu"
+    assert [one.name for one in source.files] == [lane.name, wsu.name]
+
+
+@pytest.mark.parametrize(("folder", "suffix"), [("two-month", ""), ("one-day", "_04_11_13")])
+def test_the_real_heads_with_a_made_partner(
+    das1: ModuleType, sample: Path, tmp_path: Path, folder: str, suffix: str
+) -> None:
+    lane, wsu = sample / folder / f"DataLane{suffix}.csv", sample / folder / f"DataWsu{suffix}.csv"
+    for path, make in ((lane, das1.wsu_frame), (wsu, das1.lane_frame)):
+        real = pl.read_csv(path, columns=["Device", "Trip", "Time"])
+        device, trip = real["Device"][0], real["Trip"][0]
+        drive = das1.planted_drive(device, trip, first=real["Time"][0], rows=real.height)
+        partner = tmp_path / "partner.csv"
+        partner.write_bytes(das1.text_of(make([drive])))
+        (one,), problems = read_all(READER.open([path, partner]))
+        assert problems == []
+        assert one.name == f"{device}/{trip}"
+        assert one.samples == real.height == 19
+        np.testing.assert_allclose(one.t, real["Time"].to_numpy() / 100)
+        assert np.isfinite(one.speed).all()
+        full = pl.read_csv(path)
+        if path is wsu:
+            np.testing.assert_allclose(one.speed * 3.6, full["SpeedWsu"].to_numpy(), rtol=1e-12)
+        else:
+            usable = (full["LaneQualityLeft"] > 1) & (full["LaneQualityRight"] > 1)
+            np.testing.assert_array_equal(one.valid, usable.to_numpy())
+            width = (full["LaneDistanceRight"] - full["LaneDistanceLeft"]).to_numpy()
+            np.testing.assert_array_equal(one.lane_width, width)
+
+
+def test_nothing_to_read(das1: ModuleType, tmp_path: Path) -> None:
+    lane, wsu = das1.write_tables(tmp_path, fleet(das1)[:1])
+    with pytest.raises(RecordingError, match="no table DataWsu"):
+        READER.open([lane])
+    with pytest.raises(RecordingError, match="no table DataLane"):
+        READER.open([wsu])
+    with pytest.raises(RecordingError, match="no table DataLane"):
+        READER.open([tmp_path / "nowhere"])

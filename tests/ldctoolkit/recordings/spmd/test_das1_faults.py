@@ -1,0 +1,324 @@
+"""What is wrong with a table is named by file and line; the rest is read."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import LdcError, RecordingError
+from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
+from ldctoolkit.recordings.spmd_das1 import READER
+
+ROWS = 120
+"""Rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in line 2 + 120 (k - 1)."""
+
+
+@pytest.fixture
+def tables(das1: ModuleType, tmp_path: Path) -> tuple[Path, Path]:
+    return das1.write_tables(tmp_path, [das1.planted_drive(7, trip, rows=ROWS) for trip in (1, 2, 3)])
+
+
+def read(*paths: Path) -> tuple[dict[str, Recording], list[str]]:
+    source = READER.open(paths)
+    items = [item for part in source.parts for item in part.read()]
+    problems = [*source.problems, *(one for one in items if isinstance(one, Problem))]
+    return {one.name: one for one in items if isinstance(one, Recording)}, [str(one) for one in problems]
+
+
+def edit(path: Path, change: Callable[[list[bytes]], None]) -> None:
+    lines = path.read_bytes().split(b"\r\n")
+    change(lines)
+    path.write_bytes(b"\r\n".join(lines))
+
+
+def samples(recordings: dict[str, Recording]) -> list[int]:
+    return [recordings[name].samples if name in recordings else 0 for name in ("7/1", "7/2", "7/3")]
+
+
+def test_clean_tables_have_no_problem(tables: tuple[Path, Path]) -> None:
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == []
+
+
+def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
+    def change(lines: list[bytes]) -> None:
+        lines[line - 1] = text
+
+    return change
+
+
+LINE_FAULTS = [
+    (b"7,2,500,-1.5,1.5,0,3", "7 cells; the header has 8 columns"),
+    (b"7,2,500,-1.5,1.5,0,3,3,9", "9 cells; the header has 8 columns"),
+    (b"7,2,500,-1.5,far,0,3,3", "column 'LaneDistanceRight' holds 'far'; allowed: numbers"),
+    (b"7,2,500,-1.5,1;5,0,3,3", "column 'LaneDistanceRight' holds '1;5'; allowed: numbers"),
+    (b"7,2,500,-1.5,1.5,\xff\xfe,3,3", "the text is not UTF-8"),
+    (b"7,2,,-1.5,1.5,0,3,3", "column 'Time' holds no usable time"),
+    (b"7,2,NULL,-1.5,1.5,0,3,3", "column 'Time' holds no usable time"),
+    (b"7,2,1e300,-1.5,1.5,0,3,3", "column 'Time' holds no usable time"),
+    (b"seven,2,500,-1.5,1.5,0,3,3", "it begins with 'seven,2'; allowed: numbers of device and trip"),
+    (b",,,,,,,", "it begins with ','; allowed: numbers of device and trip"),
+    (b"7;2;500;-1.5;1.5;0;3;3", "it begins with '7;2;500;-1.5;1.5;0;3;3'"),
+    (b"Device,Trip,Time,LaneDistanceLeft,LaneDistanceRight,LaneHeading", "it begins with 'Device,Trip'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "words"), LINE_FAULTS)
+def test_a_line_that_cannot_be_used(tables: tuple[Path, Path], text: bytes, words: str) -> None:
+    clean, _ = read(*tables)
+    edit(tables[0], put(171, text))  # row 49 of trip 7/2
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS, ROWS - 1, ROWS]
+    (problem,) = problems
+    assert problem.startswith("DataLane.csv, line 171: ")
+    assert words in problem
+    assert problem.endswith("the line is left out")
+    for name, one in recordings.items():
+        keep = np.delete(np.arange(ROWS), 49) if name == "7/2" else np.arange(ROWS)
+        np.testing.assert_array_equal(one.t, clean[name].t[keep])
+        np.testing.assert_array_equal(one.lane_offset, clean[name].lane_offset[keep])
+        np.testing.assert_array_equal(one.speed, clean[name].speed[keep])
+
+
+def test_a_fault_in_the_other_table(tables: tuple[Path, Path]) -> None:
+    edit(tables[1], put(171, b"7,2,490,broken"))
+    recordings, problems = read(*tables)
+    assert problems == ["DataWsu.csv, line 171: 4 cells; the header has 27 columns; the line is left out"]
+    assert np.flatnonzero(np.isnan(recordings["7/2"].speed)).tolist() == [49]
+
+
+def test_lines_are_right_behind_blank_and_faulty_lines(tables: tuple[Path, Path]) -> None:
+    def change(lines: list[bytes]) -> None:
+        lines[200] = b"7,2,1990,far,1.5,0,3,3"
+        lines[150] = b"x"
+        lines[100:100] = [b"", b"  ", b""]
+
+    edit(tables[0], change)
+    _, problems = read(*tables)
+    assert [problem.split(":")[0] for problem in problems] == ["DataLane.csv, line 154", "DataLane.csv, line 204"]
+
+
+def test_a_file_that_ends_inside_a_line(tables: tuple[Path, Path]) -> None:
+    for path, cells in ((tables[0], 8), (tables[1], 27)):
+        path.write_bytes(path.read_bytes().rsplit(b",", 3)[0])
+        _, problems = read(*tables)
+        words = f"{path.name}, line 361: {cells - 3} cells; the header has {cells} columns; the line is left out"
+        assert problems[-1] == words
+    recordings, _ = read(*tables)
+    assert samples(recordings) == [ROWS, ROWS, ROWS - 1]
+
+
+def test_a_file_that_ends_inside_the_key(tables: tuple[Path, Path]) -> None:
+    tables[0].write_bytes(b"\r\n".join(tables[0].read_bytes().split(b"\r\n")[:-2]) + b"\r\n7,")
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS, ROWS, ROWS - 1]
+    assert problems == [
+        "DataLane.csv, line 361: it begins with '7,'; allowed: numbers of device and trip; the line is left out"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("times", "kept", "line"),
+    [
+        ({50: 0}, [50], 172),  # one row with an old time
+        ({50: 99999}, [50], 172),  # one that jumps ahead
+        ({50: 510, 51: 500}, [51], 173),  # two rows changed places
+        (dict.fromkeys(range(50, 53), 300), [50, 51, 52], 172),
+    ],
+)
+def test_time_that_runs_backwards(tables: tuple[Path, Path], times: dict[int, int], kept: list[int], line: int) -> None:
+    def change(lines: list[bytes]) -> None:
+        for row, time in times.items():
+            cells = lines[1 + ROWS + row].split(b",")
+            cells[2] = str(time).encode()
+            lines[1 + ROWS + row] = b",".join(cells)
+
+    clean, _ = read(*tables)
+    edit(tables[0], change)
+    recordings, problems = read(*tables)
+    lines = "this line is" if len(kept) == 1 else f"{len(kept)} lines of the trip are"
+    assert problems == [f"DataLane.csv, line {line}: trip 7/2: the time runs backwards; {lines} left out"]
+    assert samples(recordings) == [ROWS, ROWS - len(kept), ROWS]
+    left = np.delete(clean["7/2"].lane_offset, kept)
+    np.testing.assert_array_equal(recordings["7/2"].lane_offset, left)
+
+
+def test_a_trip_in_two_files_is_left_out(das1: ModuleType, tables: tuple[Path, Path], tmp_path: Path) -> None:
+    again = tmp_path / "DataLane_again.csv"
+    again.write_bytes(das1.text_of(das1.lane_frame([das1.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
+    recordings, problems = read(*tables, again)
+    assert samples(recordings) == [ROWS, 0, ROWS]
+    assert problems == [
+        "DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; it is left out",
+        "DataLane_again.csv, line 52: trip 7/4 has no rows in DataWsu that could be used; it is left out",
+    ]
+    third = tmp_path / "DataWsu_again.csv"
+    third.write_bytes(das1.text_of(das1.wsu_frame([das1.planted_drive(7, 3, rows=50)])))
+    recordings, problems = read(*tables, third)
+    assert samples(recordings) == [ROWS, ROWS, 0]
+    assert problems == [
+        "DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; it is left out",
+        "DataLane.csv, line 242: trip 7/3 has no rows in DataWsu that could be used; it is left out",
+    ]
+
+
+def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
+    clean, _ = read(*tables)
+
+    def change(lines: list[bytes]) -> None:
+        lines[1 : 1 + 2 * ROWS] = [*lines[1:61], *lines[121:181], *lines[61:121], *lines[181:241]]
+
+    edit(tables[0], change)
+    recordings, problems = read(*tables)
+    put_together = "they are put together in the order of the file"
+    assert problems == [
+        f"DataLane.csv, line 122: trip 7/1 goes on here, its rows begin in line 2; {put_together}",
+        f"DataLane.csv, line 182: trip 7/2 goes on here, its rows begin in line 62; {put_together}",
+    ]
+    for name, one in clean.items():
+        np.testing.assert_array_equal(recordings[name].lane_offset, one.lane_offset)
+
+
+def test_trips_without_a_partner(das1: ModuleType, tables: tuple[Path, Path]) -> None:
+    drives = [das1.planted_drive(7, trip, rows=3) for trip in range(1, 41)]
+    tables[0].write_bytes(das1.text_of(das1.lane_frame(drives)))
+    recordings, problems = read(*tables)
+    assert list(recordings) == ["7/1", "7/2", "7/3"]
+    assert len(problems) == 21
+    assert problems[0] == "DataLane.csv, line 11: trip 7/4 has no rows in DataWsu that could be used; it is left out"
+    assert problems[-1] == "DataLane.csv, line 71: 17 more lines like line 11, to line 119"
+    # rows of the other table alone are nothing unusual
+    das1.write_tables(tables[0].parent, [das1.planted_drive(7, 1, rows=30)])
+    tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
+    assert read(*tables)[1] == []
+
+
+def test_tables_whose_clocks_never_meet(das1: ModuleType, tables: tuple[Path, Path]) -> None:
+    tables[1].write_bytes(
+        das1.text_of(
+            das1.wsu_frame([das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)])
+        )
+    )
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS, 0, ROWS]
+    assert problems == [
+        "DataLane.csv, line 122: trip 7/2: no row of DataWsu.csv lies within 5 centiseconds of any of its rows; "
+        "it is left out"
+    ]
+
+
+def test_many_faulty_lines_are_counted(tables: tuple[Path, Path]) -> None:
+    def change(lines: list[bytes]) -> None:
+        for i in range(1, 100):
+            lines[i] = b"7,1,1" if i % 2 else b"junk"
+
+    edit(tables[0], change)
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS - 99, ROWS, ROWS]
+    assert len(problems) == 42
+    assert problems[20] == "DataLane.csv: 29 more lines do not begin with a trip's numbers"
+    assert problems[41] == "DataLane.csv, line 42: 30 more lines like line 2, to line 100"
+
+
+def test_swapped_files(tables: tuple[Path, Path]) -> None:
+    lane, wsu = (path.read_bytes() for path in tables)
+    tables[0].write_bytes(wsu)
+    tables[1].write_bytes(lane)
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == [
+        "DataLane.csv: the columns are those of DataWsu, the name is not; read as DataWsu. Are two files swapped?",
+        "DataWsu.csv: the columns are those of DataLane, the name is not; read as DataLane. Are two files swapped?",
+    ]
+
+
+FILE_FAULTS = [
+    (lambda text: b"", "the file is empty"),
+    (lambda text: text.replace(b",", b";"), "the columns are separated by semicolons; allowed: commas"),
+    (lambda text: text.replace(b",", b"\t"), "the columns are separated by tabs; allowed: commas"),
+    (lambda text: text.decode("utf-8-sig").encode("utf-16"), "UTF-16"),
+    (lambda text: text.decode("utf-8-sig").encode("utf-16-le"), "UTF-16"),
+    (lambda text: text.replace(b"Device", b"D\xffvice", 1), "the first line is not UTF-8"),
+    (gzip.compress, "the content is gzip"),
+    (lambda text: b"PK\x03\x04" + text, "the content is a ZIP archive"),
+    (lambda text: text.replace(b"LaneQualityLeft", b"LaneQualtyLeft"), "did you mean 'LaneQualtyLeft'?"),
+    (lambda text: text.replace(b"LaneHeading", b"Time"), "column 'Time' appears 2 times"),
+    (lambda text: text.replace(b"Device,Trip,Time", b"Time,Trip,Device"), "the first columns are Time, Trip"),
+    (lambda text: text.split(b"\n", 1)[1], "neither the columns of DataLane nor those of DataWsu: 7, 1, 0"),
+    (lambda text: b"x" * 100_000, "the first line is longer than"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "words"), FILE_FAULTS)
+def test_a_file_that_cannot_be_used(
+    das1: ModuleType, tables: tuple[Path, Path], spoil: Callable[[bytes], bytes], words: str
+) -> None:
+    """It is left out, and said; another lane table is still read. In a folder its name tells that it was meant."""
+    lane = tables[0]
+    good = lane.with_name("good.csv")
+    good.write_bytes(lane.read_bytes())
+    lane.write_bytes(spoil(lane.read_bytes()))
+    for paths in ([lane, good, tables[1]], [lane.parent]):
+        recordings, problems = read(*paths)
+        assert samples(recordings) == [ROWS] * 3
+        (problem,) = problems
+        assert problem.startswith("DataLane.csv")
+        assert words in problem
+        assert problem.endswith("left out")
+    with pytest.raises(RecordingError, match="no table DataLane") as error:
+        READER.open([lane, tables[1]])
+    assert words in str(error.value)
+
+
+def test_a_header_without_rows(tables: tuple[Path, Path]) -> None:
+    tables[0].write_bytes(tables[0].read_bytes().split(b"\n")[0] + b"\n")
+    recordings, problems = read(*tables)
+    assert recordings == {}
+    assert problems == ["DataLane.csv: a header but no usable row; it is left out"]
+
+
+def test_old_line_ends_and_endless_lines(tables: tuple[Path, Path]) -> None:
+    text = tables[0].read_bytes()
+    endless = text + b"7,3," + b"1" * 3_000_000 + b"\r\n7,3,99990,-1.5,1.5,0,3,3\r\n"
+    tables[0].write_bytes(endless)
+    recordings, problems = read(*tables)
+    assert samples(recordings) == [ROWS, ROWS, ROWS + 1]
+    assert problems == ["DataLane.csv, line 362: longer than 1048576 bytes; the line is left out"]
+    tables[0].write_bytes(text.replace(b"\r\n", b"\r"))
+    with pytest.raises(RecordingError, match=r"DataLane.csv: the first line") as error:
+        READER.open(list(tables))
+    assert "\r" not in str(error.value)
+
+
+def test_a_file_that_cannot_be_opened(tables: tuple[Path, Path], tmp_path: Path) -> None:
+    broken = tmp_path / "DataLane_2.csv"
+    broken.symlink_to(tmp_path / "gone.csv")
+    recordings, problems = read(*tables, broken)
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == ["DataLane_2.csv: cannot be read: No such file or directory; it is left out"]
+
+
+def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Path]) -> None:
+    source = READER.open(tables)
+    tables[0].write_bytes(tables[0].read_bytes() + b"7,9,0,-1.5,1.5,0,3,3\r\n")
+    with pytest.raises(LdcError, match=r"DataLane.csv: the file has changed since it was looked through"):
+        list(source.parts[0].read())
+    result = extract_part(source.parts[0], Criteria(), Preparation())
+    assert "the file has changed" in result.problems[0].what
+
+
+def test_departures_beside_faults(das1: ModuleType, tmp_path: Path) -> None:
+    lane, wsu = das1.write_tables(tmp_path, [das1.planted_drive(7, trip) for trip in (1, 2)])
+    edit(lane, put(1801, b"7,2,5990,broken"))  # between two departures
+    source = READER.open([lane, wsu])
+    result = extract_part(source.parts[0], Criteria(vehicle_width=1.82), Preparation(step=0.1))
+    assert result.departures.n == 2 * len(das1.PLANTED)
+    assert [str(one) for one in result.problems] == [
+        "DataLane.csv, line 1801: 4 cells; the header has 8 columns; the line is left out"
+    ]
