@@ -70,6 +70,7 @@ def run(chosen: argparse.Namespace) -> int:
     from ldctoolkit.recordings.opened import open_recordings
     from studies.cli._extract_table import print_extraction, tell_problems
     from studies.extraction import NothingReadError, run_extraction
+    from studies.extraction.runner import MOST_SAID
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
@@ -89,7 +90,7 @@ def run(chosen: argparse.Namespace) -> int:
                 progress=progress,
             )
     except NothingReadError as error:
-        if len(error.problems) > 1:
+        if len(error.problems) > MOST_SAID:
             tell_problems(error.problems)
         raise
 

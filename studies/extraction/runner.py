@@ -26,6 +26,9 @@ from studies.running.executors import make_executor
 FOLDER_SUFFIX: Final = ".parts"
 """Of the work folder's name, after the name of the output."""
 
+MOST_SAID: Final = 3
+"""Problems that a `NothingReadError` puts into its message."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -39,9 +42,9 @@ class NothingReadError(RecordingError):
     """
 
     def __init__(self, problems: tuple[Problem, ...]) -> None:
-        first = str(problems[0]) if problems else "the files hold no recording"
-        more = f" ({len(problems)} problems in all)" if len(problems) > 1 else ""
-        super().__init__(f"{first}{more}")
+        told = "; ".join(map(str, problems[:MOST_SAID])) or "the files hold no recording"
+        more = f" ({len(problems):,} problems in all)" if len(problems) > MOST_SAID else ""
+        super().__init__(f"{told}{more}")
         self.problems = problems
 
 

@@ -1,0 +1,285 @@
+"""``ldc extract`` as people meet it: formats, what was left out, exit codes, restart."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import types
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.source_file import SourceFile
+from studies.cli import main
+
+HEADER = "recording,t,lane_offset,lane_width,speed\n"
+
+
+def recordings(first: int, n: int = 10) -> str:
+    """n recordings of one departure each, alternating sides, all different."""
+    generator = np.random.default_rng(first)
+    lines = [HEADER]
+    for i in range(first, first + n):
+        T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
+        t = np.arange(0, 8, 0.1)
+        offset = (-1) ** i * (np.maximum(peak * (1 - (2 * (t - 4) / T) ** 2), -0.6) + 0.9)
+        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{v:.4f}\n" for a, b in zip(t, offset, strict=True)]
+    return "".join(lines)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+Ldc = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def ldc(folder: Path, capsys: pytest.CaptureFixture[str]) -> Ldc:
+    """Run the command in this process, which is what takes no time: exit code, stdout, stderr."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        try:
+            code = main(["extract", *map(str, words)])
+        except SystemExit as error:
+            code = int(error.code or 0)
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return run
+
+
+def test_several_tables_in_one_go(folder: Path, ldc: Ldc) -> None:
+    for i, name in enumerate(("a.csv", "b.csv", "c.csv")):
+        (folder / name).write_text(recordings(10 * i))
+    code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1")
+    assert code == 0
+    assert out.startswith("table: 3 recording tables\n30 candidates in 30 recordings")
+    assert out.endswith("30 departures written to d.parquet\n")
+    assert "warning: no column 'lane'" in err
+    departures, provenance = read_departures("d.parquet")
+    found = extract_departures(read_recordings(["a.csv", "b.csv", "c.csv"]))
+    assert departures.recording.tolist() == found.departures.recording.tolist()
+    np.testing.assert_array_equal(departures.matrix(), found.departures.matrix())
+    assert [file.name for file in provenance.sources] == ["a.csv", "b.csv", "c.csv"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "c.csv", "d.parquet"]
+
+
+def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: Ldc) -> None:
+    (folder / "a.csv").write_text(recordings(0))
+    (folder / "b.csv").write_text(HEADER + "x,0.0,wide,3.6,25\nx,0.1,0.2,3.6,25\n")
+    (folder / "c.csv").write_text("")
+    code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1", "--format", "table")
+    assert code == 3
+    assert "10 departures written to d.parquet" in out
+    assert re.search(r"ldc: warning: b\.csv, line 2: .*'wide'", err)
+    assert re.search(r"ldc: warning: c\.csv.*: ", err)
+    _, provenance = read_departures("d.parquet")
+    assert len(provenance.problems) == len([line for line in err.splitlines() if re.search(r"[bc]\.csv", line)])
+
+
+def test_where_nothing_can_be_used_nothing_is_written(folder: Path, ldc: Ldc) -> None:
+    for name in ("a.csv", "b.csv"):
+        (folder / name).write_text(HEADER + f"{name},0.0,wide,3.6,25\n")
+    code, out, err = ldc("a.csv", "b.csv", "-o", "d.parquet", "--workers", "1")
+    assert (code, out) == (2, "")
+    assert "a.csv, line 2" in err
+    assert "b.csv, line 2" in err
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--format", "tabel"], "format 'tabel': no such reader; did you mean 'table'?"),
+        (["--format", "spmd"], "format 'spmd': no such reader; did you mean 'spmd-das"),
+        (["--format", "spmd-das1"], "a.csv"),
+        (["--workers", "0"], "--workers"),
+        (["--workers", "2", "--dask", "tcp://h:1"], "workers: 2 with the cluster at tcp://h:1"),
+        (["--dask", " "], "allowed: an address such as tcp://host:8786, or 'local'"),
+        (["--step", "5"], "step: 5.0; allowed: 0.01 to 1 s, or None"),
+        (["--nominal-lane-width", "35"], "nominal_lane_width: 35.0; allowed: 2 to 6 m, or None"),
+        (["--yaw-rate-factor", "0"], "yaw_rate_factor: 0.0; allowed: finite, not 0"),
+        (["--vehicle-width", "18"], "vehicle_width: 18.0; allowed: 0.5 to 4 m"),
+        (["--report", "r.txt"], "--report r.txt: the name must end in .html"),
+        (["--report", "nowhere/r.html"], "--report nowhere/r.html: the folder nowhere does not exist"),
+        (["a.csv"], "a.csv: given twice"),
+        (["none.csv"], "none.csv: does not exist"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], message: str) -> None:
+    (folder / "a.csv").write_text(recordings(0))
+    code, out, err = ldc(*words, "a.csv", "-o", "d.parquet")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(r"ldc: error: [^\n]+\n", err), err
+    assert message in err
+    assert [path.name for path in folder.iterdir()] == ["a.csv"]
+
+
+def test_files_that_no_reader_knows(folder: Path, ldc: Ldc) -> None:
+    (folder / "a.csv").write_text("one,two\n1,2\n")
+    code, out, err = ldc("a.csv", "-o", "d.parquet")
+    assert (code, out) == (2, "")
+    assert "a.csv: no reader knows such files; allowed: " in err
+    assert "spmd-das1" in err
+
+
+def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
+    (folder / "a.csv").write_text(recordings(0, 30))
+    words = {
+        "--vehicle-width": 1.7,
+        "--step": 0.2,
+        "--nominal-lane-width": 3.5,
+        "--yaw-rate-factor": -1,
+        "--min-duration": 0.6,
+        "--max-duration": 9,
+        "--min-speed": 6,
+        "--max-gap": 0.5,
+        "--max-jump": 0.7,
+    }
+    flat = [word for pair in words.items() for word in pair]
+    assert ldc("a.csv", "-o", "d.parquet", *flat)[0] == 0
+    departures, provenance = read_departures("d.parquet")
+    criteria, preparation = provenance.criteria, provenance.preparation
+    assert dataclasses.astuple(criteria) == (1.7, 0.6, 9, 6, 0.5, 0.7)
+    assert (preparation.step, preparation.nominal_lane_width, preparation.yaw_rate_factor) == (0.2, 3.5, -1)
+    scale = next(column for column in departures.extra if column.name == "lane_scale")
+    np.testing.assert_allclose(scale.values.astype(float), 3.5 / 3.6)
+    assert ldc("a.csv", "-o", "d.parquet")[0] == 0
+    _, provenance = read_departures("d.parquet")
+    assert (provenance.criteria.vehicle_width, provenance.preparation.step) == (1.9, None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    key: str = "a.made"
+    bytes: int = 10
+    problems: int = 0
+
+    def read(self) -> Iterator[Recording | Problem]:
+        t = np.arange(0, 8, 0.1)
+        offset = np.maximum(0.3 * (1 - (t - 4) ** 2), -0.6) + 0.9
+        yield Recording("one", t, offset, np.full(80, 3.6), np.full(80, 25.0), np.ones(80, bool), source="a.made")
+        for i in range(self.problems):
+            yield Problem("a.made", f"line {i + 1}", "is wrong")
+
+
+@dataclasses.dataclass(frozen=True)
+class MadeReader:
+    """A third party's."""
+
+    name: str = "made"
+    title: str = "made up"
+    vehicle_width: float = 1.8
+    step: float | None = 0.1
+    suffix: str = ".made"
+    problems: int = 0
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        return "made-up files" if all(path.suffix == self.suffix for path in paths) else ""
+
+    def open(self, paths: Sequence[Path]) -> Any:
+        if paths[0].suffix != self.suffix:
+            raise RecordingError(f"{paths[0].name}: is not made up")
+        files = tuple(SourceFile(path.name, 10, "0" * 64) for path in paths)
+        return types.SimpleNamespace(parts=(Part(problems=self.problems),), files=files, problems=())
+
+
+@pytest.fixture
+def third_party(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Install readers for the length of a test."""
+    there = dict(sources._installed())
+
+    def install(*readers: MadeReader) -> None:
+        for reader in readers:
+            there[reader.name] = types.SimpleNamespace(load=lambda reader=reader: reader, value="made:READER")  # type: ignore[assignment]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sources, "_installed", lambda: there)
+        sources.recording_reader.cache_clear()
+        yield install
+    sources.recording_reader.cache_clear()
+
+
+def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
+    """By its name, and found by itself; its width and step are taken."""
+    third_party(MadeReader())
+    (folder / "a.made").write_text("x")
+    code, out, _ = ldc("a.made", "-o", "d.parquet")
+    assert code == 0
+    assert out.startswith("made: made-up files\n1 candidates in 1 recordings")
+    code, out, _ = ldc("a.made", "-o", "e.parquet", "--format", "made")
+    assert code == 0
+    assert out.startswith("made: made up\n")
+    provenance = read_departures("e.parquet")[1]
+    assert (provenance.reader, provenance.criteria.vehicle_width, provenance.preparation.step) == ("made", 1.8, 0.1)
+    (folder / "a.csv").write_text(recordings(0))
+    code, _, err = ldc("a.csv", "-o", "d.parquet", "--format", "made")
+    assert code == 2
+    assert err == "ldc: error: a.csv: is not made up\n"
+
+
+def test_two_readers_that_know_the_same_files(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
+    third_party(MadeReader(), MadeReader(name="other"))
+    (folder / "a.made").write_text("x")
+    code, out, err = ldc("a.made", "-o", "d.parquet")
+    assert (code, out) == (2, "")
+    assert "several readers know such files (made: made-up files; other: made-up files)" in err
+    assert ldc("a.made", "-o", "d.parquet", "--format", "other")[0] == 0
+
+
+@pytest.mark.parametrize(("problems", "told"), [(1, 1), (20, 20), (21, 21), (1500, 21)])
+def test_the_first_twenty_problems_are_told(
+    folder: Path, ldc: Ldc, third_party: Callable[..., None], problems: int, told: int
+) -> None:
+    third_party(MadeReader(problems=problems))
+    (folder / "a.made").write_text("x")
+    code, _, err = ldc("a.made", "-o", "d.parquet")
+    lines = [line for line in err.splitlines() if "is wrong" in line or "problems" in line]
+    assert code == 3
+    assert len(lines) == told
+    assert lines[0] == "ldc: warning: a.made, line 1: is wrong"
+    if problems > 20:
+        assert lines[-1].startswith(f"ldc: warning: and {problems - 20:,} more problems, {problems:,} in all")
+    assert len(read_departures("d.parquet")[1].problems) == problems
+
+
+def test_a_page_is_written_on_request(folder: Path, ldc: Ldc) -> None:
+    (folder / "a.csv").write_text(recordings(0))
+    code, out, _ = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
+    assert code == 0
+    assert out.endswith("page about the extraction written to r.html\n")
+    assert (folder / "r.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "d.parquet", "r.html"]
+
+
+def test_workers_are_processes_only_where_there_are_parts(
+    folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One file is read in this process; several in as many as there are cores."""
+    from studies.extraction import runner
+    from studies.running.executors.serial import SerialExecutor
+
+    asked: list[Any] = []
+
+    def make(name: Any, workers: Any, dask: Any, packages: Any) -> SerialExecutor:
+        asked.append((name, workers, dask))
+        return SerialExecutor()
+
+    monkeypatch.setattr(runner, "make_executor", make)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    for i in range(3):
+        (folder / f"{i}.csv").write_text(recordings(10 * i))
+    for files in (["0.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
+        assert ldc(*files, "-o", "d.parquet")[0] == 0
+    assert asked == [(None, 1, None), (None, 2, None), (None, 2, None)]

@@ -1,0 +1,108 @@
+"""An extraction that is killed at any moment, or runs on a cluster: the same table, and nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ldctoolkit.recordings import extract_departures, read_departures
+from ldctoolkit.recordings.opened import open_recordings
+from studies.extraction import run_extraction
+
+FILES = 40
+KILLS = 12
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recording tables with departures to both sides; the last file but one is broken."""
+    folder = tmp_path_factory.mktemp("tables")
+    generator = np.random.default_rng(3)
+    t = np.arange(0, 8, 0.1)
+    for i in range(FILES):
+        lines = ["recording,t,lane_offset,lane_width,speed,yaw_rate\n"]
+        for j in range(40):
+            T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
+            offset = (-1) ** j * (np.maximum(peak * (1 - (2 * (t - 4) / T) ** 2), -0.6) + 0.9)
+            offset += 0.01 * generator.normal(size=t.size)
+            turn = 0.01 * generator.normal(size=t.size)
+            name = f"r{i}-{j}"
+            lines += [f"{name},{a:.1f},{b:.6f},3.6,{v:.6f},{c:.6f}\n" for a, b, c in zip(t, offset, turn, strict=True)]
+        (folder / f"{i:02d}.csv").write_text("".join(lines))
+    (folder / f"{FILES - 2:02d}.csv").write_text("recording,t,lane_offset,lane_width,speed\na,0,x,3.6,25\n")
+    return folder
+
+
+def start(tables: Path, folder: Path, *words: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "ldctoolkit", "extract", str(tables), "-o", "d.parquet", *words],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
+def test_kills_lose_nothing_and_leave_nothing_behind(tables: Path, tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    whole.mkdir()
+    killed.mkdir()
+    assert start(tables, whole, "--workers", "2").wait(300) == 3  # it may have to compile
+    started = time.monotonic()
+    process = start(tables, whole, "--workers", "2")
+    out, err = process.communicate(timeout=300)
+    took = time.monotonic() - started
+    assert process.returncode == 3, err
+    chance = random.Random(5)
+    parts = killed / "d.parquet.parts"
+    kept = []
+    for i in range(KILLS):
+        process = start(tables, killed, "--workers", "2" if i % 3 else "1")
+        # by turns at its start, and some time after one more part was stored
+        before, given_up = len(list(parts.glob("part-*"))), time.monotonic() + 120
+        while i % 2 and process.poll() is None and len(list(parts.glob("part-*"))) <= before:
+            assert time.monotonic() < given_up
+            time.sleep(0.002)
+        time.sleep(chance.uniform(0.0, 0.5 if i % 2 == 0 else 0.02) * took)
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate(timeout=60)
+        kept.append(len(list(parts.glob("part-*"))) if not (killed / "d.parquet").exists() else FILES)
+        if (killed / "d.parquet").exists():
+            break
+    last = start(tables, killed, "--workers", "2")
+    told, error = last.communicate(timeout=300)
+    assert last.returncode == 3, error
+    assert (told, error) == (out, err)
+    assert (killed / "d.parquet").read_bytes() == (whole / "d.parquet").read_bytes()
+    assert [path.name for path in killed.iterdir()] == ["d.parquet"]
+    # they were killed at different stages, not all of them before or after the work
+    assert any(0 < count < FILES for count in kept), kept
+    # and what was written is what the library finds, in one process and without parts
+    found = extract_departures(open_recordings(tables))
+    assert len(found.departures) > FILES * 20
+    departures, provenance = read_departures(killed / "d.parquet")
+    np.testing.assert_array_equal(departures.matrix(), found.departures.matrix())
+    assert departures.recording.tolist() == found.departures.recording.tolist()
+    assert provenance == found.provenance
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_gives_the_same_bits(tables: Path, tmp_path: Path) -> None:
+    output = tmp_path / "d.parquet"
+    recordings = open_recordings(tables)
+    found = run_extraction(recordings, output=output, dask="local", workers=2)
+    run_extraction(recordings, output=tmp_path / "e.parquet", workers=1)
+    assert output.read_bytes() == (tmp_path / "e.parquet").read_bytes()
+    assert found.provenance.recordings == 40 * (FILES - 1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "e.parquet"]
