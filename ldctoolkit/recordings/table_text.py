@@ -166,39 +166,38 @@ def read_cells(
     if bytes_.size == 0:
         return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64))
 
-    def parse(source: bytes | bytearray | memoryview, kind: type[pl.DataType], ragged: bool) -> pl.DataFrame | None:
+    def parse(source: bytes | bytearray | memoryview, kind: type[pl.DataType]) -> pl.DataFrame | None:
         kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place, pl.String)
         kinds |= dict.fromkeys(chosen, kind)
         try:
-            frame = pl.read_csv(
+            return pl.read_csv(
                 b"".join((",".join(place).encode(), b"\n", source)),
                 schema=kinds,
-                columns=chosen,
+                columns=list(dict.fromkeys([*chosen, place[-1]])),
                 quote_char=None,
-                truncate_ragged_lines=ragged,
+                truncate_ragged_lines=True,
                 raise_if_empty=False,
             )
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
             return None
-        return frame.select(chosen)
 
     lines = int(np.count_nonzero(bytes_ == 10)) + int(bytes_[-1] != 10)
     exact = len(allowed) == 1 and np.count_nonzero(bytes_ == 44) == lines * (allowed[0] - 1)
     if exact and bytes_.max() < 128:
-        # a line with a surplus cell is refused here; without one, the sum says that no line lacks any
-        frame = parse(text, pl.Float64, ragged=False)
-        if frame is not None and frame.height == lines:
-            return Cells(tuple(wanted), _arrays(frame), np.arange(lines))
+        frame = parse(text, pl.Float64)
+        # the last cell is nowhere missing, so no line is short; the sum then says that none is long
+        if frame is not None and frame.height == lines and frame[place[-1]].null_count() == 0:
+            return Cells(tuple(wanted), _arrays(frame.select(chosen)), np.arange(lines))
     row, source, faults = _survey(bytes(text), bytes_, allowed)
-    frame = parse(source, pl.Float64, ragged=True)
+    frame = parse(source, pl.Float64)
     if frame is None or frame.height != row.size:
-        frame = parse(source, pl.String, ragged=True)
+        frame = parse(source, pl.String)
         if frame is None or frame.height != row.size:  # a text that the library itself cannot split
             told = RowFault(int(row[0]) if row.size else 0, "unreadable", "these lines cannot be split into cells")
             return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64), (told,))
-        frame, row, words = _numbers(frame, row, wanted)
+        frame, row, words = _numbers(frame.select(chosen), row, wanted)
         faults = sorted([*faults, *words], key=lambda fault: fault.row)
-    return Cells(tuple(wanted), _arrays(frame), row, tuple(faults))
+    return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, tuple(faults))
 
 
 def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:

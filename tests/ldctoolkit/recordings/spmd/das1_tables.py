@@ -25,9 +25,9 @@ LANE_COLUMNS = (
 )  # fmt: skip
 WSU_COLUMNS = (
     "Device", "Trip", "Time", "GpsValidWsu", "GpsTimeWsu", "LatitudeWsu", "LongitudeWsu", "AltitudeWsu",
-    "GpsHeadingWsu", "GpsSpeedWsu", "HdopWsu", "PdopWsu", "FixQualityWsu", "GpsCoastingWsu", "ValidCanWsu", "YawRateWsu", "SpeedWsu",
-    "TurnSngRWsu", "TurnSngLWsu", "BrakeAbsTcsWsu", "AxWsu", "PrndlWsu", "VsaActiveWsu", "HeadlampWsu", "WiperWsu",
-    "ThrottleWsu", "SteerWsu",
+    "GpsHeadingWsu", "GpsSpeedWsu", "HdopWsu", "PdopWsu", "FixQualityWsu", "GpsCoastingWsu", "ValidCanWsu",
+    "YawRateWsu", "SpeedWsu", "TurnSngRWsu", "TurnSngLWsu", "BrakeAbsTcsWsu", "AxWsu", "PrndlWsu", "VsaActiveWsu",
+    "HeadlampWsu", "WiperWsu", "ThrottleWsu", "SteerWsu",
 )  # fmt: skip
 
 

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.recordings.spmd_join import nearest_rows
+
+Rows = list[tuple[int, float]]
+
+near = st.integers(0, 60).map(float)
+fine = st.integers(0, 3000).map(lambda value: value / 100.0)
+far = st.sampled_from([-1e9, -7.0, 0.0, 99.0, 1e9, 1e10])
+rows = st.lists(st.tuples(st.integers(0, 4), st.one_of(near, fine, far)), max_size=40).map(sorted)
+
+
+def by_hand(left: Rows, right: Rows, tolerance: float) -> list[int]:
+    """Every pair looked at; the earliest of those that are nearest."""
+    result = []
+    for trip, t in left:
+        best = -1
+        for i, (other, u) in enumerate(right):
+            if other == trip and abs(u - t) <= tolerance and (best < 0 or abs(u - t) < abs(right[best][1] - t)):
+                best = i
+        result.append(best)
+    return result
+
+
+def columns(given_rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([row[0] for row in given_rows], dtype=np.int64), np.array(
+        [row[1] for row in given_rows], dtype=float
+    )
+
+
+@settings(max_examples=400, deadline=None)
+@given(left=rows, right=rows, tolerance=st.sampled_from([5.0, 0.5, 7.25, 40.0]))
+def test_the_join_is_that_of_all_pairs(left: Rows, right: Rows, tolerance: float) -> None:
+    assert nearest_rows(*columns(left), *columns(right), tolerance).tolist() == by_hand(left, right, tolerance)
+
+
+def test_a_tie_takes_the_earlier_row_and_of_equal_times_the_first() -> None:
+    left, right = [(0, 10.0), (0, 20.0)], [(0, 5.0), (0, 15.0), (0, 15.0), (0, 19.0), (0, 19.0)]
+    assert nearest_rows(*columns(left), *columns(right), 5.0).tolist() == [0, 3]
+
+
+def test_trips_do_not_mix_however_close_their_times() -> None:
+    left = [(0, 0.0), (0, 10.0), (2, 0.0), (2, 10.0)]
+    right = [(1, 0.0), (1, 10.0), (2, 10.0), (3, 0.0)]
+    assert nearest_rows(*columns(left), *columns(right), 5.0).tolist() == [-1, -1, -1, 2]
+
+
+def test_long_drives_keep_their_digits() -> None:
+    t = np.tile(np.arange(0.0, 8.64e6, 10.0), 3)
+    trip = np.repeat(np.arange(3), t.size // 3)
+    shift = np.random.default_rng(1).uniform(-4.99, 4.99, t.size).round(2)
+    assert nearest_rows(trip, t, trip, t + shift, 5.0).tolist() == list(range(t.size))

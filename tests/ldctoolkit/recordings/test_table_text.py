@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.recordings.table_text import read_cells
+
+COLUMNS = ("a", "b", "c", "d")
+WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
+
+
+def number(cell: str) -> float | None:
+    """None for a word that is no number."""
+    cell = cell.strip(" \t\r\"'")
+    if cell.lower() in WORDS:
+        return math.nan
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
+
+
+def by_hand(text: bytes, wanted: tuple[str, ...]) -> tuple[list[tuple[int, list[float]]], list[int]]:
+    """Rows that can be used, and the places of those that cannot."""
+    rows: list[tuple[int, list[float]]] = []
+    bad: list[int] = []
+    lines = text.split(b"\n")
+    for i, line in enumerate(lines[:-1] if lines[-1] == b"" else lines):
+        if not line.strip() and b"," not in line:
+            continue
+        try:
+            cells = line.decode("utf-8").split(",")
+        except UnicodeDecodeError:
+            bad.append(i)
+            continue
+        values = [number(cells[COLUMNS.index(name)]) for name in wanted] if len(cells) == 4 else [None]
+        if any(value is None for value in values):
+            bad.append(i)
+        else:
+            rows.append((i, [value for value in values if value is not None]))
+    return rows, bad
+
+
+cell = st.one_of(
+    st.integers(-(10**6), 10**6).map(str),
+    st.floats(allow_nan=False, allow_infinity=False).map(repr),
+    st.floats(-1e3, 1e3).map(lambda value: f"{value:.7E}"),
+    st.sampled_from(
+        ["", "NULL", "NaN", "  12  ", '"3"', "'4'", "+5", "-.5", "6.", ".5", "1e5", "1E-3", "-9.5000006E-3", "x", "1 2",
+         "0x1", "1_0", "--1", "e5", ".", "-", "+", "1e", "\t7", "8\t", "infinity1", "ä", "1,5", "1\r", "é1", "0012",
+         "1e400"]
+    ),
+)  # fmt: skip
+line = st.one_of(
+    st.lists(cell, min_size=4, max_size=4).map(lambda cells: ",".join(cells).encode()),
+    st.lists(st.integers(-999, 999).map(str), min_size=4, max_size=4).map(lambda cells: ",".join(cells).encode()),
+    st.lists(cell, max_size=6).map(lambda cells: ",".join(cells).encode()),
+    st.sampled_from([b"", b"   ", b"\xff,1,2,3", b"1,2,3,\x80", b"1,2,3,4,", b",,,"]),
+)
+text = st.builds(
+    lambda lines, end, last: end.join([*lines, b""] if last else lines),
+    st.lists(line, max_size=12),
+    st.sampled_from([b"\n", b"\r\n"]),
+    st.booleans(),
+)
+
+
+@settings(max_examples=500, deadline=None)
+@given(text=text, wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]))
+@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"))
+@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"))
+def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...]) -> None:
+    found = read_cells(text, COLUMNS, wanted)
+    rows, bad = by_hand(text, wanted)
+    assert found.row.tolist() == [row for row, _ in rows]
+    assert sorted(fault.row for fault in found.faults) == bad
+    for i, name in enumerate(wanted):
+        np.testing.assert_array_equal(found[name], [values[i] for _, values in rows])
+
+
+@settings(max_examples=200, deadline=None)
+@given(lines=st.lists(line, max_size=12), at=st.integers(0, 12))
+def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> None:
+    """What a line gives does not depend on the others: not on the way they had to be parsed."""
+    lines = [one + b"\n" for one in lines]
+    whole = read_cells(b"".join(lines), COLUMNS, COLUMNS)
+    pieces = [read_cells(b"".join(some), COLUMNS, COLUMNS) for some in (lines[:at], lines[at:])]
+    for name in COLUMNS:
+        np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
+    told = [(f.row + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
+    assert [(fault.row, fault.what) for fault in whole.faults] == told
+
+
+def test_several_numbers_of_cells() -> None:
+    found = read_cells(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", COLUMNS, ("d",), cells=(4, 6))
+    assert found["d"].tolist() == [4.0, 8.0]
+    assert [(fault.row, fault.what) for fault in found.faults] == [(2, "5 cells; the header has 4 or 6 columns")]
