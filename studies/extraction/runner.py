@@ -175,6 +175,8 @@ def _fill(
     done = total - sum(work.part.bytes for work in missing)
     if not missing:
         return unread
+    if progress is not None:
+        progress(done, total)
     if dask is None:
         workers = min(workers or os.cpu_count() or 1, len(missing))
     executor = make_executor(None, workers, dask, PACKAGES)

@@ -48,15 +48,17 @@ def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[
             while under_way < most and waiting:
                 executor.start(waiting.popleft())
                 under_way += 1
-        for ended in executor.wait():
+        came = executor.wait()
+        if any(ended.done is None and ended.fault is None for ended in came):
+            faults.lost()  # once, however many a broken pool held
+        for ended in came:
             under_way -= 1
             work: PartWork = ended.task
             if ended.done is not None:
                 faults.ended_well()
                 yield work, ended.done
             elif ended.fault is None:
-                faults.lost()
-                waiting.appendleft(work)
+                waiting.append(work)
             elif not faults.guilty(work, ended.fault, certain=ended.certain):
                 alone.append(work)
             else:

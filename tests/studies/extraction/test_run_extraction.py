@@ -103,7 +103,7 @@ def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: 
     source = made(*how)
     found = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
     assert times(source) == [1, 1, 2, 1]
-    assert told == [(300, 400), (400, 400)]
+    assert told == [(200, 400), (300, 400), (400, 400)]
     assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 
@@ -214,19 +214,19 @@ def test_a_table_that_cannot_be_written_loses_no_part(
 
 
 class Mortal:
-    """Two workers that die by plan, alone or together."""
+    """Workers that die by plan, alone or together."""
 
-    name, isolated, workers = "processes", True, 2
+    name, isolated = "processes", True
 
-    def __init__(self, deadly: Callable[[Work], bool]) -> None:
-        self.deadly = deadly
+    def __init__(self, deadly: Callable[[Work], bool], workers: int = 2) -> None:
+        self.deadly, self.workers = deadly, workers
         self.tasks: list[Work] = []
 
     def start(self, task: Work) -> None:
         self.tasks.append(task)
 
     def wait(self) -> list[Ended]:
-        under_way, queued = self.tasks[:2], self.tasks[2:]
+        under_way, queued = self.tasks[: self.workers], self.tasks[self.workers :]
         if not under_way:
             return []
         if any(map(self.deadly, under_way)):
@@ -257,6 +257,13 @@ def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
     told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
     assert told == [f"part {i}" for i in sorted(deadly)]
     assert found.recordings == 3 * (6 - len(deadly))
+
+
+def test_one_death_among_many_workers_ends_nothing(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pool that breaks gives up all that it held, here more parts than may be lost one after the other."""
+    with on(Mortal(lambda task: task.number == 0, workers=30), monkeypatch):
+        found = run_extraction(made(*["good"] * 70))
+    assert found.recordings == 3 * 69
 
 
 def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
