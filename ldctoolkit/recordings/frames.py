@@ -16,27 +16,13 @@ import numpy as np
 import polars as pl
 
 from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.table_values import FAULT, NUMBERS, ROW, Faults, typed
 
-NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
 COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")
 
-ROW: Final = "(row)"
-"""Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
-
-FAULT: Final = "(fault)"
-"""Column that is true for a sample that is at fault, or next to a line that could not be used; only where faults are
-collected instead of raised."""
-
-Faults = list[RecordingError]
-
 LONGEST_LINE: Final = 1 << 20
 """A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
-
-_MISSING: Final = ("", "nan", "na", "n/a", "null", "none")
-_VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
-_SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
-_SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
 
 
 class Meter:
@@ -126,12 +112,17 @@ def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = N
             elif name != "lane" or values.null_count() < values.len():
                 seen.add(name)
         yield block
-    if rows == 0:
-        raise RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
     empty = [name for name in COLUMNS if name in present and name not in seen]
-    if empty:
+    if rows == 0:
+        fault = RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
+    elif empty:
         advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
-        raise RecordingError(f"{path.name}: column '{empty[0]}' holds no number in any of {rows} rows{advice}")
+        fault = RecordingError(f"{path.name}: column '{empty[0]}' holds no number in any of {rows} rows{advice}")
+    else:
+        return
+    if faults is None:
+        raise fault
+    faults.append(fault)
 
 
 def is_parquet(path: Path) -> bool:
@@ -247,35 +238,38 @@ def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFra
     if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
         raise _line_fault(path, len(header), block, line, "a quoted field holds a line break")
     frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
-    return _typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
+    return typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
 
 
 def _parse_faulty(path: Path, header: list[str], block: bytes, line: int, faults: Faults) -> pl.DataFrame:
-    """Lines of which some are at fault: these are left out where they cannot be split, and told."""
+    """Lines of which some are at fault: these are left out where they cannot be split, and told.
+
+    A line left out marks the sample before or behind it that has its recording's name, or else both.
+    """
+    index = {name: header.index(name) for name in COLUMNS if name in header}
     good, places, broken = [], [], []
     for number, raw in enumerate(block.replace(b"\r\n", b"\n").split(b"\n"), line):
         fault = _fault_of_line(path, len(header), raw, number)
         if fault is not None:
             faults.append(fault)
-            broken.append(number)
+            broken.append((number, raw.split(b",")[: index["recording"] + 1][-1].strip(b' "')))
         elif raw.strip():
             good.append(raw)
             places.append(number)
-    names = [name for name in COLUMNS if name in header]
-    cells: dict[str, list[str | None]] = {name: [] for name in names}
-    index = {name: header.index(name) for name in names}
+    cells: dict[str, list[str | None]] = {name: [] for name in index}
     for raw in good:
         row = next(csv.reader([raw.decode()]))
         for name, i in index.items():
             cells[name].append(row[i] if i < len(row) else None)
     rows = np.array(places, dtype=np.int64)
     near = np.zeros(rows.size, dtype=bool)
-    if rows.size:
-        after = np.searchsorted(rows, np.array(broken, dtype=np.int64))
-        near[np.maximum(after - 1, 0)] = True
-        near[np.minimum(after, rows.size - 1)] = True
-    frame = pl.DataFrame(cells, schema=dict.fromkeys(names, pl.String))
-    return _typed(path, frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near)), "line", faults)
+    for number, name_there in broken:
+        after = int(np.searchsorted(rows, number))
+        around = [i for i in (after - 1, after) if 0 <= i < rows.size]
+        same = [i for i in around if (cells["recording"][i] or "").strip().encode() == name_there]
+        near[same or around] = True
+    frame = pl.DataFrame(cells, schema=dict.fromkeys(index, pl.String))
+    return typed(path, frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near)), "line", faults)
 
 
 def _open_quote(text: bytes) -> bool:
@@ -330,63 +324,7 @@ def parquet_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | 
             numbered = frame.with_columns(pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW))
             if faults is not None:
                 numbered = numbered.with_columns(pl.lit(False).alias(FAULT))
-            yield _typed(path, numbered, "row", faults)
+            yield typed(path, numbered, "row", faults)
             first += frame.height
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
-
-
-def _typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = None) -> pl.DataFrame:
-    """Columns in their final types; the first value that does not fit is named, and raised unless faults are wanted."""
-    marked = np.zeros(frame.height, dtype=bool)
-
-    def refuse(name: str, bad: pl.Series, allowed: str) -> None:
-        if bad.any():
-            i = bad.arg_max() or 0
-            more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
-            value = frame[name][i]
-            fault = RecordingError(
-                f"{path.name}, {word} {frame[ROW][i]}: column '{name}' holds {value!r}; allowed: {allowed}{more}"
-            )
-            if faults is None:
-                raise fault
-            faults.append(fault)
-            marked[:] |= bad.fill_null(False).to_numpy()
-
-    columns: list[pl.Series] = [frame[ROW]]
-    for name in frame.columns:
-        values = frame[name]
-        if name in (ROW, FAULT):
-            continue
-        if name in NUMBERS:
-            if values.dtype == pl.String:
-                words = values.str.strip_chars()
-                values = words.cast(pl.Float64, strict=False)
-                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(_MISSING).fill_null(True), "numbers")
-            elif not values.dtype.is_numeric() and values.dtype != pl.Null:
-                raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: numbers")
-            columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
-            continue
-        if values.dtype.is_nested() or values.dtype == pl.Binary:
-            raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: text or numbers")
-        words = values.cast(pl.String).str.strip_chars()
-        lower = words.str.to_lowercase()
-        if name == "recording":
-            refuse(name, words.is_null() | (words == ""), "an identifier of the recording")
-            columns.append(words)
-        elif name == "lane":
-            # "3" and "3.0" are one lane whatever the rest of the column holds
-            label = words.str.replace(r"^(-?\d+)\.0+$", "$1")
-            columns.append(pl.select(pl.when(~lower.is_in(_MISSING)).then(label)).to_series().alias(name))
-        elif name == "valid":
-            known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
-            refuse(name, known.is_null() & ~lower.is_in(_MISSING).fill_null(True), "0, 1, false, true")
-            columns.append(known.fill_null(False))
-        else:
-            known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)
-            off = lower.is_in(_SIGNAL_OFF).fill_null(True)
-            refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
-            columns.append(known.fill_null(0).alias(name))
-    if faults is not None:
-        columns.append(pl.Series(FAULT, marked | frame[FAULT].to_numpy()))
-    return pl.DataFrame(columns)

@@ -168,7 +168,7 @@ def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
 
 
 def _table(source: str, frame: pl.DataFrame, owner: dict[str, str]) -> RecordingTable:
-    from ldctoolkit.recordings.frames import ROW
+    from ldctoolkit.recordings.table_values import ROW
 
     labels = frame["recording"]
     starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])

@@ -76,7 +76,7 @@ class RecordingReader(Protocol):
     """Reads one kind of recordings.
 
     Found by the entry-point group ``ldctoolkit.recordings``; the entry point's name is the reader's, its value an
-    object (an instance, or a module) with these members.
+    object (an instance, a class that is made without arguments, or a module) with these members.
 
     Attributes
     ----------
@@ -142,6 +142,8 @@ def recording_reader(name: str) -> RecordingReader:
         raise UnknownNameError(f"format {name!r}: no such reader; {nearest(name, (AUTO, *reader_names()))}")
     try:
         reader = point.load()
+        if isinstance(reader, type):
+            reader = reader()
     except Exception as error:  # the file may be anybody's code: whatever it raises must name the reader
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
         raise LdcError(f"format {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
@@ -160,7 +162,14 @@ def recognise(paths: Sequence[Path]) -> tuple[RecordingReader, str]:
     RecordingError
         If no reader knows them, or several do.
     """
-    found = [(reader, words) for reader in map(recording_reader, reader_names()) if (words := reader.recognise(paths))]
+    found = []
+    for reader in map(recording_reader, reader_names()):
+        try:
+            words = reader.recognise(paths)
+        except Exception as error:  # as above
+            raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
+        if words:
+            found.append((reader, words))
     if len(found) == 1:
         return found[0]
     shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")

@@ -188,7 +188,7 @@ def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
     """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
     import polars as pl
 
-    from ldctoolkit.recordings.frames import FAULT
+    from ldctoolkit.recordings.table_values import FAULT
 
     for block in blocks:
         nameless = block["recording"].fill_null("") == ""
@@ -201,45 +201,43 @@ def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
 def _of_frame(
     path: Path, frame: pl.DataFrame, seen: dict[str, int], left_out: set[str]
 ) -> Iterator[Recording | Problem]:
-    from ldctoolkit.recordings.frames import FAULT, ROW
+    from ldctoolkit.recordings.table_values import FAULT, ROW
 
-    frame = frame.filter(frame["t"].is_finite() | frame[FAULT])  # a sample without a time is passed over
-    if frame.height == 0:
-        return
     word = "row" if path.name.lower().endswith(".parquet") else "line"
-    labels = frame["recording"]
+    labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
     starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
-    ends = np.append(starts[1:], frame.height)
-    rows, fault = frame[ROW].to_numpy(), frame[FAULT].to_numpy()
     columns = columns_of(frame)
-    t = columns["t"]
-    unsorted = np.zeros(t.size, dtype=bool)
-    unsorted[1:] = ~(t[1:] > t[:-1])
-    for name, start, end in zip(labels.gather(starts).to_list(), starts.tolist(), ends.tolist(), strict=True):
-        place = f"{word} {rows[start]}"
+    timed = np.isfinite(columns["t"])
+    for name, start, end in zip(
+        labels.gather(starts).to_list(), starts.tolist(), [*starts[1:].tolist(), frame.height], strict=True
+    ):
         if name in seen:
             what = f"comes in separate pieces, the first from {word} {seen[name]}; this one is left out"
-            yield Problem(path.name, place, f"recording {name!r} {what}")
+            yield Problem(path.name, f"{word} {rows[start]}", f"recording {name!r} {what}")
             continue
         seen[name] = int(rows[start])
         if name in left_out:
             continue
-        here = slice(start, end)
-        if fault[here].any():
-            i = start + int(np.argmax(fault[here]))
+        if fault[start:end].any():
+            i = start + int(np.argmax(fault[start:end]))
             yield Problem(path.name, f"{word} {rows[i]}", f"recording {name!r} has a fault here; it is left out")
             continue
-        falls = unsorted[start + 1 : end]
-        if falls.any():
-            i = start + 1 + int(np.argmax(falls))
+        place = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
+        if place.size == 0:
+            continue
+        t = columns["t"][place]
+        falls = np.flatnonzero(~(t[1:] > t[:-1])) + 1
+        if falls.size:
+            i = int(falls[0])
             what = "is repeated" if t[i] == t[i - 1] else f"comes after t = {float(t[i - 1])!r} s: times are not sorted"
-            more = f" ({int(falls.sum())} places in all)" if falls.sum() > 1 else ""
+            more = f" ({falls.size} places in all)" if falls.size > 1 else ""
             yield Problem(
                 path.name,
-                f"{word} {rows[i]}",
+                f"{word} {rows[place[i]]}",
                 f"column 't', recording {name!r}: t = {float(t[i])!r} s {what}; "
                 f"allowed: times that increase inside a recording{more}; it is left out",
             )
             continue
+        here = slice(start, end) if place.size == end - start else place
         values: dict[str, Any] = {column: None if found is None else found[here] for column, found in columns.items()}
         yield Recording(name=name, source=path.name, **values)

@@ -1,0 +1,203 @@
+"""HV_Primary: against plain Python, and whatever bytes the file holds."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.errors import LdcError
+from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.spmd_das2 import SpmdDas2
+
+NUMBER = st.sampled_from(
+    ["0", "1", "-1483.0", "2077.0", "3.1524999999999997E-2", " 3600 ", "499", "500", "900", "NULL", "", "  ", "15   ",
+     "nan", "-1800", "1800", "3600"]
+)  # fmt: skip
+CELL = NUMBER | st.sampled_from(["x", "1;2", "1_0", "0x1", "--1", "é"])
+PLACES = {
+    "time": 2, "heading": 6, "gps_speed": 11, "gps_valid": 13, "speed": 20, "signal_left": 26, "signal_right": 27,
+    "yaw_rate": 29, "left": 32, "right": 33, "width": 34, "p_left": 35, "p_right": 36,
+}  # fmt: skip
+
+
+@st.composite
+def rows(draw: st.DrawFn) -> list[str]:
+    """Some lines of one to three trips, with odd cells here and there, some cells too many or too few."""
+    found = []
+    for i in range(draw(st.integers(1, 8))):
+        cells = ["0"] * draw(st.sampled_from([45, 45, 53, 53, 44, 46, 52]))
+        cells[:3] = [str(draw(st.integers(1, 2))), "7", str(100 * i)]
+        for place in PLACES.values():
+            if draw(st.integers(0, 3)):
+                cells[place] = draw(NUMBER if draw(st.integers(0, 9)) else CELL) if place != 2 else cells[2]
+        if not draw(st.integers(0, 9)):
+            cells[2] = draw(CELL)
+        found.append(",".join(cells))
+    return found
+
+
+def number(text: str) -> float | None:
+    """What a cell holds, by plain Python; None for a word."""
+    text = text.strip()
+    if text.lower() in ("", "null", "nan"):
+        return math.nan
+    if "_" in text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def by_hand(lines: list[str]) -> tuple[dict[str, list[tuple[float, ...]]], set[int]]:
+    """Samples of each trip, and numbers of the lines that are left out (times that run backwards aside)."""
+    trips: dict[str, list[tuple[float, ...]]] = {}
+    faulty = set()
+    for i, line in enumerate(lines, start=2):
+        cells = line.split(",")
+        values = {name: number(cells[place]) for name, place in PLACES.items() if place < len(cells)}
+        if len(cells) not in (45, 53) or None in values.values() or not math.isfinite(values["time"]):  # type: ignore[arg-type]
+            faulty.add(i)
+            continue
+        v: Any = values
+        width = (v["right"] - v["left"]) / 1000
+        valid = v["p_left"] >= 500 and v["p_right"] >= 500 and width > 0
+        if v["width"] > 0 and not abs(width - v["width"] / 1000) <= 0.5:
+            valid = False
+        gps = v["gps_valid"] == 1
+        speed = v["speed"] if not math.isnan(v["speed"]) else v["gps_speed"] if gps else math.nan
+        trips.setdefault(f"{cells[0]}/{cells[1]}", []).append(
+            (
+                v["time"] / 1000,
+                (v["left"] + v["right"]) / 2000,
+                width,
+                speed,
+                valid,
+                math.radians(v["yaw_rate"]),
+                -math.radians(v["heading"]) if gps else math.nan,
+                (v["signal_left"] > 0) - (v["signal_right"] > 0),
+            )
+        )
+    return trips, faulty
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(rows(), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.integers(1, 3000))
+def test_against_plain_python(das2: Any, lines: list[str], end: str, ended: bool, part_bytes: int) -> None:
+    expected, faulty = by_hand(lines)
+    text = das2.HEADER + end + end.join(lines) + end * ended
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "HV_Primary.csv")
+        path.write_bytes(text.encode())
+        source = SpmdDas2(part_bytes=part_bytes).open([path])
+        items = [item for part in source.parts for item in part.read()]
+    found = {item.name: item for item in items if isinstance(item, Recording)}
+    told = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    assert {one.place for one in told if "backwards" not in one.what and "goes on here" not in one.what} == {
+        f"line {line}" for line in faulty
+    }
+    assert set(found) == set(expected)
+    for name, samples in expected.items():
+        t = [sample[0] for sample in samples]
+        one = found[name]
+        if t != sorted(t):
+            assert one.samples < len(t)
+            continue
+        columns = (one.t, one.lane_offset, one.lane_width, one.speed, one.valid, one.yaw_rate, one.heading)
+        for column, values in zip((*columns, one.turn_signal), zip(*samples, strict=True), strict=True):
+            np.testing.assert_allclose(np.asarray(column, float), np.array(values, float), rtol=1e-12, atol=1e-12)
+
+
+ODD = (
+    b"", b"\n", b"\r", b" ", b"\0", b'"', b"-", b"e", b"nan", b"-inf", b"1e308", b",", b",,,,", b";", b"99999999999999",
+    b"\xff\xfe", b"\xef\xbb\xbf", b"\x80", b"\n10,1,5,", b"NULL", b"10,2,0,",
+)  # fmt: skip
+
+
+def sound(das1: Any, das2: Any) -> bytes:
+    drive = das1.planted_drive(10, 1, das1.PLANTED[:1], rows=60)
+    moved = das1.Planted(1, 2.0, 2.0, 0.3)
+    drives = [das1.planted_drive(10, trip, [moved], rows=60) for trip in (1, 2)]
+    del drive
+    lines = [line for one in drives for line in das2.lines_of(das2.rows_of(one), 45)]
+    return "".join(line + "\n" for line in lines).encode()
+
+
+@st.composite
+def damage(draw: st.DrawFn) -> list[tuple[float, float, bytes, int]]:
+    """Where pieces are cut out of a file, as shares of its length, and what is put there."""
+    share = st.floats(0, 1)
+    return [
+        (
+            draw(share),
+            draw(share),
+            draw(st.sampled_from(ODD) | st.binary(max_size=30)),
+            draw(st.sampled_from([0, 1, 9])),
+        )
+        for _ in range(draw(st.integers(0, 5)))
+    ]
+
+
+def check(content: bytes) -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "HV_Primary.csv")
+        path.write_bytes(content)
+        reader = SpmdDas2()
+        reader.recognise([path])
+        try:
+            source = reader.open([path])
+        except LdcError:
+            return 0
+        departures = 0
+        for part in source.parts:
+            items = list(part.read())
+            assert all(isinstance(item, Recording | Problem) for item in items)
+            assert all(folder not in str(item) for item in items if isinstance(item, Problem))
+            found = extract_part(part, Criteria(vehicle_width=1.82), Preparation(step=0.1)).departures
+            assert np.isfinite(found.matrix()).all()
+            departures += found.n
+        return departures
+
+
+def damaged(content: bytes, pieces: list[tuple[float, float, bytes, int]], header: bytes) -> bytes:
+    content = header + content
+    for at, other, piece, cut in pieces:
+        a = int(at * len(content))
+        b = a + cut if cut else max(a, int(other * len(content)))
+        content = content[:a] + piece + content[b:]
+    return content
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(damage(), st.booleans())
+def test_any_content(das1: Any, das2: Any, pieces: list[tuple[float, float, bytes, int]], header: bool) -> None:
+    check(damaged(sound(das1, das2), pieces, das2.HEADER.encode() + b"\n" if header else b""))
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(damage(), st.booleans())
+def test_any_content_at_length(
+    das1: Any, das2: Any, pieces: list[tuple[float, float, bytes, int]], header: bool
+) -> None:
+    check(damaged(sound(das1, das2), pieces, das2.HEADER.encode() + b"\n" if header else b""))
+
+
+def test_the_sound_file_holds_departures(das1: Any, das2: Any) -> None:
+    assert check(sound(das1, das2)) == 2
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=300))
+def test_any_bytes(content: bytes) -> None:
+    check(content)

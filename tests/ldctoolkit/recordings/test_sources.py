@@ -1,0 +1,186 @@
+"""Readers by name: those that come along, those of third parties, and which one knows a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import LdcError, RecordingError, UnknownNameError
+from ldctoolkit.recordings import sources
+from ldctoolkit.recordings.extract import extract_departures
+from ldctoolkit.recordings.opened import open_recordings
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
+
+OWN = ("spmd-das1", "spmd-das2", "table", "uah-driveset")
+WIDTHS = {"spmd-das1": (1.82, 0.1), "spmd-das2": (1.82, 0.1), "table": (1.9, None), "uah-driveset": (1.8, 0.1)}
+
+
+INSTALLED = importlib.metadata.entry_points
+
+
+@pytest.fixture(autouse=True)
+def _fresh() -> Iterator[None]:
+    """Nothing that a test installs outlives it."""
+    sources._installed.cache_clear()
+    sources.recording_reader.cache_clear()
+    yield
+    sources._installed.cache_clear()
+    sources.recording_reader.cache_clear()
+
+
+@dataclasses.dataclass(frozen=True)
+class FlatPart:
+    """One file with one departure, whatever it holds."""
+
+    path: str
+    key: str
+    bytes: int = 1
+
+    def read(self) -> Iterator[Recording | Problem]:
+        t = np.arange(100) * 0.1
+        y = np.clip(0.3 * (1.0 - ((t - 5.0) / 0.95) ** 2), -0.4, None)
+        full = np.ones(100)
+        yield Recording(self.key, t, 0.9 + y, 3.6 * full, 25.0 * full, full > 0, curvature=0.0 * full)
+        yield Problem(self.key, "line 7", "odd")
+
+
+@dataclasses.dataclass(frozen=True)
+class FlatSource:
+    parts: tuple[FlatPart, ...]
+    files: tuple[SourceFile, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+
+class FlatReader:
+    name = "flat"
+    title = "flat files"
+    vehicle_width = 1.8
+    step = None
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        found = [path for path in paths if path.suffix == ".flat"]
+        return f"{len(found)} flat" if found else ""
+
+    def open(self, paths: Sequence[Path]) -> FlatSource:
+        return FlatSource(tuple(FlatPart(str(path), path.name) for path in paths))
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Readers of a third party, as if a package of theirs were installed."""
+
+    def add(**readers: Any) -> None:
+        def entry_points(**choice: str) -> Any:
+            found = list(INSTALLED(**choice))
+            if choice.get("group") == sources.GROUP:
+                found += [
+                    SimpleNamespace(name=name, value=f"theirs:{name}", load=load) for name, load in readers.items()
+                ]
+            return found
+
+        monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+        sources._installed.cache_clear()
+        sources.recording_reader.cache_clear()
+
+    return add
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_own_readers(name: str) -> None:
+    assert name in sources.reader_names()
+    reader = sources.recording_reader(name)
+    assert isinstance(reader, RecordingReader)
+    assert (reader.name, reader.vehicle_width, reader.step) == (name, *WIDTHS[name])
+    assert reader.title
+
+
+def test_an_unknown_name_gets_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'spmd-das2'"):
+        sources.recording_reader("spmd_das2")
+    with pytest.raises(UnknownNameError, match="auto, spmd-das1"):
+        sources.recording_reader("matlab")
+
+
+@pytest.mark.parametrize("given", [FlatReader(), FlatReader], ids=["instance", "class"])
+def test_a_third_partys_reader(given: Any, install: Callable[..., None], tmp_path: Path) -> None:
+    install(flat=lambda: given)
+    path = tmp_path / "drive.flat"
+    path.write_text("anything")
+    assert sources.reader_names() == tuple(sorted((*OWN, "flat")))
+    opened = open_recordings([path])
+    assert (opened.reader.name, opened.found) == ("flat", "1 flat")
+    assert isinstance(opened.source, RecordingSource)
+    assert isinstance(opened.source.parts[0], RecordingPart)
+    found = extract_departures(opened)
+    assert found.departures.recording.tolist() == ["drive.flat"]
+    assert [str(one) for one in found.problems] == ["drive.flat, line 7: odd"]
+
+
+def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_path: Path) -> None:
+    def load() -> Any:
+        raise ZeroDivisionError("oops")
+
+    class Careless(FlatReader):
+        def recognise(self, paths: Sequence[Path]) -> str:
+            return str(1 / len(paths[1:]))
+
+    install(broken=load, renamed=lambda: FlatReader(), empty=lambda: object())
+    with pytest.raises(LdcError, match=r"'empty' \(theirs:empty\): allowed: name, title"):
+        sources.recording_reader("empty")
+    with pytest.raises(LdcError, match=r"'broken' \(theirs:broken\) cannot be loaded: ZeroDivisionError: oops"):
+        sources.recording_reader("broken")
+    with pytest.raises(LdcError, match="its name is 'flat'"):
+        sources.recording_reader("renamed")
+    install(flat=lambda: Careless)
+    with pytest.raises(LdcError, match="'flat': recognise fails with ZeroDivisionError"):
+        sources.recognise([tmp_path])
+
+
+TABLES = {
+    "table": ("drive.csv", "recording,t,lane_offset,lane_width,speed\na,0,0,3.6,25\n"),
+    "spmd-das1": (
+        "DataLane.csv",
+        "Device,Trip,Time,LaneDistanceLeft,LaneDistanceRight,LaneHeading,LaneQualityRight,LaneQualityLeft\n"
+        "1,1,0,-1.8,1.8,0,3,3\n",
+    ),
+    "spmd-das2": ("HV_Primary.csv", ",".join(["10", "7", "0", *["0"] * 42]) + "\n"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_recognise_a_file(name: str, tmp_path: Path) -> None:
+    file, text = TABLES[name]
+    (tmp_path / file).write_text(text)
+    reader, words = sources.recognise([tmp_path / file])
+    assert reader.name == name
+    assert words
+
+
+def test_no_reader_and_several(tmp_path: Path, install: Callable[..., None]) -> None:
+    for file, text in TABLES.values():
+        (tmp_path / file).write_text(text)
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(RecordingError, match=r"^notes.csv: no reader knows such files; allowed: .*uah-driveset"):
+        sources.recognise([tmp_path / "notes.csv"])
+    with pytest.raises(RecordingError, match=r"several readers know such files \(.*spmd-das2: .*--format"):
+        sources.recognise([tmp_path])
+
+
+def test_the_sample_folders() -> None:
+    sample = Path(__file__).parents[3].parent / "shared" / "data" / "spmd-20row-heads"
+    if not sample.is_dir():
+        pytest.skip("the sample of the real tables is not beside this checkout")
+    both = [sample / "one-day" / name for name in ("DataLane_04_11_13.csv", "DataWsu_04_11_13.csv")]
+    assert sources.recognise(both)[0].name == "spmd-das1"
+    assert sources.recognise([sample / "two-month" / "HV_Primary.csv"])[0].name == "spmd-das2"
+    with pytest.raises(RecordingError, match="several readers know"):
+        sources.recognise([sample / "two-month"])

@@ -1,0 +1,351 @@
+"""Plain recording tables as a source: the same departures as before, and faults that cost one recording or one file."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.errors import LdcError, RecordingError
+from ldctoolkit.recordings import RecordingTable, extract_departures, read_recordings
+from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.opened import open_recordings
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.table_reader import READER, TablePart
+
+Save = Callable[..., Path]
+HEADER = "recording,t,lane_offset,lane_width,speed\n"
+A, B, C = (f"{name},0,0.1,3.6,25\n{name},0.1,0.2,3.6,25\n" for name in "abc")
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    def write(content: str | bytes | pl.DataFrame, name: str = "drive.csv") -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        if isinstance(content, pl.DataFrame):
+            content.write_parquet(path)
+        else:
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+def read(*paths: Path) -> tuple[dict[str, Recording], list[Problem]]:
+    source = READER.open(paths)
+    assert len({part.key for part in source.parts}) == len(source.parts)
+    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
+    recordings = [item for item in items if isinstance(item, Recording)]
+    assert len({one.name for one in recordings}) == len(recordings)
+    return {one.name: one for one in recordings}, [
+        *source.problems, *(item for item in items if isinstance(item, Problem)),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["csv", "csv.gz", "parquet"])
+def test_the_same_departures_as_without_a_source(
+    kind: str, tmp_path: Path, bump: Callable[..., RecordingTable], to_frame: Any, assert_same: Any
+) -> None:
+    rng = np.random.default_rng(0)
+    names = [f"r{i}" for i in range(20) for _ in range(100)]
+    one = bump()
+    many = RecordingTable.from_arrays(
+        recording=names, t=np.tile(one.t, 20), lane_offset=np.tile(one.lane_offset, 20) + rng.normal(0, 0.01, 2000),
+        lane_width=3.6, speed=25.0, curvature=rng.normal(0, 1e-3, 2000), lane=np.ones(2000), turn_signal=0,
+        valid=rng.random(2000) > 0.002,
+    )  # fmt: skip
+    frame = to_frame(many)
+    path = tmp_path / f"drive.{kind}"
+    if kind == "parquet":
+        frame.write_parquet(path)
+    else:
+        text = frame.write_csv().encode()
+        path.write_bytes(gzip.compress(text) if kind == "csv.gz" else text)
+    opened = open_recordings([path])
+    assert opened.reader.name == "table"
+    assert opened.found == "1 recording table"
+    found = extract_departures(opened, vehicle_width=1.8)
+    assert found.departures.n > 5
+    assert_same(found, extract_departures(read_recordings(path), vehicle_width=1.8))
+
+
+def test_optional_columns_and_samples_without_a_time(save: Save) -> None:
+    text = (
+        "turn_signal,lane,recording,t,lane_offset,lane_width,speed,yaw_rate,valid\n"
+        "left,3,a,0,0.1,3.6,25,0.01,1\n"
+        "right,,a,0.1,0.2,3.6,25,0.02,1\n"
+        ",4,a,,0.3,3.6,25,0.03,1\n"
+        ",4.0,a,0.3,0.4,3.6,,0.04,false\n"
+    )
+    [one], problems = read(save(text))[0].values(), read(save(text))[1]
+    assert problems == []
+    assert one.source == "drive.csv"
+    np.testing.assert_array_equal(one.t, [0.0, 0.1, 0.3])
+    np.testing.assert_array_equal(one.speed, [25.0, 25.0, np.nan])
+    assert one.valid.tolist() == [True, False, False]
+    assert one.turn_signal is not None
+    assert one.turn_signal.tolist() == [1, -1, 0]
+    assert one.yaw_rate is not None
+    assert one.yaw_rate.tolist() == [0.01, 0.02, 0.04]
+    assert one.curvature is None
+
+
+FAULTS = {
+    "text for a number": ("b,0.1,0.2,3.6,25", "b,0.1,far,3.6,25", "line 5", "'far'"),
+    "too many fields": ("b,0.1,0.2,3.6,25", "b,0.1,0.2,3.6,25,7", "line 5", "6 fields"),
+    "an open quote": ("b,0.1,0.2,3.6,25", '"b,0.1,0.2,3.6,25', "line 5", "quotation"),
+    "no name": ("b,0.1,0.2,3.6,25\n", "b,0.1,0.2,3.6,25\n,0.2,0.2,3.6,25\n", "line 6", "identifier"),
+    "time backwards": ("b,0.1,0.2,3.6,25", "b,-0.1,0.2,3.6,25", "line 5", "not sorted"),
+    "time repeated": ("b,0.1,0.2,3.6,25", "b,0.0,0.2,3.6,25", "line 5", "repeated"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_recording_at_fault_is_left_out_and_the_others_stay(fault: str, save: Save) -> None:
+    good, bad, place, words = FAULTS[fault]
+    text = HEADER + A + B + C
+    assert text.count(good) == 1
+    recordings, problems = read(save(text.replace(good, bad)))
+    # a line without a name may belong to either neighbour
+    assert list(recordings) == (["a"] if fault == "no name" else ["a", "c"])
+    assert any(one.place == place and words in one.what for one in problems), [str(one) for one in problems]
+    assert all(one.file == "drive.csv" for one in problems)
+    assert any("'b'" in one.what and "left out" in one.what for one in problems)
+
+
+def test_bytes_that_are_not_utf_8(save: Save) -> None:
+    recordings, problems = read(save((HEADER + A).encode() + b"b,0,0.1,3.6,25\nb\xff,0.1,0.2,3.6,25\n" + C.encode()))
+    assert list(recordings) == ["a"]
+    assert str(problems[0]).startswith("drive.csv, line 5: the text is not UTF-8")
+
+
+def test_a_recording_in_pieces_keeps_the_first(save: Save) -> None:
+    recordings, problems = read(save(HEADER + A + B + "a,0.2,0.1,3.6,25\n" + C))
+    assert [(name, one.samples) for name, one in recordings.items()] == [("a", 2), ("b", 2), ("c", 2)]
+    [problem] = problems
+    assert problem.place == "line 6"
+    assert "separate pieces, the first from line 2" in problem.what
+
+
+def test_a_parquet_row_at_fault(save: Save) -> None:
+    frame = pl.read_csv((HEADER + A + B + C).encode()).with_columns(valid=pl.Series([1, 1, 1, 7, 1, 1]))
+    recordings, problems = read(save(frame, "drive.parquet"))
+    assert list(recordings) == ["a", "c"]
+    assert problems[0].place == "row 4"
+    assert "holds 7" in problems[0].what
+
+
+def test_a_recording_in_two_files_is_left_out_of_both(save: Save) -> None:
+    one = save(HEADER + A + B, "one.csv")
+    two = save(pl.read_csv((HEADER + C + B.replace("0.1,3.6", "0.15,3.6")).encode()), "two.parquet")
+    three = save(gzip.compress((HEADER + '"d",0,0.1,3.6,25\n' + B).encode()), "three.csv.gz")
+    recordings, problems = read(one, two, three)
+    assert list(recordings) == ["a", "c", "d"]
+    assert [str(problem) for problem in problems] == [
+        "two.parquet, row 3: recording 'b' is also in one.csv, line 4; it is left out of both",
+        "three.csv.gz, line 3: recording 'b' is also in one.csv, line 4; it is left out of both",
+    ]
+
+
+def test_the_same_file_twice(save: Save) -> None:
+    one, two = save(HEADER + A, "one.csv"), save(HEADER + A, "two.csv")
+    recordings, problems = read(one, two, one)
+    assert list(recordings) == ["a"]
+    assert [(problem.file, problem.what.split(",")[0]) for problem in problems] == [
+        ("two.csv", "holds the same as one.csv"),
+        ("one.csv", "given twice"),
+    ]
+
+
+WHOLE: dict[str, tuple[str, bytes, str]] = {
+    "missing column": ("bad.csv", b"recording,t,lane_offset,speed\na,0,0,25\n", "lane_width"),
+    "empty": ("bad.csv", b"", "empty"),
+    "header only": ("bad.csv", HEADER.encode(), "no rows"),
+    "semicolons": ("bad.csv", (HEADER + A).replace(",", ";").encode(), "not separated by commas"),
+    "UTF-16": ("bad.csv", (HEADER + A).encode("utf-16"), "UTF-16"),
+    "suffix": ("bad.txt", (HEADER + A).encode(), "suffix"),
+    "not gzip": ("bad.csv.gz", (HEADER + A).encode(), "gzip"),
+    "not Parquet": ("bad.parquet", (HEADER + A).encode(), "Parquet"),
+    "a long line": ("bad.csv", b"x" * (1 << 20), "not CSV"),
+}
+
+
+@pytest.mark.parametrize("fault", WHOLE)
+def test_a_file_that_cannot_be_used(fault: str, save: Save, tmp_path: Path) -> None:
+    name, content, words = WHOLE[fault]
+    bad = save(content, name)
+    with pytest.raises(RecordingError, match=rf"^{name}.*{words}"):
+        READER.open([bad])
+    recordings, problems = read(bad, save(HEADER + A), tmp_path / "none.csv")
+    assert list(recordings) == ["a"]
+    assert [problem.file for problem in problems] == [name, "none.csv"]
+    assert words in problems[0].what
+    assert not any(str(tmp_path) in problem.file for problem in problems)
+
+
+def test_a_gzip_file_that_is_cut_short(save: Save) -> None:
+    rows = "".join(f"r{i},{t / 10},{i % 7 / 10 + t / 1000},3.6,25\n" for i in range(2000) for t in range(5))
+    packed = gzip.compress((HEADER + rows).encode())
+    recordings, problems = read(save(packed[: len(packed) // 2], "drive.csv.gz"))
+    assert [one.samples for one in recordings.values()] == [5] * len(recordings)
+    assert "cut short" in problems[-1].what
+
+
+def test_many_problems_are_counted(save: Save) -> None:
+    rows = "".join(f"r{i},0,0.1,3.6,25\nr{i},0,0.1,3.6,25\n" for i in range(50))
+    recordings, problems = read(save(HEADER + A + rows))
+    assert list(recordings) == ["a"]
+    assert len(problems) == 21
+    assert problems[-1].what.startswith("30 more problems; the last: line 103: ")
+
+
+def test_folders(save: Save, tmp_path: Path) -> None:
+    save(HEADER + A, "in/one.csv")
+    save(HEADER + B, "in/two.csv")
+    save("x,y\n1,2\n", "in/other.csv")
+    save(pl.DataFrame({"side": ["left"]}), "in/departures.parquet")
+    assert READER.recognise([tmp_path / "in"]) == "2 recording tables"
+    recordings, problems = read(tmp_path / "in")
+    assert (list(recordings), problems) == (["a", "b"], [])
+    assert READER.recognise([tmp_path / "none", tmp_path]) == ""
+    with pytest.raises(RecordingError, match="folder"):
+        READER.open([tmp_path])
+
+
+def test_a_column_without_a_number_is_told(save: Save) -> None:
+    _, problems = read(save(HEADER.replace("\n", ",curvature\n") + A.replace("\n", ",\n")))
+    assert "'curvature' holds no number" in problems[-1].what
+
+
+def test_a_file_that_is_gone(save: Save) -> None:
+    path = save(HEADER + A)
+    [part] = READER.open([path]).parts
+    path.unlink()
+    [problem] = part.read()
+    assert isinstance(problem, Problem)
+    assert "cannot be read" in problem.what
+
+
+ODD = [
+    b"",
+    b"\n",
+    b"\0",
+    b'"',
+    b",",
+    b";",
+    b"nan",
+    b"-inf",
+    b"1e308",
+    b"x",
+    b"\xff",
+    b"\xef\xbb\xbf",
+    b"a,0,0,3.6,25\n",
+]
+SOUND = (HEADER + A + B + C).encode()
+
+
+@st.composite
+def damaged(draw: st.DrawFn) -> bytes:
+    data = SOUND
+    for _ in range(draw(st.integers(0, 4))):
+        a, b = sorted(draw(st.tuples(st.integers(0, len(data)), st.integers(0, len(data)))))
+        piece = draw(st.sampled_from([*ODD, data[a:b]]) | st.binary(max_size=20))
+        data = data[:a] + piece + data[min(b, a + draw(st.sampled_from([0, 1, 7, 1000]))) :]
+    return data
+
+
+CONTENT = damaged() | st.binary(max_size=100)
+NAMES = st.sampled_from(["a.csv", "a.csv", "a.csv.gz", "a.parquet"])
+
+
+def check(content: bytes, other: bytes, name: str, packed: bool) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder, name), Path(folder, "b.csv")]
+        paths[0].write_bytes(gzip.compress(content, 1) if packed else content)
+        paths[1].write_bytes(other)
+        READER.recognise(paths)
+        try:
+            source = READER.open(paths)
+        except LdcError:
+            return
+        for part in source.parts:
+            assert all(isinstance(item, Recording | Problem) for item in part.read())
+            found = extract_part(part, Criteria(vehicle_width=1.8), Preparation())
+            assert np.isfinite(found.departures.matrix()).all()
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(CONTENT, CONTENT, NAMES, st.booleans())
+def test_any_content(content: bytes, other: bytes, name: str, packed: bool) -> None:
+    check(content, other, name, packed)
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(CONTENT, CONTENT, NAMES, st.booleans())
+def test_any_content_at_length(content: bytes, other: bytes, name: str, packed: bool) -> None:
+    check(content, other, name, packed)
+
+
+FIELD = st.sampled_from(["0", "1", "2.5", " 3 ", "", "nan", "NULL", "x", "-1e-3", "inf", '"4"'])
+LINE = st.tuples(st.sampled_from("abc"), st.integers(0, 9).map(str) | FIELD, FIELD)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(LINE, min_size=1, max_size=12))
+def test_against_plain_python(lines: list[tuple[str, str, str]]) -> None:
+    """Which recordings are kept, and their samples, worked out with nothing but `float`."""
+
+    def number(text: str) -> float | None:
+        text = text.strip().strip('"').strip()
+        try:
+            return float("nan") if text in ("", "NULL") else float(text)
+        except ValueError:
+            return None
+
+    expected: dict[str, list[tuple[float, float]]] = {}
+    faulty: set[str] = set()
+    closed: set[str] = set()
+    previous = ""
+    for name, t, offset in lines:
+        if name != previous and previous:
+            closed.add(previous)
+        previous = name
+        if name in closed:
+            continue
+        one, other = number(t), number(offset)
+        if one is None or other is None:
+            faulty.add(name)
+        elif math.isfinite(one):
+            expected.setdefault(name, []).append((one, other))
+    text = "".join(f"{name},{t},{offset},3.6,25\n" for name, t, offset in lines)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.csv")
+        path.write_text(HEADER + A.replace("a", "sound") + text)
+        found = {
+            item.name: item
+            for item in TablePart(str(path), "a", 1).read()
+            if isinstance(item, Recording)
+        }  # fmt: skip
+    sound = {
+        name: rows
+        for name, rows in expected.items()
+        if rows and name not in faulty and (np.diff([t for t, _ in rows]) > 0).all()
+    }
+    assert sorted(found) == sorted([*sound, "sound"])
+    for name, rows in sound.items():
+        np.testing.assert_array_equal(found[name].t, [t for t, _ in rows])
+        np.testing.assert_array_equal(found[name].lane_offset, [offset for _, offset in rows])
