@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -11,8 +12,8 @@ from ldctoolkit.recordings.events import REASONS
 
 SIDES: Final = ("left", "right")
 
-MOST_SOURCES: Final = 60
-"""Rows of a table of sources; further ones are gathered in one."""
+MOST_ROWS: Final = 60
+"""Rows of a table of sources or labels; further ones are gathered in one."""
 
 NOT_KNOWN: Final = "not known"
 
@@ -47,7 +48,7 @@ class Row:
     account : Account
         Their sum.
     sources : tuple of str
-        Sources that the row stands for; none where it stands for another kind of group.
+        Sources, or values of the label, that the row stands for; none for all together.
     """
 
     title: str
@@ -89,7 +90,7 @@ def total(accounts: Sequence[Account]) -> Row | None:
     return Row("All", joined[0]) if joined else None
 
 
-def by_source(accounts: Sequence[Account], most: int = MOST_SOURCES) -> tuple[Row, ...]:
+def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[Row, ...]:
     """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row.
 
     Parameters
@@ -98,20 +99,7 @@ def by_source(accounts: Sequence[Account], most: int = MOST_SOURCES) -> tuple[Ro
     most : int
         Rows, the last one of gathered sources included.
     """
-    joined = joined_accounts(dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts)
-    longest = set(sorted(range(len(joined)), key=lambda i: -joined[i].read_ns)[: most - 1])
-    if len(joined) <= most:
-        longest = set(range(len(joined)))
-    rows = [_of_source(joined[i]) for i in sorted(longest)]
-    rest = [one for i, one in enumerate(joined) if i not in longest]
-    if rest:
-        (gathered,) = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
-        rows.append(Row(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
-    return tuple(rows)
-
-
-def _of_source(account: Account) -> Row:
-    return Row(account.origin.source or NOT_KNOWN, account, (account.origin.source,))
+    return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
 
 
 def label_names(accounts: Sequence[Account]) -> tuple[str, ...]:
@@ -119,12 +107,32 @@ def label_names(accounts: Sequence[Account]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label.name for one in accounts for label in one.origin.labels))
 
 
-def by_label(accounts: Sequence[Account], name: str) -> tuple[Row, ...]:
-    """One row a value of a label, sorted; recordings without it come last."""
+def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[Row, ...]:
+    """One row a value of a label, D2 before D10; recordings without it come last. `most` as in `by_source`."""
 
     def value(one: Account) -> str:
         return next((label.value for label in one.origin.labels if label.name == name), "")
 
-    joined = joined_accounts(dataclasses.replace(one, origin=Origin(value(one))) for one in accounts)
-    ordered = sorted(joined, key=lambda one: (not one.origin.source, one.origin.source))
-    return tuple(Row(one.origin.source or NOT_KNOWN, one) for one in ordered)
+    valued = [dataclasses.replace(one, origin=Origin(value(one))) for one in accounts]
+    return _rows(sorted(valued, key=lambda one: (not one.origin.source, _natural(one.origin.source))), most)
+
+
+def _natural(words: str) -> list[tuple[int, int, str]]:
+    """Sorts runs of digits as numbers, however long."""
+    parts = re.split("0*([0-9]+)", words)
+    return [(1, 0, part) if k % 2 == 0 else (0, len(part), part) for k, part in enumerate(parts)]
+
+
+def _rows(accounts: Sequence[Account], most: int) -> tuple[Row, ...]:
+    joined = joined_accounts(accounts)
+    longest = set(range(len(joined)))
+    if len(joined) > most:
+        longest = set(sorted(longest, key=lambda i: -joined[i].read_ns)[: most - 1])
+    rows = [
+        Row(one.origin.source or NOT_KNOWN, one, (one.origin.source,)) for i, one in enumerate(joined) if i in longest
+    ]
+    rest = [one for i, one in enumerate(joined) if i not in longest]
+    if rest:
+        (gathered,) = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
+        rows.append(Row(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
+    return tuple(rows)

@@ -85,8 +85,8 @@ def _picture(event: DrawnEvent, alt: str) -> Markup:
         last = i == len(panels) - 1
         parts += [
             frame.grid(x_ticks=5, y_ticks=ticks, x_label="Time since the crossing [s]" if last else "", y_label=label),
-            frame.line(at, fitted, "fit"),
             frame.dots(t, values, f"dots {kind}"),
+            frame.line(at, fitted, "fit"),
         ]
     return picture(320, 342, alt, *parts)
 

@@ -66,7 +66,7 @@ class Shares:
         return max(0.0, 1.0 - float(self.share.sum())) if self.n else 0.0
 
 
-def shared_edges(values: FloatArray, least: float) -> FloatArray:
+def shared_edges(values: FloatArray, least: float, groups: int = 1) -> FloatArray:
     """Edges of bins of a round width over nearly all values.
 
     Parameters
@@ -75,6 +75,8 @@ def shared_edges(values: FloatArray, least: float) -> FloatArray:
         All that are to be compared, together; may be none.
     least : float
         Smallest range of the axis.
+    groups : int
+        Into so many about equal ones they are going to be split: fewer values a bin take wider bins.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def shared_edges(values: FloatArray, least: float) -> FloatArray:
     known = values[np.isfinite(values)]
     ends = np.quantile(known, [ENDS, 1.0 - ENDS]) if known.size >= MANY else known
     axis = Axis.around(ends, least=least, margin=0.0)
-    step = axis.step(int(np.clip(np.ceil(3.0 * np.cbrt(known.size)), 8, MOST_BINS)))
+    step = axis.step(int(np.clip(np.ceil(3.0 * np.cbrt(known.size / groups)), 8, MOST_BINS)))
     first, last = np.floor(axis.low / step + 1e-9), np.ceil(axis.high / step - 1e-9)
     return np.arange(first, max(last, first + 1) + 1) * step
 
@@ -102,7 +104,7 @@ def histogram(quantity: Quantity, sides: dict[str, Shares], title: str) -> Marku
     """
     edges = next(iter(sides.values())).edges
     frame = Frame(42, 26, 246, 130, Axis(float(edges[0]), float(edges[-1])), _heights(sides))
-    grid = frame.grid(x_ticks=4, y_ticks=4, x_label=quantity.label, y_label="Share per bin [%]")
+    grid = frame.grid(x_ticks=5, y_ticks=5, x_label=quantity.label, y_label="Share per bin [%]")
     alt = f"{title}: {quantity.name}, {quantity.meaning}. {'; '.join(told(quantity, sides))}."
     return picture(300, 195, alt, grid, *_curves(frame, sides))
 
@@ -142,7 +144,7 @@ def width_shares(counts: Sequence[npt.NDArray[np.int64]]) -> list[Shares]:
 
 def beyond_note(sides: dict[str, Shares]) -> str:
     """What the axis leaves out; empty where it is nothing."""
-    parts = [f"{percent(one.beyond)} of the {side} ones" for side, one in sides.items() if one.beyond > 5e-4]
+    parts = [f"{percent(one.beyond)} {side}" for side, one in sides.items() if one.beyond > 5e-4]
     return f"not shown: {', '.join(parts)}" if parts else ""
 
 

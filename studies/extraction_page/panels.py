@@ -104,7 +104,7 @@ def small_table(
     heads, columns = [], []
     for quantity in PARAMETERS:
         values = quantity.shown(getattr(departures, quantity.name))
-        edges = shared_edges(values, quantity.least)
+        edges = shared_edges(values, quantity.least, len(rows))
         heads.append(_head(quantity, edges))
         cells = []
         for mine in members:

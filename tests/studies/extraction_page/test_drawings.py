@@ -153,6 +153,6 @@ def test_lane_widths_of_any_account(cells: list[tuple[int, int]]) -> None:
     assert one.n == count.sum()
     if one.n:
         assert 0.98 <= one.share.sum() <= 1.0 + 1e-9
-        place = one.median / 0.1
-        assert count[: int(np.floor(place + 1e-6))].sum() <= 0.5 * one.n
-        assert count[int(np.ceil(place - 1e-6)) :].sum() <= 0.5 * one.n
+        middle = one.median / 0.1
+        assert count[: int(np.floor(middle + 1e-6))].sum() <= 0.5 * one.n
+        assert count[int(np.ceil(middle - 1e-6)) :].sum() <= 0.5 * one.n

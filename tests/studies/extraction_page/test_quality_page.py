@@ -140,8 +140,8 @@ def test_reasons_are_counted_by_source_and_side(make: ModuleType) -> None:
     for row, account in zip(table[1:], extraction.accounts, strict=False):
         for name, cell in zip(table[0][1:], row[1:], strict=True):
             k = REASONS.index(name.replace(" ", "_"))
-            left, right = int(account.refused[0, k]), int(account.refused[1, k])
-            assert cell == (f"{left} / {right}" if left or right else "0")
+            counts = [int(account.refused[side, k]) for side in (0, 1)]
+            assert cell == (" / ".join(map(str, counts)) if any(counts) else "0")
     assert table[3][0] == "All"
 
 
@@ -168,6 +168,12 @@ def test_groups_by_label(make: ModuleType) -> None:
     assert len(found.tables["By driver and side"]) == 2 + 7
     assert "Refused by driver and reason: left / right" in found.tables
     assert "carry no labels" in parsed(make.make_extraction(1)).text["groups"]
+
+
+def test_values_of_a_label_are_in_the_order_of_their_numbers(make: ModuleType) -> None:
+    found = parsed(make.make_extraction(100, (1, 1), labels=True))
+    drivers = [row[0] for row in found.tables["By driver and side"][2:]]
+    assert drivers == [*(f"D{i}" for i in range(1, 60)), "41 more"]
 
 
 def test_quantiles_are_those_of_the_departures(make: ModuleType) -> None:

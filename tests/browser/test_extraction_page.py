@@ -1,0 +1,136 @@
+"""The quality report of an extraction: silent, in order, open to all, printable, light and dark, desk and hand."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from ldctoolkit.recordings.recording import Problem
+from studies.extraction_page import write_extraction_page
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+PAGES = pytest.mark.parametrize("name", ["one", "six", "fifty", "left-only", "nothing-found", "nothing-read"])
+SIZES = pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], ids=["desk", "hand"])
+
+PROBLEMS = tuple(
+    Problem(f"D1/20151110175712-16km-D1-NORMAL{k}-SECONDARY/RAW_GPS.txt", f"line {17 * k}", "the time runs backwards")
+    for k in range(1, 30)
+)
+WARNINGS = (
+    "the yaw rate turns against the GPS heading (correlation -0.93): it is positive to the right; give "
+    "--yaw-rate-factor -1, or all curvatures have the wrong sign",
+)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Pages by name, each made when it is first asked for."""
+    path = Path(__file__).resolve().parents[1] / "studies" / "extraction_page" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("extraction_page_making", path)
+    assert spec is not None
+    assert spec.loader is not None
+    sys.modules["extraction_page_making"] = make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    root = tmp_path_factory.mktemp("extraction_pages")
+    makers = {
+        "one": lambda: make.make_extraction(1, (300, 200), problems=PROBLEMS, warnings=WARNINGS),
+        "six": lambda: make.make_extraction(6, (60, 40), labels=True, problems=PROBLEMS[:3], warnings=WARNINGS),
+        "fifty": lambda: make.make_extraction(50, (40, 30), labels=True, dt=0.02),
+        "left-only": lambda: make.make_extraction(1, (7, 0)),
+        "nothing-found": lambda: make.make_extraction(2, (0, 0)),
+        "nothing-read": lambda: make.make_extraction(0, (0, 0), problems=PROBLEMS),
+    }
+
+    def page(name: str) -> Path:
+        target = root / f"{name}.html"
+        return target if target.exists() else write_extraction_page(target, makers[name]())
+
+    return page
+
+
+def opened(page: Any) -> Any:
+    page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
+    return page
+
+
+@PAGES
+@SIZES
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_nothing_overlaps_and_everybody_can_read_it(
+    open_page: Callable[..., Any],
+    pages: Callable[[str], Path],
+    look: ModuleType,
+    axe: str,
+    name: str,
+    width: int,
+    height: int,
+    dark: bool,
+) -> None:
+    page = opened(open_page(pages(name), width=width, height=height, dark=dark))
+    assert look.faults_of_layout(page) == []
+    assert look.faults_of_access(page, axe) == []
+
+
+@PAGES
+def test_reads_without_script(
+    open_page: Callable[..., Any], pages: Callable[[str], Path], look: ModuleType, name: str
+) -> None:
+    page = open_page(pages(name), script=False)
+    for section in page.locator("main > section").all():
+        assert section.locator("h2").first.is_visible()
+        assert len(section.inner_text().split()) > 4
+    for link in page.locator("a[href]").all():
+        assert page.locator(f'[id="{link.get_attribute("href")[1:]}"]').count() == 1
+    assert page.locator("button, select, input, script").count() == 0
+    assert look.faults_of_layout(page) == []
+
+
+def test_drawings_are_seen_in_the_dark(open_page: Callable[..., Any], pages: Callable[[str], Path]) -> None:
+    """Curves, fits and words have other colours than what they stand on."""
+    for dark in (False, True):
+        page = open_page(pages("one"), dark=dark)
+        ground = page.locator("#deepest .panel").first.evaluate("(e) => getComputedStyle(e).backgroundColor")
+        seen = [
+            page.locator(f"#{place}").first.evaluate(f"(e) => getComputedStyle(e)['{how}']")
+            for place, how in (
+                ("deepest .dots", "stroke"),
+                ("deepest .fit", "stroke"),
+                ("deepest .plot text", "fill"),
+                ("parameters .steps.left", "fill"),
+                ("parameters .steps.right", "stroke"),
+            )
+        ]
+        assert "none" not in seen
+        assert len({ground, *seen}) == 6
+        levels = [sum(map(int, re.findall(r"\d+", color)[:3])) for color in (ground, seen[1])]
+        assert (levels[0] < levels[1]) == dark
+
+
+def test_drawings_have_room(open_page: Callable[..., Any], pages: Callable[[str], Path]) -> None:
+    for width in (1366, 390):
+        page = open_page(pages("one"), width=width)
+        for box in page.locator("svg.plot").evaluate_all("(all) => all.map((e) => [e.clientWidth, e.clientHeight])"):
+            assert box[0] >= 240
+            assert box[1] >= 150
+        letters = page.locator("svg.plot text").evaluate_all(
+            "(all) => all.map((e) => parseFloat(getComputedStyle(e).fontSize) * e.getScreenCTM().a)"
+        )
+        assert min(letters) >= 9.0
+
+
+@pytest.mark.parametrize("name", ["one", "fifty"])
+def test_prints(open_page: Callable[..., Any], pages: Callable[[str], Path], name: str) -> None:
+    page = open_page(pages(name), dark=True)
+    paper = page.pdf(format="A4")
+    assert paper.startswith(b"%PDF")
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 30
+    page.emulate_media(media="print")
+    assert not page.get_by_role("navigation", name="Sections").is_visible()
