@@ -19,7 +19,7 @@ from ldctoolkit.recordings.spmd_das1_part import LANE, WSU, Das1Part, TripPlace,
 from ldctoolkit.recordings.table_files import find_tables, shown_names
 from ldctoolkit.recordings.table_text import Header, read_header
 from ldctoolkit.recordings.trip_index import TripIndex, index_trips
-from ldctoolkit.recordings.trip_rows import TripTable, collect_trips, told
+from ldctoolkit.recordings.trip_rows import TripTable, collect_trips
 
 PART_BYTES: Final = 24 << 20
 """Text of both tables that is read in one go."""
@@ -96,7 +96,7 @@ class SpmdDas1:
         Raises
         ------
         RecordingError
-            If there is no lane table or no other table. Tables without a common trip give no part, and problems.
+            If there is no lane table or no other table. Trips of the lane table alone give recordings without a speed.
         """
         found = find_tables(paths)
         problems: list[Problem] = []
@@ -141,17 +141,11 @@ class SpmdDas1:
         problems += odd
         others, odd = collect_trips(wsu)
         problems += odd
-        alone: dict[int, list[tuple[int, str, str]]] = {}
         together = []
         for key, (number, stretches) in lanes.items():
-            if key in others:
-                other, there = others[key]
-                together.append((number, other, stretches[0].begin, stretches, there))
-            else:
-                words = f"trip {key[0]}/{key[1]} has no rows in DataWsu that could be used; it is left out"
-                alone.setdefault(number, []).append((stretches[0].line, "alone", words))
-        for number, faults in alone.items():
-            problems += told(lane[number][0].name, faults)
+            # a trip that the other table lacks is read as well: it counts, though nothing of it can be used
+            other, there = others.get(key, (0, ()))
+            together.append((number, other, stretches[0].begin, stretches, there))
         together.sort(key=lambda trip: trip[:3])
         parts: list[Das1Part] = []
         batch: list[TripPlace] = []

@@ -27,6 +27,8 @@ USABLE_QUALITY: Final = (2.0, 3.0)
 PLACEHOLDER: Final = (-1.875, 1.875)
 """Distances to the left and right that stand for "no lane"."""
 
+ALONE: Final = "no rows in DataWsu, so that speed and yaw rate are not known"
+
 LANE: Final = ("Time", "LaneDistanceLeft", "LaneDistanceRight", "LaneQualityLeft", "LaneQualityRight")
 WSU: Final = (
     "Time", "ValidCanWsu", "SpeedWsu", "YawRateWsu", "TurnSngLWsu", "TurnSngRWsu",
@@ -75,16 +77,16 @@ class Das1Part:
         ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
         joined = np.concatenate([[0], np.cumsum(match >= 0)])
         apart: list[tuple[int, str, str]] = []
-        for (stretches, _), begin, end in zip(self.trips, ends[:-1], ends[1:], strict=True):
+        for (stretches, there), begin, end in zip(self.trips, ends[:-1], ends[1:], strict=True):
             first = stretches[0]
             name = f"{first.device}/{first.trip}"
             if begin == end:
                 continue  # every row was left out, and told
-            if joined[begin] == joined[end]:
+            if there and joined[begin] == joined[end]:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
                 apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))
                 continue
-            yield signals.recording(name, self.lane.name, slice(begin, end))
+            yield signals.recording(name, self.lane.name, slice(begin, end), () if there else (ALONE,))
         yield from told(self.lane.name, apart)
 
 
@@ -106,7 +108,7 @@ class _Signals:
     turn_signal: IntArray
     heading: FloatArray
 
-    def recording(self, name: str, source: str, rows: slice) -> Recording:
+    def recording(self, name: str, source: str, rows: slice, notes: tuple[str, ...]) -> Recording:
         """One trip."""
         return Recording(
             name,
@@ -119,6 +121,7 @@ class _Signals:
             turn_signal=self.turn_signal[rows],
             heading=self.heading[rows],
             source=source,
+            notes=notes,
         )
 
 

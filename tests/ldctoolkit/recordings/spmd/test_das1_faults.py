@@ -13,6 +13,7 @@ import pytest
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.spmd_das1 import READER
+from ldctoolkit.recordings.spmd_das1_part import ALONE
 
 ROWS = 120
 """Rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in line 2 + 120 (k - 1)."""
@@ -154,18 +155,14 @@ def test_a_trip_in_two_files_is_left_out(das1: ModuleType, tables: tuple[Path, P
     again.write_bytes(das1.text_of(das1.lane_frame([das1.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
     recordings, problems = read(*tables, again)
     assert samples(recordings) == [ROWS, 0, ROWS]
-    assert problems == [
-        "DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; it is left out",
-        "DataLane_again.csv, line 52: trip 7/4 has no rows in DataWsu that could be used; it is left out",
-    ]
+    assert problems == ["DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; it is left out"]
+    assert recordings["7/4"].notes == (ALONE,)
     third = tmp_path / "DataWsu_again.csv"
     third.write_bytes(das1.text_of(das1.wsu_frame([das1.planted_drive(7, 3, rows=50)])))
     recordings, problems = read(*tables, third)
-    assert samples(recordings) == [ROWS, ROWS, 0]
-    assert problems == [
-        "DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; it is left out",
-        "DataLane.csv, line 242: trip 7/3 has no rows in DataWsu that could be used; it is left out",
-    ]
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == ["DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; it is left out"]
+    assert recordings["7/3"].notes == (ALONE,)
 
 
 def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
@@ -189,10 +186,13 @@ def test_trips_without_a_partner(das1: ModuleType, tables: tuple[Path, Path]) ->
     drives = [das1.planted_drive(7, trip, rows=3) for trip in range(1, 41)]
     tables[0].write_bytes(das1.text_of(das1.lane_frame(drives)))
     recordings, problems = read(*tables)
-    assert list(recordings) == ["7/1", "7/2", "7/3"]
-    assert len(problems) == 21
-    assert problems[0] == "DataLane.csv, line 11: trip 7/4 has no rows in DataWsu that could be used; it is left out"
-    assert problems[-1] == "DataLane.csv, line 71: 17 more lines like line 11, to line 119"
+    assert problems == []
+    assert list(recordings) == [f"7/{trip}" for trip in range(1, 41)]
+    for trip, one in enumerate(recordings.values(), 1):
+        known = trip <= 3  # of the others nothing can be used, but they are counted
+        assert one.samples == 3
+        assert np.isfinite(one.speed).all() == np.isfinite(one.yaw_rate).all() == known
+        assert one.notes == (() if known else (ALONE,))
     # rows of the other table alone are nothing unusual
     das1.write_tables(tables[0].parent, [das1.planted_drive(7, 1, rows=30)])
     tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
