@@ -57,11 +57,11 @@ def curvature_at(t: np.ndarray) -> np.ndarray:
 
 
 def yaw_at(t: np.ndarray) -> np.ndarray:
-    """Integral of curvature times speed, in closed form; it runs through pi several times."""
+    """Integral of curvature times speed, in closed form; it runs through pi several times, twice in a departure."""
     w = 2.0 * np.pi / BEND_PERIOD
     level = -np.cos(w * t) / w
     rising = -t * np.cos(w * t) / w + np.sin(w * t) / w**2
-    return 3.05 + 2e-3 * (25.0 * level + 0.03 * rising)
+    return 3.415 + 2e-3 * (25.0 * level + 0.03 * rising)
 
 
 def lane_rows(rng: np.random.Generator, *, scale: float = 1.0, noise: float = 0.0) -> np.ndarray:
@@ -86,7 +86,7 @@ def lane_rows(rng: np.random.Generator, *, scale: float = 1.0, noise: float = 0.
 def gps_rows(rng: np.random.Generator) -> np.ndarray:
     t = np.arange(BEGIN - 0.4, END + 1.0, 1.0)
     t = np.round(t + rng.uniform(-0.05, 0.05, t.size), 2)
-    course = np.mod(np.degrees(-yaw_at(t)) + 31.0, 360.0)
+    course = np.mod(np.degrees(-yaw_at(t)) + 180.0, 360.0)
     course[t < 14.0] = -1.0
     other = np.zeros(t.size)
     columns = [t, 3.6 * speed_at(t), 40.51 + 1e-4 * t, -3.4 - 1e-4 * t, 610.0 + other, 6.0 + other, 10.0 + other]

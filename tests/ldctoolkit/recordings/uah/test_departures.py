@@ -132,7 +132,8 @@ def test_groups(made, planted, tmp_path):
     found = {}
     for part in parts:
         departures = extract_part(part, CRITERIA, STEP).departures
-        found[part.key] = {column.name: set(column.values) for column in departures.extra}
+        columns = {column.name: set(column.values) for column in departures.extra}
+        found[part.key] = {name: columns[name] for name in ("source", "driver", "behaviour", "road")}
         assert departures.n == len(planted)
         assert set(departures.recording) == {part.key}
     assert found == {
