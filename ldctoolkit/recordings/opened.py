@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ldctoolkit.errors import InputError, RecordingError
-from ldctoolkit.recordings.sources import AUTO, RecordingReader, RecordingSource, recognise, recording_reader
+from ldctoolkit.recordings.sources import AUTO, RecordingReader, RecordingSource, recognised_by, recording_reader, shown
+from ldctoolkit.recordings.together import ReadersTogether, agree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,5 +78,17 @@ def open_recordings(
         if path.resolve() in seen:
             raise RecordingError(f"{path.name}: given twice")
         seen.add(path.resolve())
-    reader, found = recognise(given) if format == AUTO else (recording_reader(format), "")
+    reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
     return OpenedRecordings(reader, reader.open(given), found or reader.title)
+
+
+def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
+    """The reader for these paths, and what it found; several readers as one where one set of options serves them."""
+    found = recognised_by(paths)
+    if len(found) == 1:
+        return found[0]
+    said = "; ".join(f"{reader.name}: {words}" for reader, words in found)
+    readers = tuple(reader for reader, _ in found)
+    if not agree(readers):
+        raise RecordingError(f"{shown(paths)}: several readers know such files ({said}); choose one with --format")
+    return ReadersTogether(readers), said

@@ -154,13 +154,15 @@ def recording_reader(name: str) -> RecordingReader:
     return reader
 
 
-def recognise(paths: Sequence[Path]) -> tuple[RecordingReader, str]:
-    """The one reader that these paths are for, and what it found.
+def recognised_by(paths: Sequence[Path]) -> list[tuple[RecordingReader, str]]:
+    """Readers that these paths are for, by name, and what each found.
 
     Raises
     ------
     RecordingError
-        If no reader knows them, or several do.
+        If no reader knows them.
+    LdcError
+        If a reader fails over them.
     """
     found = []
     for reader in map(recording_reader, reader_names()):
@@ -170,13 +172,14 @@ def recognise(paths: Sequence[Path]) -> tuple[RecordingReader, str]:
             raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
         if words:
             found.append((reader, words))
-    if len(found) == 1:
-        return found[0]
-    shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
     if not found:
         raise RecordingError(
-            f"{shown}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a reader "
-            "says what it misses)"
+            f"{shown(paths)}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a "
+            "reader says what it misses)"
         )
-    said = "; ".join(f"{reader.name}: {words}" for reader, words in found)
-    raise RecordingError(f"{shown}: several readers know such files ({said}); choose one with --format")
+    return found
+
+
+def shown(paths: Sequence[Path]) -> str:
+    """A few paths by their names, for messages."""
+    return ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")

@@ -142,7 +142,7 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
         sources.recording_reader("renamed")
     install(flat=lambda: Careless)
     with pytest.raises(LdcError, match="'flat': recognise fails with ZeroDivisionError"):
-        sources.recognise([tmp_path])
+        sources.recognised_by([tmp_path])
 
 
 TABLES = {
@@ -160,7 +160,7 @@ TABLES = {
 def test_recognise_a_file(name: str, tmp_path: Path) -> None:
     file, text = TABLES[name]
     (tmp_path / file).write_text(text)
-    reader, words = sources.recognise([tmp_path / file])
+    ((reader, words),) = sources.recognised_by([tmp_path / file])
     assert reader.name == name
     assert words
 
@@ -170,9 +170,26 @@ def test_no_reader_and_several(tmp_path: Path, install: Callable[..., None]) -> 
         (tmp_path / file).write_text(text)
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
     with pytest.raises(RecordingError, match=r"^notes.csv: no reader knows such files; allowed: .*uah-driveset"):
-        sources.recognise([tmp_path / "notes.csv"])
+        open_recordings([tmp_path / "notes.csv"])
+    # plain tables are of another vehicle and step than the SPMD's
     with pytest.raises(RecordingError, match=r"several readers know such files \(.*spmd-das2: .*--format"):
-        sources.recognise([tmp_path])
+        open_recordings([tmp_path])
+
+
+def test_two_fleets_in_one_folder(tmp_path: Path) -> None:
+    (tmp_path / "HV_Primary.csv").write_text(TABLES["spmd-das2"][1])
+    (tmp_path / "DataLane.csv").write_text(TABLES["spmd-das1"][1])
+    columns = ("Device,Trip,Time,GpsValidWsu,GpsSpeedWsu,GpsHeadingWsu,ValidCanWsu,YawRateWsu,SpeedWsu,TurnSngRWsu,"
+               "TurnSngLWsu")  # fmt: skip
+    (tmp_path / "DataWsu.csv").write_text(f"{columns}\n1,1,0,1,25,90,1,0,90,0,0\n")
+    opened = open_recordings([tmp_path])
+    assert opened.reader.name == "spmd-das1 + spmd-das2"
+    assert (opened.reader.vehicle_width, opened.reader.step) == (1.82, 0.1)
+    assert opened.found == opened.reader.recognise([tmp_path])
+    assert [file.name for file in opened.source.files] == ["DataLane.csv", "DataWsu.csv", "HV_Primary.csv"]
+    found = extract_departures(opened)
+    assert {account.origin.source for account in found.accounts} == {"DataLane.csv", "HV_Primary.csv"}
+    assert found.problems == ()
 
 
 def test_the_sample_folders() -> None:
@@ -180,7 +197,9 @@ def test_the_sample_folders() -> None:
     if not sample.is_dir():
         pytest.skip("the sample of the real tables is not beside this checkout")
     both = [sample / "one-day" / name for name in ("DataLane_04_11_13.csv", "DataWsu_04_11_13.csv")]
-    assert sources.recognise(both)[0].name == "spmd-das1"
-    assert sources.recognise([sample / "two-month" / "HV_Primary.csv"])[0].name == "spmd-das2"
-    with pytest.raises(RecordingError, match="several readers know"):
-        sources.recognise([sample / "two-month"])
+    assert open_recordings(both).reader.name == "spmd-das1"
+    assert open_recordings(sample / "two-month" / "HV_Primary.csv").reader.name == "spmd-das2"
+    for folder in ("two-month", "one-day"):
+        found = extract_departures(open_recordings(sample / folder))
+        assert found.problems == ()
+        assert found.provenance.reader == "spmd-das1 + spmd-das2"
