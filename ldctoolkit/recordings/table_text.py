@@ -166,14 +166,16 @@ def read_cells(
     if bytes_.size == 0:
         return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64))
 
-    def parse(source: bytes | bytearray | memoryview, kind: type[pl.DataType]) -> pl.DataFrame | None:
-        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place, pl.String)
+    def parse(
+        source: bytes | bytearray | memoryview, kind: type[pl.DataType], width: int = len(place)
+    ) -> pl.DataFrame | None:
+        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place[:width], pl.String)
         kinds |= dict.fromkeys(chosen, kind)
         try:
             return pl.read_csv(
-                b"".join((",".join(place).encode(), b"\n", source)),
+                b"".join((",".join(kinds).encode(), b"\n", source)),
                 schema=kinds,
-                columns=list(dict.fromkeys([*chosen, place[-1]])),
+                columns=list(dict.fromkeys([*chosen, place[width - 1]])),
                 quote_char=None,
                 truncate_ragged_lines=True,
                 raise_if_empty=False,
@@ -182,11 +184,12 @@ def read_cells(
             return None
 
     lines = int(np.count_nonzero(bytes_ == 10)) + int(bytes_[-1] != 10)
-    exact = len(allowed) == 1 and np.count_nonzero(bytes_ == 44) == lines * (allowed[0] - 1)
+    commas = int(np.count_nonzero(bytes_ == 44))
+    exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
     if exact and bytes_.max() < 128:
-        frame = parse(text, pl.Float64)
+        frame = parse(text, pl.Float64, exact)
         # the last cell is nowhere missing, so no line is short; the sum then says that none is long
-        if frame is not None and frame.height == lines and frame[place[-1]].null_count() == 0:
+        if frame is not None and frame.height == lines and frame[place[exact - 1]].null_count() == 0:
             return Cells(tuple(wanted), _arrays(frame.select(chosen)), np.arange(lines))
     row, source, faults = _survey(bytes(text), bytes_, allowed)
     frame = parse(source, pl.Float64)
