@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
@@ -77,8 +78,23 @@ class ReadersTogether:
         return "; ".join(f"{name}: {words}" for name, words in said if words)
 
     def open(self, paths: Sequence[Path]) -> SourcesTogether:
-        """Look through the paths with each; each passes over the others' files."""
-        return SourcesTogether(tuple(reader.open(paths) for reader in self.readers))
+        """Look through the paths with each; each passes over the others' files.
+
+        Raises
+        ------
+        RecordingError
+            If two of them read the same file, whose departures would count twice.
+        """
+        sources = tuple(reader.open(paths) for reader in self.readers)
+        owner: dict[str, str] = {}
+        for reader, source in zip(self.readers, sources, strict=True):
+            for file in source.files:
+                if owner.setdefault(file.sha256, reader.name) != reader.name:
+                    said = self.recognise(paths)
+                    raise RecordingError(
+                        f"{file.name}: several readers know such files ({said}); choose one with --format"
+                    )
+        return SourcesTogether(sources)
 
 
 def agree(readers: Sequence[RecordingReader]) -> bool:
