@@ -36,9 +36,9 @@ class Noise:
     lane: float = 0.004
     lane_resolution: float = 1.0 / 256.0
     speed: float = 0.01
-    yaw_rate: float = 0.05
+    yaw_rate: float = 0.06
     yaw_rate_rows: int = 2
-    heading: float = 0.1
+    heading: float = 0.05
 
     @classmethod
     def none(cls) -> Noise:

@@ -1,0 +1,106 @@
+"""The recordings are what they are said to be: against the plain reduction of signals, and sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ldctoolkit import DepartureSignals, load_model, reduce_signals
+
+N = 600
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_model("reference").sample(N // 2, N // 2, seed=3)
+
+
+@pytest.fixture(scope="module")
+def driven(making, parameters):
+    return making.drive(parameters, 4, events_a_trip=25)
+
+
+def signals_of(planted):
+    """The planted samples with the exact crossings around them."""
+    p = planted.parameters
+    rows = []
+    for i in range(p.n):
+        inside = planted.inside[i]
+        t = np.concatenate([[0.0], planted.first[i] + 0.1 * np.arange(inside.sum()), [p.T[i]]])
+        y = np.concatenate([[0.0], planted.y[i][inside], [0.0]])
+        v = np.concatenate([planted.v_ends[i][:1], planted.v[i][inside], planted.v_ends[i][1:]])
+        c = np.concatenate([p.c_0[i : i + 1], planted.c[i][inside], (p.c_0 + p.dc)[i : i + 1]])
+        rows.append((t, y, v, c))
+    offsets = np.cumsum([0] + [row[0].size for row in rows])
+    return DepartureSignals(offsets, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def test_samples_reduce_to_the_parameters(driven):
+    p = driven.planted.parameters
+    back = reduce_signals(signals_of(driven.planted), p.side)
+    for name in ("T", "d_y", "a_mean", "sigma_v", "c_0", "dc"):
+        np.testing.assert_allclose(getattr(back, name), getattr(p, name), rtol=1e-8, atol=1e-10, err_msg=name)
+    # the trapezoid rule goes over the residual of v as well
+    np.testing.assert_allclose(back.v_mean, p.v_mean, atol=0.2 * p.sigma_v.max())
+    reached = driven.planted.reached
+    assert np.mean(reached) > 0.97
+    np.testing.assert_allclose(back.sigma_y[reached], p.sigma_y[reached], rtol=1e-8)
+    assert (back.sigma_y[~reached] < p.sigma_y[~reached]).all()
+
+
+def test_every_model_event_is_driven_once(driven, parameters):
+    np.testing.assert_array_equal(
+        np.sort(driven.planted.parameters.matrix(), axis=0), np.sort(parameters.matrix(), axis=0)
+    )
+    assert set(driven.planted.parameters.side.tolist()) == {-1, 1}
+
+
+def test_the_edge_is_beyond_the_line_in_departures_alone(making, driven):
+    margin = 0.5 * (1.82 - driven.lane_width)
+    edge = {1: driven.lane_offset + margin, -1: -driven.lane_offset + margin}
+    p = driven.planted.parameters
+    for trip in range(driven.trip[-1] + 1):
+        rows = np.flatnonzero(driven.trip == trip)
+        t = 0.1 * driven.tick[rows]
+        wanted = {side: np.zeros(t.size, bool) for side in (1, -1)}
+        for i in np.flatnonzero(driven.event_trip == trip):
+            wanted[int(p.side[i])] |= (t > driven.start_time[i]) & (t < driven.start_time[i] + p.T[i])
+        for side in (1, -1):
+            np.testing.assert_array_equal(edge[side][rows] > 0.0, wanted[side])
+        assert t[0] == 0.0
+        assert not (wanted[1] | wanted[-1])[:50].any()
+
+
+def test_nothing_jumps_between_departures(driven):
+    """The steps of 0.1 s are those of driving: no seam between approach, rest and departure."""
+    same = np.diff(driven.trip) == 0
+    beyond = np.abs(driven.lane_offset) > 0.5 * (driven.lane_width - 1.82)
+    lateral = np.abs(np.diff(driven.lane_offset))[same & ~beyond[1:] & ~beyond[:-1]] / 0.1
+    assert lateral.max() < 1.01 * max(np.abs(driven.planted.slope).max(), 2.0)  # 2 m/s: from line to line in 2 s
+    assert np.abs(np.diff(driven.speed))[same].max() < 0.4
+    assert driven.speed.min() > 1.0
+
+
+def test_yaw_rate_turns_the_heading_and_is_held(making, driven):
+    exact = making.measure(driven, making.Noise.none(), 1)
+    same = np.diff(driven.trip) == 0
+    turned = -np.diff(exact.heading)
+    turned = (turned + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(turned[same], 0.1 * exact.yaw_rate[1:][same], atol=1e-9)
+    np.testing.assert_allclose(np.radians(exact.yaw_rate), driven.speed * driven.curvature, atol=1e-12)
+    np.testing.assert_allclose(exact.left + exact.right, 2.0 * driven.lane_offset, atol=1e-12)
+    noisy = making.measure(driven, making.Noise(), 1)
+    odd = np.flatnonzero(driven.tick % 2 == 1)
+    np.testing.assert_array_equal(noisy.yaw_rate[odd], noisy.yaw_rate[odd - 1])
+    error = noisy.left - exact.left
+    assert error.std() == pytest.approx(np.hypot(0.004, 1.0 / 256.0 / np.sqrt(12.0)), rel=0.02)
+    np.testing.assert_array_equal(noisy.left * 256.0, np.rint(noisy.left * 256.0))
+
+
+def test_what_the_vehicle_turns_in_its_lane_adds_up(making, driven):
+    """Over a trip the vehicle ends as it began: the yaw rate of its own adds nothing to the lane's turning."""
+    exact = making.measure(driven, making.Noise.none(), 1)
+    own = making.measure(driven, making.Noise.none(), 1, own_turning=True)
+    added = np.bincount(driven.trip, weights=own.yaw_rate - exact.yaw_rate) * 0.1
+    assert np.abs(added).max() < 0.5  # degrees
+    assert np.abs(own.yaw_rate - exact.yaw_rate).max() > 1.0

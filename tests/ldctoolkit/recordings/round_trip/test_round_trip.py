@@ -1,0 +1,89 @@
+"""A scenario model's departures come back out of the tables that a vehicle would have recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ldctoolkit import extract_departures, fit_scenario_model, load_model, open_recordings
+from ldctoolkit.departures import PARAMETER_NAMES
+
+LARGEST = 0.03
+"""Kolmogorov distance that is allowed to every parameter on each side."""
+
+
+def extracted(making, folder, drive, noise, **options):
+    paths = making.write_tables(folder, making.measure(drive, noise, 7, **options))
+    return extract_departures(open_recordings(paths, format="spmd-das1"))
+
+
+def check(distances, largest=LARGEST):
+    told = {side: dict(zip(PARAMETER_NAMES, row.round(4).tolist(), strict=True)) for side, row in distances.items()}
+    assert max(row.max() for row in distances.values()) < largest, told
+
+
+def errors(making, found, drive):
+    """Found less planted by parameter, the pairing, and the planted parameters."""
+    pairs = making.compare(found.departures, drive)
+    truth = drive.planted.parameters.take(pairs.planted)
+    return (
+        dict(zip(PARAMETER_NAMES, (found.departures.matrix()[pairs.found] - truth.matrix()).T, strict=True)),
+        pairs,
+        truth,
+    )
+
+
+def test_marginals_come_back_with_noise(making, tmp_path):
+    drive = making.drive(load_model("reference").sample(750, 750, seed=11), 5)
+    found = extracted(making, tmp_path, drive, making.Noise())
+    pairs = making.compare(found.departures, drive)
+    assert pairs.lost < 0.02 * 1500
+    assert pairs.surplus < 0.02 * 1500
+    check(making.kolmogorov(found.departures, drive.planted.parameters))
+    assert found.problems == ()
+    assert not any("yaw" in words for words in found.warnings)
+
+
+def test_sampling_alone_changes_little(making, tmp_path):
+    drive = making.drive(load_model("reference").sample(400, 400, seed=12), 5)
+    found = extracted(making, tmp_path, drive, making.Noise.none())
+    error, pairs, truth = errors(making, found, drive)
+    assert pairs.surplus == 0
+    assert pairs.lost <= 0.005 * 800
+    slow = np.abs(error["T"]) < 0.01 + 0.01 / truth.T
+    assert slow.mean() > 0.97  # but for the residuals that bend y most at the line
+    assert np.abs(error["a_mean"]).max() < 1e-6
+    assert np.abs(error["sigma_v"]).max() < 1e-6
+    assert np.quantile(np.abs(error["d_y"]), 0.95) < 0.003
+    assert np.quantile(np.abs(error["c_0"]) * truth.v_mean**2, 0.95) < 0.01
+    assert np.quantile(np.abs(error["dc"]) * truth.v_mean**2, 0.95) < 0.01
+
+
+def test_short_departures_keep_their_bend_where_the_road_does_not_go_on(making, tmp_path):
+    """The curvature stays at its end values outside: what a long smoothing window would take for that inside."""
+    model = load_model("reference").sample(200, 200, seed=13, given={"T": (0.7, 1.1)})
+    drive = making.drive(model, 5, curvature_held=True)
+    found = extracted(making, tmp_path, drive, making.Noise.none())
+    error, _, truth = errors(making, found, drive)
+    kept = 1.0 + np.sum(error["dc"] * truth.dc) / np.sum(truth.dc**2)
+    assert 0.85 < kept < 1.02
+
+
+def test_what_the_vehicle_turns_itself_is_in_the_curvature(making, tmp_path):
+    """The known bias of the yaw rate, in size and sign: the parabola bends back by 8 d_y/(v T)^2."""
+    drive = making.drive(load_model("reference").sample(200, 200, seed=14, given={"T": (1.5, 4.0)}), 5)
+    found = extracted(making, tmp_path, drive, making.Noise.none(), own_turning=True)
+    error, _, truth = errors(making, found, drive)
+    expected = -8.0 * truth.d_y / (truth.v_mean * truth.T) ** 2
+    middle = error["c_0"] + 0.5 * error["dc"]
+    assert np.median(middle / expected) == pytest.approx(0.9, abs=0.1)  # the window takes some of the way back in
+
+
+@pytest.mark.slow
+def test_a_model_comes_back(making, tmp_path):
+    model = load_model("reference")
+    drive = making.drive(model.sample(10_000, 10_000, seed=11), 5)
+    found = extracted(making, tmp_path, drive, making.Noise())
+    check(making.kolmogorov(found.departures, drive.planted.parameters))
+    again = fit_scenario_model(found.departures, components=10, seed=1, n_init=2)
+    check(making.kolmogorov(again.sample(100_000, 100_000, seed=3), model.sample(100_000, 100_000, seed=4)))
