@@ -118,31 +118,37 @@ def index_trips(
     [(1, 2, 2), (2, 4, 1)]
     """
     scan = _Scan(path.name, begin, line, most_faults)
-    digest, size, rest, skipping = hashlib.sha256(), 0, b"", False
+    digest, size, kept, skipping = hashlib.sha256(), 0, 0, False
+    # one buffer for the whole file; the begin of a line that a block cuts stays at its front
+    buffer = bytearray(LONGEST_LINE + block_bytes + 1)
+    view = memoryview(buffer)
     try:
         # the digest is made beside the search: both leave the interpreter free
-        with path.open("rb") as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
-            while data := stream.read(block_bytes):
-                hashed = beside.submit(digest.update, data)
-                rows = data[begin - size :] if size < begin else data
-                size += len(data)
+        with path.open("rb", buffering=0) as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
+            while count := stream.readinto(view[kept : kept + block_bytes]):
+                hashed = beside.submit(digest.update, view[kept : kept + count])
+                first, last = kept + max(0, min(begin - size, count)), kept + count
+                size += count
                 if skipping:  # inside a line that is longer than any row
-                    end = rows.find(b"\n") + 1
-                    scan.skip(end or len(rows), ended=end > 0)
-                    rows, skipping = rows[end:] if end else b"", end == 0
-                block = rest + rows if rest else rows
-                cut = block.rfind(b"\n") + 1
-                scan.add(block, cut)
-                rest = block[cut:]
-                if len(rest) > LONGEST_LINE:
-                    scan.too_long()
-                    scan.skip(len(rest), ended=False)
-                    rest, skipping = b"", True
+                    end = buffer.find(b"\n", first, last) + 1
+                    scan.skip((end or last) - first, ended=end > 0)
+                    first, skipping = end or last, end == 0
+                elif kept:
+                    first = 0
+                cut = max(buffer.rfind(b"\n", first, last) + 1, first)
+                scan.add(buffer, first, cut)
+                kept = last - cut
                 hashed.result()
+                if kept > LONGEST_LINE:
+                    scan.too_long()
+                    scan.skip(kept, ended=False)
+                    kept, skipping = 0, True
+                view[:kept] = view[last - kept : last]
     except OSError as error:
         raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
-    if rest:
-        scan.add(rest + b"\n", len(rest) + 1, unended=1)
+    if kept:
+        buffer[kept] = 10
+        scan.add(buffer, 0, kept + 1, unended=1)
     scan.close()
     return TripIndex(tuple(scan.stretches), tuple(scan.faults), scan.more_faults, size, digest.hexdigest())
 
@@ -161,24 +167,25 @@ class _Scan:
         self._first = (0, 0)  # byte and line of the open stretch
         self._last = (0, 0)  # behind it
 
-    def add(self, block: bytes, length: int, unended: int = 0) -> None:
-        """Take the first bytes of a block, whole lines; a last line without an end lacks one byte."""
-        if length == 0:
+    def add(self, block: bytearray, first: int, last: int, unended: int = 0) -> None:
+        """Take bytes ``first:last`` of a block, whole lines; the last one's end may not be in the file."""
+        if first == last:
             return
-        text = np.frombuffer(block, dtype=np.uint8, count=length)
+        text = np.frombuffer(block, dtype=np.uint8)[first:last]
         ends = np.flatnonzero(text == 10) + 1
         starts = np.empty_like(ends)
         starts[0], starts[1:] = 0, ends[:-1]
         long = ends - starts > LONGEST_LINE
         i = 0
         while i < starts.size:
-            start = int(starts[i])
-            found = _KEY.match(block, start, min(start + _KEY_BYTES, int(ends[i])))
+            start, end = int(starts[i]), int(ends[i])
+            head = bytes(block[first + start : first + min(start + _KEY_BYTES, end)])
+            found = _KEY.match(head)
             if found is None or long[i]:
                 after = i + 1
-                self._without_key(block[start : min(start + _KEY_BYTES, int(ends[i]))], self._line + i, bool(long[i]))
-                if not block[start : int(ends[i])].strip() and self._key is not None:  # blank: stays in its stretch
-                    self._last = (self._at + int(ends[i]), self._line + after)
+                self._without_key(head, self._line + i, bool(long[i]))
+                if self._key is not None and not text[start:end].tobytes().strip():  # blank: stays in its stretch
+                    self._last = (self._at + end, self._line + after)
             else:
                 key = (int(found[1]), int(found[2]))
                 after = _same(text, starts, i, found[0], long)
@@ -187,7 +194,7 @@ class _Scan:
                     self._key, self._first = key, (self._at + start, self._line + i)
                 self._last = (self._at + int(ends[after - 1]), self._line + after)
             i = after
-        self._at += length - unended
+        self._at += last - first - unended
         self._line += starts.size
         if unended and self._key is not None:
             self._last = (min(self._last[0], self._at), self._last[1])
