@@ -12,6 +12,7 @@ from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract_part import SOURCE
+from ldctoolkit.recordings.together import ReadersTogether
 from studies.extraction_page.counts import SIDES, Row, reason_title
 from studies.report.words.text import compact, number, percent, plural
 
@@ -141,17 +142,18 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
 
 def _reader(name: str) -> RecordingReader | None:
     try:
-        return recording_reader(name)
+        readers = tuple(map(recording_reader, name.split(" + ")))
     except LdcError:  # a reader that is not installed here: its defaults are not known
         return None
+    return readers[0] if len(readers) == 1 else ReadersTogether(readers)
 
 
 def _width_from(width: float, reader: RecordingReader | None) -> str:
     if reader is None:
         return "as given"
     if width == reader.vehicle_width:
-        return f"what the reader {reader.name} takes unless another is given"
-    return f"given by the user; the reader {reader.name} takes {compact(reader.vehicle_width)} m by itself"
+        return f"what {reader.name} takes unless another is given"
+    return f"given by the user; {reader.name} takes {compact(reader.vehicle_width)} m by itself"
 
 
 def _step(step: float | None, reader: RecordingReader | None) -> str:
@@ -181,10 +183,10 @@ def _curvature(extraction: Extraction) -> str:
 
 
 def _gap(criteria: Criteria, preparation: Preparation) -> str:
-    if preparation.step is not None:
-        return f"{compact(preparation.max_gap)} s between valid samples, bridged by resampling"
     if criteria.max_gap is not None:
         return f"{compact(criteria.max_gap)} s"
+    if preparation.step is not None:
+        return f"{compact(preparation.max_gap)} s between valid samples, bridged by resampling"
     return "2.5 median steps of the recording, at least 0.25 s"
 
 

@@ -205,7 +205,7 @@ def test_what_was_read_is_told(make: ModuleType) -> None:
     found = parsed(dataclasses.replace(extraction, provenance=provenance))
     told = dict(row for row in found.tables["Format and criteria"][1:])
     own = recording_reader("uah-driveset").vehicle_width
-    assert told["Vehicle width"] == f"2.05 m, given by the user; the reader uah-driveset takes {own:g} m by itself"
+    assert told["Vehicle width"] == f"2.05 m, given by the user; uah-driveset takes {own:g} m by itself"
     assert told["Time step"] == "0.05 s, by local medians of valid samples"
     assert told["Nominal lane width"].startswith("3.5 m: offset and width of each recording scaled")
     assert told["Mean speed"] == "above 7 m/s"
@@ -214,7 +214,7 @@ def test_what_was_read_is_told(make: ModuleType) -> None:
     assert found.tables[caption][1] == ["D1/a.txt", "31.4 MB", "0123456789ab"]
     same = parsed(make.make_extraction(1, criteria=Criteria(vehicle_width=own)))
     assert dict(row for row in same.tables["Format and criteria"][1:])["Vehicle width"] == (
-        f"{own:g} m, what the reader uah-driveset takes unless another is given"
+        f"{own:g} m, what uah-driveset takes unless another is given"
     )
 
 
@@ -222,6 +222,24 @@ def test_a_reader_that_is_not_installed(make: ModuleType) -> None:
     told = parsed(make.make_extraction(1, reader="other-makers")).tables["Format and criteria"]
     assert ["Format", "other-makers"] in told
     assert ["Vehicle width", "1.8 m, as given"] in told
+
+
+def test_two_readers_together(make: ModuleType) -> None:
+    two = make.make_extraction(1, reader="spmd-das1 + spmd-das2", criteria=Criteria(vehicle_width=1.82))
+    told = dict(row for row in parsed(two).tables["Format and criteria"][1:])
+    assert told["Vehicle width"] == "1.82 m, what spmd-das1 + spmd-das2 takes unless another is given"
+
+
+@pytest.mark.parametrize(
+    ("max_gap", "step", "said"),
+    [(None, None, "2.5 median steps"), (None, 0.1, "0.25 s between"), (0.4, 0.1, "0.4 s"), (0.4, None, "0.4 s")],
+)
+def test_the_longest_step_that_is_no_gap(
+    make: ModuleType, max_gap: float | None, step: float | None, said: str
+) -> None:
+    one = make.make_extraction(1, criteria=Criteria(max_gap=max_gap), preparation=Preparation(step=step))
+    told = dict(row for row in parsed(one).tables["Format and criteria"][1:])
+    assert told["Longest step that is no gap"].startswith(said)
 
 
 def test_warnings_and_problems_stand_at_the_top(make: ModuleType) -> None:
