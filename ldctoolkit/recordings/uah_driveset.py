@@ -47,7 +47,21 @@ class UahSource:
 
 @dataclasses.dataclass(frozen=True)
 class UahDriveset:
-    """The reader; see `ldctoolkit.recordings.sources.RecordingReader`."""
+    r"""The reader; see `ldctoolkit.recordings.sources.RecordingReader`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     trip = Path(folder, "D2", "20151120133502-26km-D2-DROWSY-MOTORWAY")
+    ...     trip.mkdir(parents=True)
+    ...     _ = Path(trip, "PROC_LANE_DETECTION.txt").write_text("1.0 0.25 0 3.5 2\n1.03 0.5 0 3.5 2\n")
+    ...     _ = Path(trip, "RAW_GPS.txt").write_text("0.6 90 40.5 -3.4 600 6 10 12\n1.6 90 40.5 -3.4 600 6 10 12\n")
+    ...     source = READER.open([Path(folder)])
+    ...     recording = next(source.parts[0].read())
+    >>> recording.lane_offset.tolist(), recording.speed.tolist(), [label.value for label in recording.labels]
+    ([-0.25, -0.5], [25.0, 25.0], ['D2', 'drowsy', 'motorway'])
+    """
 
     name: str = "uah-driveset"
     title: str = "UAH-DriveSet v1: trips in folders, a phone's lane detection, positions and yaw angles"
@@ -181,10 +195,8 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, 
     digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
     lane, gps, accelerometers = names
-    part = TripFolder(
-        folder.name, str(folder.path), folder.shown, lane, gps, accelerometers, size, labels, source
-    )  # fmt: skip
-    return part, digests
+    path = str(folder.path)
+    return TripFolder(folder.name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
 
 
 def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
