@@ -6,14 +6,23 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
+from pathlib import Path
 from typing import Any, Final
 
+import ldctoolkit
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.sources import GROUP, RecordingSource
 from studies.extraction.part_work import PACKAGES
 
 FORMAT_VERSION: Final = 1
+
+_SAID: Final = {
+    "files": "the files have changed",
+    "parts": "they are divided in another way",
+    "program": "the program has changed",
+}
+"""What it means where a digest differs."""
 
 Plan = dict[str, Any]
 """Content of a work folder's manifest, as JSON reads it back."""
@@ -37,6 +46,7 @@ def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparatio
     plan = {
         "format_version": FORMAT_VERSION,
         "reader": reader,
+        "program": _program(),
         "versions": {name: importlib.metadata.version(name) for name in ("ldctoolkit", *PACKAGES)}
         | _offered_by(reader),
         "criteria": dataclasses.asdict(criteria),
@@ -46,6 +56,16 @@ def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparatio
     }
     content: Plan = json.loads(json.dumps(plan))
     return content
+
+
+def _program() -> str:
+    """Digest of the code that decides the numbers: a checkout changes without another version."""
+    digest = hashlib.sha256()
+    home = Path(ldctoolkit.__file__).parent
+    for path in [*sorted((home / "recordings").glob("*.py")), home / "departures.py"]:
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes() if path.exists() else b"")
+    return digest.hexdigest()
 
 
 def _offered_by(reader: str) -> dict[str, str]:
@@ -65,8 +85,8 @@ def what_differs(there: Plan, now: Plan) -> str:
             for name in {**b, **a}:
                 if a.get(name) != b.get(name):
                     found.append(f"{name}: {_shown(a.get(name))} there, {_shown(b.get(name))} now")
-        elif key in ("files", "parts"):
-            found.append("the files have changed" if key == "files" else "they are divided in another way")
+        elif key in _SAID:
+            found.append(_SAID[key])
         else:
             found.append(f"{key}: {_shown(a)} there, {_shown(b)} now")
     more = f"; and {len(found) - 3} more" if len(found) > 3 else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -145,9 +146,14 @@ def test_a_damaged_part_is_read_again(
     assert content(found) == content(extract_departures(made("good", "good", "good")))
 
 
-@pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest"])
+@pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest", "program", "versions"])
 def test_parts_of_another_extraction_are_never_used(
-    made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, change: str
+    made: Made,
+    content: Content,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    change: str,
 ) -> None:
     output = tmp_path / "d.parquet"
     folder = stopped(made, output)
@@ -157,13 +163,21 @@ def test_parts_of_another_extraction_are_never_used(
     preparation = Preparation(step=0.2 if change == "preparation" else 0.1)
     if change == "manifest":
         (folder / "manifest.json").write_text("{")
+    if change == "program":
+        monkeypatch.setattr("studies.extraction.plan._program", lambda: "another")
+    if change == "versions":
+        version = importlib.metadata.version
+        monkeypatch.setattr("importlib.metadata.version", lambda name: "0.1" if name == "polars" else version(name))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
+    monkeypatch.undo()
     words = {
         "files": "the files have changed",
         "preparation": "step: 0.1 there, 0.2 now",
         "parts": "they are divided in another way",
         "manifest": "its manifest is broken",
+        "program": "the program has changed",
+        "versions": f"polars: {importlib.metadata.version('polars')} there, 0.1 now",
     }
     assert f"its parts are of another extraction and are removed ({words[change]})" in caplog.text
     assert content(found) == content(extract_departures(source, preparation=preparation))
