@@ -14,8 +14,8 @@ import numpy as np
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.table import LARGEST, BoolArray, FloatArray
 
-LARGEST_FILE: Final = 256 << 20
-"""A file of one trip is not larger [bytes]; some megabytes are usual."""
+LARGEST_FILE: Final = 64 << 20
+"""A file of one trip is not larger [bytes]: it would be hours of driving, some megabytes are usual."""
 
 TOLD: Final = 5
 """So many faulty lines of one file are named one by one, the others are counted."""
