@@ -56,6 +56,13 @@ def joined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tupl
         text = any(values is not None and values.dtype.kind == "U" for values, _ in found)
         filler: Any = "" if text else np.nan
         kind: Any = np.str_ if text else np.float64
-        pieces = [np.full(n, filler, dtype=kind) if v is None else v.astype(kind) for v, n in found]
+        pieces = [np.full(n, filler, dtype=kind) if v is None else _as(kind, v) for v, n in found]
         joined.append(ExtraColumn(name, np.concatenate(pieces)))
     return tuple(joined)
+
+
+def _as(kind: Any, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Values as text or numbers; a number that is not known is empty text."""
+    if kind is np.str_ and values.dtype.kind == "f":
+        return np.where(np.isnan(values), "", values.astype(np.str_))
+    return values.astype(kind)

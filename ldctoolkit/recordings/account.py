@@ -19,6 +19,9 @@ WIDTH_STEP: Final = 0.1
 WIDTH_BINS: Final = 80
 """Bins from 0 to 8 m; the last also holds what is wider."""
 
+LONGEST: Final = 1e8
+"""Time [s] of a recording that is counted at most, three years: the sums stay whole numbers of 64 bits."""
+
 SIDES: Final = 2
 """Left first, then right."""
 
@@ -101,24 +104,37 @@ def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]
     side = np.where(found.side == LEFT, 0, 1)
     cell = (group[found.recording] * SIDES + side) * kinds + found.reason
     candidates = np.bincount(cell, minlength=count * SIDES * kinds).reshape(count, SIDES, kinds)
-    per = [
-        np.bincount(group, weights=values, minlength=count)
-        for values in (np.ones(group.size), samples, np.add.reduceat(found.usable, table.offsets[:-1]))
-    ]
+    before = np.concatenate([[0], np.cumsum(found.usable)])
+    usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
+    amounts = [_grouped(values, group, count) for values in (np.ones_like(group), samples, usable)]
+    read, valid = (_grouped(_nanoseconds(seconds), group, count) for seconds in (found.read, found.driven))
     return tuple(
         Account(
             origin=origin,
-            recordings=int(per[0][i]),
-            samples=int(per[1][i]),
-            usable=int(per[2][i]),
-            read_ns=int(np.rint(found.read[group == i] * 1e9).astype(np.int64).sum()),
-            valid_ns=int(np.rint(found.driven[group == i] * 1e9).astype(np.int64).sum()),
+            recordings=int(amounts[0][i]),
+            samples=int(amounts[1][i]),
+            usable=int(amounts[2][i]),
+            read_ns=int(read[i]),
+            valid_ns=int(valid[i]),
             departures=candidates[i, :, ACCEPTED],
             refused=candidates[i, :, : len(REASONS)],
             widths=widths[i],
         )
         for i, origin in enumerate(distinct)
     )
+
+
+def _grouped(values: IntArray, group: IntArray, count: int) -> IntArray:
+    """Sums of whole numbers by group, (count,)."""
+    total = np.zeros(count, dtype=np.int64)
+    np.add.at(total, group, values)
+    return total
+
+
+def _nanoseconds(seconds: FloatArray) -> IntArray:
+    """Times as whole numbers; a recording of absurd times counts as `LONGEST`."""
+    whole: IntArray = np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64)
+    return whole
 
 
 def joined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:

@@ -84,7 +84,9 @@ def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[st
     Drawn
         Up to 12 of each kind and source.
     """
-    lots = [_lot(name, time) for name, time in zip(departures.recording, departures.start_time, strict=True)]
+    found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
+    lots = [_lot(name, time) for name, time in found]
+    depths = [(-depth, name, time) for depth, (name, time) in zip(departures.d_y.tolist(), found, strict=True)]
     matrix = departures.matrix()
 
     def event(i: int) -> DrawnEvent:
@@ -108,9 +110,8 @@ def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[st
     deepest: list[DrawnEvent] = []
     by_lot: list[DrawnEvent] = []
     for places in of_source.values():
-        deep = sorted(places, key=lambda i: (-matrix[i, 1], str(departures.recording[i]), departures.start_time[i]))
-        deepest += [event(i) for i in deep[:KEPT]]
-        by_lot += [event(i) for i in sorted(places, key=lambda i: lots[i])[:KEPT]]
+        deepest += [event(i) for i in sorted(places, key=depths.__getitem__)[:KEPT]]
+        by_lot += [event(i) for i in sorted(places, key=lambda i: (lots[i], depths[i]))[:KEPT]]
     return Drawn(tuple(deepest), tuple(by_lot))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
-from ldctoolkit.recordings.table import RecordingTable
+from ldctoolkit.recordings.table import LARGEST, RecordingTable
 
 FLAT: Final = 1e-6
 """A lane that bends less [1/m] counts as straight."""
@@ -19,8 +19,11 @@ FLAT: Final = 1e-6
 SHORTEST_TWIN: Final = 100
 """Recordings with fewer usable samples are not compared with others."""
 
-TURN_WINDOW: Final = 1.0
-"""Time [s] over which turns by yaw rate and by heading are compared."""
+TURN_WINDOW: Final = 2.0
+"""Time [s] over which turns by yaw rate and by heading are compared: long enough for a bend to stand out of noise."""
+
+GRAIN: Final = 2.0**-20
+"""Sums of squared turns [rad^2] of a recording are rounded to multiples of this, so that the order does not count."""
 
 TURN_SPEED: Final = 8.0
 """Below this speed [m/s] the course over ground is noise."""
@@ -45,7 +48,7 @@ class Evidence:
     names : (r,) str
         Names of the recordings.
     fingerprints : (r,) str
-        Digest of offset and width of each; empty for short ones.
+        Digest of offset, width and speed of each; empty for short ones.
     median_widths : (r,) [m]
         Median lane width of each, before any scaling; NaN where it has no usable sample.
     notes : tuple of (str, int)
@@ -88,6 +91,7 @@ def evidence_of(
         if widths.size >= SHORTEST_TWIN:
             digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
             digest.update(table.lane_offset[rows][good].tobytes())
+            digest.update(table.speed[rows][good].tobytes())
             prints[i] = digest.hexdigest()
     bend = table.curvature if table.curvature is not None else table.yaw_rate
     bends = np.zeros(2, dtype=np.int64)
@@ -123,18 +127,23 @@ def _turns(recording: Recording, step: float) -> FloatArray:
     if recording.samples <= lag:
         return np.zeros(4)
     t, yaw_rate = recording.t, recording.yaw_rate
-    # unusable numbers poison a window on purpose: it is not compared then
-    swept = np.concatenate([[0.0], np.cumsum(np.nan_to_num(0.5 * (yaw_rate[1:] + yaw_rate[:-1]) * np.diff(t)))])
-    lost = np.cumsum(~(recording.valid & np.isfinite(yaw_rate)))
-    heading = recording.heading[lag:] - recording.heading[:-lag]
-    by_heading = np.angle(np.exp(1j * heading))
+    # a window with an unusable number in it is not compared
+    known = recording.valid & (np.abs(yaw_rate) < LARGEST)
+    rate = np.where(known, yaw_rate, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        swept = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    lost = np.cumsum(~known)
+    course = np.where(np.abs(recording.heading) < LARGEST, recording.heading, np.nan)
+    by_heading = course[lag:] - course[:-lag]
+    by_heading -= 2.0 * np.pi * np.rint(by_heading / (2.0 * np.pi))  # into +-pi
     by_yaw_rate = swept[lag:] - swept[:-lag]
-    good = np.isfinite(by_heading) & (lost[lag:] == lost[:-lag]) & recording.valid[:-lag]
+    good = np.isfinite(by_heading) & np.isfinite(by_yaw_rate) & (lost[lag:] == lost[:-lag]) & known[:-lag]
     good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
     h, r = by_heading[good], by_yaw_rate[good]
-    return np.array([float(h.size), float(h @ h), float(h @ r), float(r @ r)])
+    squares = np.array([h @ h, h @ r, r @ r])
+    return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])
 
 
 def joined_evidence(parts: Iterable[Evidence]) -> Evidence:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ldctoolkit.recordings.criteria import Criteria
-from ldctoolkit.recordings.extract_part import SOURCE, extract_items, extract_part
+from ldctoolkit.recordings.extract_part import SCALE, SOURCE, extract_items, extract_part
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.part_result import PartResult, joined_results
@@ -48,12 +48,12 @@ def extract_departures(
     min_speed : float [m/s]
         The mean speed must lie above.
     max_gap : float [s], optional
-        Longest time step that is not a gap; by default 2.5 median steps of the recording, at least 0.25 s.
+        Longest time step that is not a gap; by default 2.5 median steps of the recording, at least 0.25 s. Resampled
+        recordings have no values in a gap that `preparation` does not bridge; by default any such hole is a gap.
     max_jump : float [m]
         Largest step of the offset from one sample to the next.
     preparation : Preparation, optional
-        Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default. Tables are never
-        changed.
+        Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default.
 
     Returns
     -------
@@ -146,8 +146,10 @@ def merge_results(
         problems=tuple(str(problem) for problem in whole.problems),
     )
     departures = whole.departures
-    if len({account.origin.source for account in whole.accounts}) <= 1:
-        # a column that is the same everywhere: the provenance tells it
-        extra = tuple(column for column in departures.extra if column.name != SOURCE)
-        departures = dataclasses.replace(departures, extra=extra)
+    # columns that are the same everywhere tell nothing
+    idle = {SOURCE} if len({account.origin.source for account in whole.accounts}) <= 1 else set()
+    scales = [column.values for column in departures.extra if column.name == SCALE]
+    if preparation.nominal_lane_width is None and all(bool((values == 1.0).all()) for values in scales):
+        idle.add(SCALE)
+    departures = dataclasses.replace(departures, extra=tuple(c for c in departures.extra if c.name not in idle))
     return Extraction(departures, provenance, whole.accounts, whole.drawn, whole.problems)

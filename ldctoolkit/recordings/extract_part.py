@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import Departures
-from ldctoolkit.errors import LdcError
+from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures
+from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.account import Origin, accounts_of
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.drawn import drawn_of
@@ -29,8 +29,16 @@ BATCH: Final = 500_000
 SOURCE: Final = "source"
 """Column of the departures table that tells the source where there are several."""
 
+SCALE: Final = "lane_scale"
+"""Column of the departures table that tells the factor of offset and width where recordings were scaled."""
+
 GAP_STEPS: Final = 1.5
 """Resampled recordings leave out samples in gaps: a longer step than this many is one."""
+
+TAKEN: Final = frozenset(
+    {"recording", "side", "start_time_s", "samples", SOURCE, SCALE, *PARAMETER_NAMES, *PARAMETER_COLUMNS.values()}
+)
+"""Names of the departures table's own columns; no label has one of them."""
 
 
 def extract_part(part: RecordingPart, criteria: Criteria, preparation: Preparation) -> PartResult:
@@ -63,28 +71,73 @@ def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
 def extract_items(
     items: Iterable[Recording | RecordingTable | Problem], criteria: Criteria, preparation: Preparation
 ) -> PartResult:
-    """Departures of recordings, given one by one or in tables."""
+    """Departures of recordings, given one by one or in tables.
+
+    Tables are searched as they are if nothing is to be prepared, otherwise recording by recording. A recording that
+    cannot be prepared is a problem of the result.
+
+    Raises
+    ------
+    InputError
+        For an item of another kind.
+    RecordingError
+        For a table whose departures cannot be told.
+    """
     results: list[PartResult] = []
     batch: list[Recording] = []
     problems: list[Problem] = []
-    samples = 0
-    for item in items:
+    waiting = 0
+    if criteria.max_gap is not None and criteria.max_gap < preparation.max_gap:
+        preparation = dataclasses.replace(preparation, max_gap=criteria.max_gap)
+
+    def search() -> None:
+        nonlocal waiting
+        if batch:
+            results.append(_of_table(table_of(batch), batch, criteria, preparation))
+            batch.clear()
+            waiting = 0
+
+    for item in items if preparation.changes_nothing else _one_by_one(items):
         if isinstance(item, Problem):
             problems.append(item)
         elif isinstance(item, RecordingTable):
-            results.append(_of_table(item, [], criteria, preparation))
-        else:
-            recording = prepare(item, preparation)
+            search()
+            if item.samples:
+                results.append(_of_table(item, [], criteria, preparation))
+        elif isinstance(item, Recording):
+            try:
+                _check_labels(item)
+                recording = prepare(item, preparation)
+            except RecordingError as error:
+                problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
+                continue
             if recording.samples == 0:
                 continue
-            if batch and (samples + recording.samples > BATCH or not _alike(batch[0], recording)):
-                results.append(_of_table(table_of(batch), batch, criteria, preparation))
-                batch, samples = [], 0
+            if batch and (waiting + recording.samples > BATCH or not _alike(batch[0], recording)):
+                search()
             batch.append(recording)
-            samples += recording.samples
-    if batch:
-        results.append(_of_table(table_of(batch), batch, criteria, preparation))
+            waiting += recording.samples
+        else:
+            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording, RecordingTable")
+    search()
     return joined_results([*results, PartResult(problems=tuple(problems))])
+
+
+def _one_by_one(items: Iterable[Recording | RecordingTable | Problem]) -> Iterator[Recording | Problem]:
+    for item in items:
+        if isinstance(item, RecordingTable):
+            yield from recordings_of(item)
+        else:
+            yield item
+
+
+def _check_labels(recording: Recording) -> None:
+    for label in recording.labels:
+        if not label.name or label.name in TAKEN:
+            raise RecordingError(
+                f"recording {recording.name!r}: label {label.name!r}; allowed: a name that is no column of the "
+                "departures table"
+            )
 
 
 _OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal")
@@ -109,11 +162,22 @@ def table_of(recordings: list[Recording]) -> RecordingTable:
     )
 
 
+def recordings_of(table: RecordingTable) -> Iterator[Recording]:
+    """The recordings of a table one by one, without samples that have no time."""
+    timed = np.isfinite(table.t)
+    for i, name in enumerate(table.names.tolist()):
+        rows = np.flatnonzero(timed[table.offsets[i] : table.offsets[i + 1]]) + table.offsets[i]
+        given = {column: getattr(table, column) for column in Recording.COLUMNS if column != "heading"}
+        columns: dict[str, Any] = {column: None if values is None else values[rows] for column, values in given.items()}
+        yield Recording(name=name, source=table.source, **columns)
+
+
 def _of_table(
     table: RecordingTable, recordings: list[Recording], criteria: Criteria, preparation: Preparation
 ) -> PartResult:
     step = preparation.step if recordings else None
-    found = find_departures(table, criteria, None if step is None else GAP_STEPS * step)
+    limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
+    found = find_departures(table, criteria, limit)
     units = UnitCheck(criteria.vehicle_width)
     units.add(table, found.usable, found.median_step)
     if recordings:
@@ -133,19 +197,18 @@ def _of_table(
 def _extra(
     departures: Departures, owner: np.ndarray, origins: tuple[Origin, ...], recordings: list[Recording]
 ) -> tuple[ExtraColumn, ...]:
-    """Source and labels of each departure; the factor where recordings were scaled."""
+    """Source, scale and labels of each departure.
+
+    The first two always, so that joined parts do not depend on how recordings were shared out.
+    """
 
     def text(values: list[str]) -> np.ndarray:
         return np.array(values, dtype=np.str_)[owner] if departures.n else np.empty(0, dtype=np.str_)
 
-    columns = []
-    if any(origin.source for origin in origins):
-        columns.append(ExtraColumn(SOURCE, text([origin.source for origin in origins])))
+    scales = np.array([recording.lane_scale for recording in recordings] or [1.0] * len(origins))
+    columns = [ExtraColumn(SOURCE, text([origin.source for origin in origins])), ExtraColumn(SCALE, scales[owner])]
     names = dict.fromkeys(label.name for origin in origins for label in origin.labels)
     for name in names:
         value = [next((label.value for label in origin.labels if label.name == name), "") for origin in origins]
         columns.append(ExtraColumn(name, text(value)))
-    scales = np.array([recording.lane_scale for recording in recordings])
-    if (scales != 1.0).any():
-        columns.append(ExtraColumn("lane_scale", scales[owner]))
     return tuple(columns)

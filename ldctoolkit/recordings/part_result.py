@@ -20,7 +20,7 @@ class PartResult:
     Attributes
     ----------
     departures : Departures
-        In the order of the recordings and of time; extra columns: source, labels, and lane_scale where one was scaled.
+        In the order of the recordings and of time; extra columns: source, lane_scale, labels.
     accounts : tuple of Account
         One an origin.
     evidence : Evidence

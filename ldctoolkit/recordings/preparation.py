@@ -9,7 +9,10 @@ import numpy as np
 
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings.recording import Recording
-from ldctoolkit.recordings.resample import MAX_GAP, resample
+from ldctoolkit.recordings.resample import MAX_GAP, resample, usable_samples
+
+LONGEST_GAP = 10.0
+"""Longest time [s] that may be bridged; bounds the memory, too."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,11 +47,16 @@ class Preparation:
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
 
         refuse("step", self.step is None or 0.01 <= self.step <= 1.0, "0.01 to 1 s, or None")
-        refuse("max_gap", 0.0 < self.max_gap < math.inf, "more than 0 s")
+        refuse("max_gap", 0.0 < self.max_gap <= LONGEST_GAP, f"more than 0, at most {LONGEST_GAP:g} s")
         width = self.nominal_lane_width
         refuse("nominal_lane_width", width is None or 2.0 <= width <= 6.0, "2 to 6 m, or None")
         factor = self.yaw_rate_factor
         refuse("yaw_rate_factor", math.isfinite(factor) and factor != 0.0, "finite, not 0")
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Whether recordings stay as they are."""
+        return self.step is None and self.nominal_lane_width is None and self.yaw_rate_factor == 1.0
 
 
 def prepare(recording: Recording, preparation: Preparation) -> Recording:
@@ -75,7 +83,9 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
     (1.25, [0.625, 0.625, 0.625])
     """
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
-        recording = dataclasses.replace(recording, yaw_rate=recording.yaw_rate * preparation.yaw_rate_factor)
+        with np.errstate(over="ignore"):
+            yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
+        recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
     if preparation.nominal_lane_width is not None:
         recording = scaled(recording, preparation.nominal_lane_width)
     if preparation.step is not None:
@@ -84,15 +94,15 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
 
 
 def scaled(recording: Recording, nominal: float) -> Recording:
-    """Offset and width times the factor that makes the median width of the valid samples `nominal` [m]."""
-    widths = recording.lane_width[recording.valid & (recording.lane_width > 0.0)]
-    widths = widths[np.isfinite(widths)]
+    """Offset and width times the factor that makes the median width of the usable samples `nominal` [m]."""
+    widths = recording.lane_width[usable_samples(recording)]
     if widths.size == 0:
         return recording
     factor = nominal / float(np.median(widths))
-    return dataclasses.replace(
-        recording,
-        lane_offset=recording.lane_offset * factor,
-        lane_width=recording.lane_width * factor,
-        lane_scale=recording.lane_scale * factor,
-    )
+    with np.errstate(over="ignore"):  # of absurd numbers, which are not usable
+        return dataclasses.replace(
+            recording,
+            lane_offset=recording.lane_offset * factor,
+            lane_width=recording.lane_width * factor,
+            lane_scale=recording.lane_scale * factor,
+        )

@@ -8,8 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.recordings.medians import MAX_JUMP, WindowMedians
 from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
+from ldctoolkit.recordings.table import LARGEST
 
 MAX_GAP: Final = 0.25
 """Longest time [s] between two usable samples that is bridged."""
@@ -17,9 +19,12 @@ MAX_GAP: Final = 0.25
 _SLACK: Final = 1e-6
 """Of a step: a sample on the edge of a window is in it, however its time was rounded."""
 
+_MOST_STEPS: Final = 2**52
+"""Multiples of the step up to here are told apart by floating point numbers."""
+
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 _NAMES: Final = ("lane", "turn_signal", "heading")
-"""Columns of which no mean or median is taken: the value nearest to the middle of the window counts."""
+"""Columns of which no mean or median is taken: the nearest usable sample's value counts, of two the earlier one's."""
 
 
 def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Recording:
@@ -38,77 +43,117 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
     -------
     Recording
         Each value is the median of the usable samples within half a step to either side, ends included. Where there is
-        none, it is interpolated linearly if the usable samples around are at most `max_gap` apart; else the sample is
-        not valid if the source has unusable samples there, and left out if it has nothing.
+        none, it is interpolated linearly if the usable samples around are at most `max_gap` apart, their lane is the
+        same and their offsets do not jump; else the sample is not valid if the source has unusable samples there, and
+        left out if it has nothing.
 
     Raises
     ------
     InputError
         If the step or the gap is not positive.
+    RecordingError
+        If the recording lasts for so many steps that they cannot be told apart.
 
     Notes
     -----
-    Samples that already lie at the multiples keep their values to the last bit.
+    Samples that already lie at the multiples keep their values, and their times, to the last bit. Of two middle offsets
+    of a window that are a jump apart, the one nearer to the nearest sample's is taken, not their mean. Where the lane
+    changes in a window, only samples in the nearest sample's lane count.
 
     Examples
     --------
     >>> t = np.array([0.0, 0.03, 0.07, 0.1, 0.2])
-    >>> x = np.array([0.0, 9.0, 1.0, 1.0, 2.0])
+    >>> x = np.array([0.0, 0.1, 0.3, 0.4, 9.0])
     >>> one = Recording("a", t, x, np.full(5, 3.6), np.full(5, 25.0), np.ones(5, bool))
     >>> resample(one, 0.1).lane_offset.tolist()
-    [4.5, 1.0, 2.0]
+    [0.05, 0.35, 9.0]
     """
     for name, value in (("step", step), ("max_gap", max_gap)):
         if not 0.0 < value < np.inf:
             raise InputError(f"{name}: {value!r} s; allowed: more than 0, finite")
     if recording.samples == 0:
         return recording
-    usable = _usable(recording)
     origin = recording.t[0]
-    t = recording.t - origin
+    with np.errstate(over="ignore"):
+        t = recording.t - origin
+    if not t[-1] <= _MOST_STEPS * step:
+        raise RecordingError(
+            f"recording {recording.name!r}: from t = {float(origin)!r} to {float(recording.t[-1])!r} s; too long to be "
+            f"brought to steps of {step!r} s"
+        )
+    usable = usable_samples(recording)
     grid = _occupied(t, step, max_gap)
     centre: FloatArray = np.asarray(grid * step, dtype=np.float64)
     half = (0.5 + _SLACK) * step
-    tu = t[usable]
+    seen = np.searchsorted(t, centre + half, "right") > np.searchsorted(t, centre - half, "left")
+    tu, offset = t[usable], recording.lane_offset[usable]
     low, high = np.searchsorted(tu, centre - half, "left"), np.searchsorted(tu, centre + half, "right")
     filled = high > low
-    before = np.where(filled, low, low - 1)
+    nearest = _nearest(tu, centre)
+    stretch = None
+    if recording.lane is not None and tu.size:
+        # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
+        lane = recording.lane[usable]
+        stretch = np.cumsum(np.concatenate([[False], lane[1:] != lane[:-1]]))
+        low = np.where(filled, np.maximum(low, np.searchsorted(stretch, stretch[nearest], "left")), low)
+        high = np.where(filled, np.minimum(high, np.searchsorted(stretch, stretch[nearest], "right")), high)
+    inside = np.flatnonzero(~filled & (low > 0) & (low < tu.size))
+    after = low[inside]
+    same = (tu[after] - tu[after - 1] <= max_gap * (1.0 + _SLACK)) & (
+        np.abs(offset[after] - offset[after - 1]) <= MAX_JUMP
+    )
+    if stretch is not None:
+        same &= stretch[after] == stretch[after - 1]
     bridged = np.zeros(grid.size, dtype=bool)
-    inside = ~filled & (low > 0) & (low < tu.size)
-    bridged[inside] = tu[low[inside]] - tu[low[inside] - 1] <= max_gap * (1.0 + _SLACK)
-    seen = np.searchsorted(t, centre + half, "right") > np.searchsorted(t, centre - half, "left")
+    bridged[inside[same]] = True
     kept = filled | bridged | seen
-    good = (filled | bridged)[kept]
-    low, high, before, centre = low[kept], high[kept], before[kept], centre[kept]
-    medians = _Medians(low, high, filled[kept])
+    good, nearest, centre = (filled | bridged)[kept], nearest[kept], centre[kept]
+    medians = WindowMedians(low[kept], high[kept], filled[kept], bridged[kept], centre)
 
     columns: dict[str, Any] = {}
     for name in _NUMBERS:
         values = getattr(recording, name)
-        columns[name] = None if values is None else medians.of(values[usable], tu, centre, bridged[kept])
-    middle = np.where(filled[kept], (low + high - 1) // 2, np.maximum(before, 0))
+        near = offset[nearest] if name == "lane_offset" and tu.size else None
+        columns[name] = None if values is None else medians.of(values[usable], tu, near)
     for name in _NAMES:
         values = getattr(recording, name)
-        columns[name] = None if values is None else _taken(values[usable], middle)
-    return dataclasses.replace(recording, t=origin + centre, valid=good, **columns)
+        columns[name] = None if values is None else _taken(values[usable], nearest)
+    return dataclasses.replace(recording, t=_times(recording.t, origin + centre, step), valid=good, **columns)
 
 
-def _taken(values: npt.NDArray[Any], middle: IntArray) -> npt.NDArray[Any]:
-    """Values at some places, the last one beyond them; zeros where there are none at all."""
-    if values.size == 0:
-        return np.zeros(middle.size, dtype=values.dtype)
-    taken: npt.NDArray[Any] = values[np.minimum(middle, values.size - 1)]
-    return taken
-
-
-def _usable(recording: Recording) -> BoolArray:
-    """Samples that the source allows and whose numbers that take part are there."""
+def usable_samples(recording: Recording) -> BoolArray:
+    """Samples that the source allows and whose numbers that take part are there: those that a table calls usable."""
     usable: BoolArray = recording.valid & (recording.lane_width > 0.0)
     bend = recording.curvature if recording.curvature is not None else recording.yaw_rate
     for column in (recording.lane_offset, recording.lane_width, recording.speed, bend):
         if column is not None:
-            usable &= np.isfinite(column)
+            usable &= np.abs(column) < LARGEST  # False for NaN
     return usable
+
+
+def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, of two the earlier; 0 where there are none at all."""
+    if t.size == 0:
+        return np.zeros(centre.size, dtype=np.int64)
+    after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
+    return nearest
+
+
+def _times(t: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
+    """The wanted times; a recorded one in place of one that differs by rounding only."""
+    recorded = t[_nearest(t, wanted)]
+    times: FloatArray = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)
+    return times
+
+
+def _taken(values: npt.NDArray[Any], places: IntArray) -> npt.NDArray[Any]:
+    """Values at some places; zeros where there are none at all."""
+    if values.size == 0:
+        return np.zeros(places.size, dtype=values.dtype)
+    taken: npt.NDArray[Any] = values[places]
+    return taken
 
 
 def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
@@ -124,34 +169,3 @@ def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
     grid: IntArray = np.repeat(low, count) + np.arange(count.sum()) - np.repeat(starts, count)
     inside: IntArray = grid[grid * step <= t[-1] + 0.5 * step]
     return inside
-
-
-class _Medians:
-    """Medians of windows ``low:high`` of a column; the windows are the same for all columns."""
-
-    def __init__(self, low: IntArray, high: IntArray, filled: BoolArray) -> None:
-        self._low, self._filled = low, filled
-        self._count = np.where(filled, high - low, 0)
-        self._single = bool((self._count <= 1).all())
-        if not self._single:
-            self._window = np.repeat(np.arange(low.size), self._count)
-            self._begin = np.cumsum(self._count) - self._count
-            self._place = low[self._window] + np.arange(self._window.size) - self._begin[self._window]
-
-    def of(self, values: FloatArray, t: FloatArray, centre: FloatArray, bridged: BoolArray) -> FloatArray:
-        """Median of each window; interpolated where it is `bridged`, NaN elsewhere."""
-        result = np.full(self._low.size, np.nan)
-        filled = self._filled
-        if self._single:
-            result[filled] = values[self._low[filled]]
-        else:
-            inside = values[self._place]
-            ordered = inside[np.lexsort((inside, self._window))]
-            begin, count = self._begin[filled], self._count[filled]
-            below, above = ordered[begin + (count - 1) // 2], ordered[begin + count // 2]
-            result[filled] = np.where(below == above, below, 0.5 * (below + above))
-        if bridged.any():
-            after = self._low[bridged]
-            share = (centre[bridged] - t[after - 1]) / (t[after] - t[after - 1])
-            result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
-        return result

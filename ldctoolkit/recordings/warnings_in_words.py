@@ -6,14 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.recordings.evidence import Evidence
+from ldctoolkit.recordings.evidence import TURN_WINDOW, Evidence
 from ldctoolkit.recordings.units import UnitCheck
 
 FEWEST_TURNS: Final = 100
 """Windows that it takes to compare yaw rate and heading."""
 
-LEAST_TURNING: Final = 0.02
-"""Root mean square of the turns by heading [rad in 1 s] that it takes: on a straight road both are noise."""
+LEAST_TURNING: Final = 0.02 * TURN_WINDOW
+"""Root mean square of the turns by heading [rad in a window] that it takes: on a straight road both are noise."""
 
 TWINS_NAMED: Final = 5
 
@@ -24,7 +24,10 @@ METRES: Final = (1.5, 6.0)
 """Median lane widths that may be in metres at all."""
 
 UNEVEN: Final = 1.25
-"""A larger ratio of the recordings' median lane widths is one of scale, not of roads."""
+"""A larger ratio of the recordings' median lane widths is one of scale, not of roads, if some are odd in themselves."""
+
+EDGE: Final = 0.05
+"""Share of the recordings at either end that may have odd lane widths."""
 
 
 def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_width: float | None) -> tuple[str, ...]:
@@ -48,7 +51,8 @@ def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_wid
     check.take(evidence.units)
     found = list(check.messages())
     if "none" in evidence.kinds:
-        found.append("no column 'curvature' or 'yaw_rate': the lane's curvature is taken as 0 (c_0 = dc = 0)")
+        where = "" if evidence.kinds == ("none",) else " in some recordings"
+        found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
     found += _turning(evidence)
@@ -68,15 +72,19 @@ def _turning(evidence: Evidence) -> list[str]:
     if windows < FEWEST_TURNS or hh < LEAST_TURNING**2 * windows:
         return []
     likeness = hr / max(np.sqrt(hh * rr), 1e-300)
-    scale = hr / hh
-    if likeness < -0.5:
-        return [
-            f"the yaw rate turns against the GPS heading (correlation {likeness:.2f}): it is positive to the right; "
-            "give --yaw-rate-factor -1, or all curvatures have the wrong sign"
-        ]
-    if likeness < 0.5:
+    if abs(likeness) < 0.5:
         return [f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful"]
-    if not 0.8 < scale < 1.25:
+    # the true ratio lies between the two regressions, the first if all noise is the yaw rate's, the second if it is
+    # all the heading's
+    low, high = abs(hr) / hh, rr / abs(hr)
+    scale = 1.0 if low < 1.25 and high > 0.8 else float(np.sqrt(rr / hh))
+    times = "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
+    if likeness < 0.0:
+        return [
+            f"the yaw rate turns against the GPS heading (correlation {likeness:.2f}){times}; it is positive to the "
+            f"right: give --yaw-rate-factor {-1.0 / scale:.3g}, or all curvatures have the wrong sign"
+        ]
+    if scale != 1.0:
         return [
             f"the yaw rate is {scale:.3g} times what the GPS heading turns: another unit? "
             f"(--yaw-rate-factor {1.0 / scale:.3g} would make them agree)"
@@ -88,15 +96,17 @@ def _scale(evidence: Evidence) -> list[str]:
     widths = evidence.median_widths[np.isfinite(evidence.median_widths)]
     if widths.size == 0:
         return []
-    low, middle, high = (float(value) for value in np.quantile(widths, [0.0, 0.5, 1.0]))
+    low, middle, high = (float(value) for value in np.quantile(widths, [EDGE, 0.5, 1.0 - EDGE]))
     if not METRES[0] < middle < METRES[1]:
         return []  # another unit, of which the check of units tells
-    uneven = widths.size >= 3 and high > UNEVEN * low
+    odd = low < PLAUSIBLE_WIDTHS[0] or high > PLAUSIBLE_WIDTHS[1]
+    uneven = widths.size >= 3 and odd and high > UNEVEN * low
     if PLAUSIBLE_WIDTHS[0] <= middle <= PLAUSIBLE_WIDTHS[1] and not uneven:
         return []
     return [
-        f"the median lane width of a recording runs from {low:.2f} to {high:.2f} m (middle {middle:.2f}): the scale of "
-        "offset and width is doubtful, as with a single camera; --nominal-lane-width 3.5 scales each recording"
+        f"the median lane width of a recording runs from {widths.min():.2f} to {widths.max():.2f} m (middle "
+        f"{middle:.2f}): the scale of offset and width is doubtful, as with a single camera; --nominal-lane-width 3.5 "
+        "scales each recording"
     ]
 
 
@@ -110,4 +120,5 @@ def _twins(evidence: Evidence) -> list[str]:
     named = "; ".join(" = ".join(str(evidence.names[i]) for i in group[:3]) for group in groups[:TWINS_NAMED])
     more = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
     repeated = sum(group.size - 1 for group in groups)
-    return [f"{repeated} recordings repeat another's samples, and their departures count twice: {named}{more}"]
+    repeat = "recording repeats" if repeated == 1 else "recordings repeat"
+    return [f"{repeated} {repeat} another's samples, and the departures count twice: {named}{more}"]
