@@ -86,6 +86,8 @@ def shared_edges(values: FloatArray, least: float, groups: int = 1) -> FloatArra
     known = values[np.isfinite(values)]
     ends = np.quantile(known, [ENDS, 1.0 - ENDS]) if known.size >= MANY else known
     axis = Axis.around(ends, least=least, margin=0.0)
+    if axis.low < 0.0 and known.size and known.min() >= 0.0:  # what is never negative has no axis below zero
+        axis = Axis(0.0, axis.high - axis.low)
     step = axis.step(int(np.clip(np.ceil(3.0 * np.cbrt(known.size / groups)), 8, MOST_BINS)))
     first, last = np.floor(axis.low / step + 1e-9), np.ceil(axis.high / step - 1e-9)
     return np.arange(first, max(last, first + 1) + 1) * step

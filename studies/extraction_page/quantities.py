@@ -69,4 +69,5 @@ def _parameter(name: str) -> Quantity:
 PARAMETERS: Final = tuple(map(_parameter, PARAMETER_NAMES))
 """The eight parameters in the paper's order."""
 
-LANE_WIDTH: Final = Quantity("lane width", "width of the lane, valid samples", "m")
+# counted in bins of 0.1 m: a median has no more digits
+LANE_WIDTH: Final = Quantity("lane width", "width of the lane, valid samples", "m", digits=1)

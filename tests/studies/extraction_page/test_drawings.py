@@ -136,6 +136,11 @@ def test_bins_hold_all_values_of_a_few(values: list[float], least: float) -> Non
     assert shares.beyond <= 1e-9
 
 
+def test_what_is_never_negative_has_no_axis_below_zero() -> None:
+    assert shared_edges(np.full(9, 0.01), 0.1)[0] == 0.0
+    assert shared_edges(np.array([-0.01, 0.01]), 0.1)[0] < 0.0
+
+
 def test_bins_of_many_leave_out_the_ends_and_say_so() -> None:
     values = np.concatenate([np.linspace(0.0, 10.0, 9990), np.full(10, 1e6)])
     edges = shared_edges(values, 0.1)
