@@ -16,6 +16,7 @@ from ldctoolkit.recordings import spmd_das2_columns as names
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.spmd_das2_columns import Layout, layout_of
+from ldctoolkit.recordings.table import LARGEST
 from ldctoolkit.recordings.table_files import find_tables, shown_names
 from ldctoolkit.recordings.table_text import Cells
 from ldctoolkit.recordings.trip_index import Stretch, TripIndex, index_trips
@@ -76,7 +77,9 @@ class Das2Part:
             if begin == end:
                 continue  # every row was left out, and told
             name = f"{stretches[0].device}/{stretches[0].trip}"
-            own: dict[str, Any] = {key: None if column is None else column[begin:end] for key, column in columns.items()}
+            own: dict[str, Any] = {
+                key: None if column is None else column[begin:end] for key, column in columns.items()
+            }
             yield Recording(name, source=self.table.name, notes=notes, **own)
 
 
@@ -87,34 +90,31 @@ def _bytes(trip: Sequence[Stretch]) -> int:
 def signals_of(cells: Cells) -> dict[str, Any]:
     """Columns of a `Recording` from the cells of rows.
 
-    The crossing flags and the lane-change flags of the tracker are not used: what sets them is not documented.
+    Numbers of 1e9 or more in size count as missing. The tracker's flags for crossings and lane changes are not used:
+    what sets them is not documented.
     """
 
-    def optional(name: str) -> FloatArray | None:
-        return cells[name] if name in cells.names else None
+    def column(name: str) -> FloatArray:
+        if name not in cells.names:
+            return np.full(cells.row.size, np.nan)
+        values: FloatArray = np.where(np.abs(cells[name]) < LARGEST, cells[name], np.nan)
+        return values
 
-    def filled(name: str) -> FloatArray:
-        return cells[name] if name in cells.names else np.full(cells.row.size, np.nan)
-
-    left, right = cells[names.LEFT] / 1000.0, cells[names.RIGHT] / 1000.0
+    left, right, told = column(names.LEFT) / 1000.0, column(names.RIGHT) / 1000.0, column(names.WIDTH) / 1000.0
     width = right - left
-    told = filled(names.WIDTH) / 1000.0
     agree = ~(told > 0.0) | (np.abs(width - told) <= WIDTH_TOLERANCE)  # without a told width nothing contradicts
-    seen = (cells[names.LEFT_PROBABILITY] >= USABLE_PROBABILITY) & (
-        cells[names.RIGHT_PROBABILITY] >= USABLE_PROBABILITY
-    )
-    gps = filled(names.GPS_VALID) == 1.0
-    speed = cells[names.SPEED]
-    yaw_rate = optional(names.YAW_RATE)
-    signal = (filled(names.LEFT_SIGNAL) > 0.0).astype(np.int64) - (filled(names.RIGHT_SIGNAL) > 0.0)
+    seen = np.minimum(column(names.LEFT_PROBABILITY), column(names.RIGHT_PROBABILITY)) >= USABLE_PROBABILITY
+    gps = column(names.GPS_VALID) == 1.0
+    speed = column(names.SPEED)
+    signal = (column(names.LEFT_SIGNAL) > 0.0).astype(np.int64) - (column(names.RIGHT_SIGNAL) > 0.0)
     return {
         "t": cells["Time"] / 1000.0,
         "lane_offset": 0.5 * (left + right),
         "lane_width": width,
-        "speed": np.where(np.isfinite(speed), speed, np.where(gps, filled(names.GPS_SPEED), np.nan)),
+        "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(names.GPS_SPEED), np.nan)),
         "valid": seen & agree & (width > 0.0),
-        "yaw_rate": None if yaw_rate is None else np.radians(yaw_rate),
-        "heading": np.where(gps, -np.radians(filled(names.GPS_HEADING)), np.nan),
+        "yaw_rate": np.radians(column(names.YAW_RATE)) if names.YAW_RATE in cells.names else None,
+        "heading": np.where(gps, -np.radians(column(names.GPS_HEADING)), np.nan),
         "turn_signal": signal.astype(np.int64),
     }
 

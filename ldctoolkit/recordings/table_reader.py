@@ -25,6 +25,9 @@ KNOWN_BY: Final = 3
 MOST_TOLD: Final = 20
 """So many problems of one file are told one by one; the others are counted."""
 
+LARGEST_TIME: Final = 1e20
+"""A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""
+
 _PLACE: Final = re.compile(r"(?:, ((?:after )?(?:line|row) \d+))?: (.*)", re.DOTALL)
 
 
@@ -207,7 +210,7 @@ def _of_frame(
     labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
     starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
     columns = columns_of(frame)
-    timed = np.isfinite(columns["t"])
+    timed = np.abs(columns["t"]) < LARGEST_TIME  # False for NaN
     for name, start, end in zip(
         labels.gather(starts).to_list(), starts.tolist(), [*starts[1:].tolist(), frame.height], strict=True
     ):

@@ -230,6 +230,12 @@ def test_a_column_without_a_number_is_told(save: Save) -> None:
     assert "'curvature' holds no number" in problems[-1].what
 
 
+def test_a_time_that_no_clock_shows(save: Save) -> None:
+    recordings, problems = read(save(HEADER + A + B.replace("b,0.1,", "b,1e308,") + C.replace("c,0,", "c,1.4e9,")))
+    assert [(name, one.samples) for name, one in recordings.items()] == [("a", 2), ("b", 1)]
+    assert [problem.place for problem in problems] == ["line 7"]
+
+
 def test_a_file_that_is_gone(save: Save) -> None:
     path = save(HEADER + A)
     [part] = READER.open([path]).parts
