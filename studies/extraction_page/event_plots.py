@@ -14,7 +14,7 @@ from ldctoolkit.recordings.drawn import KEPT, DrawnEvent
 from studies.extraction_page.axis_ticks import Axis
 from studies.extraction_page.quantities import CURVATURE_SCALE, CURVATURE_UNIT
 from studies.extraction_page.svg_plot import Frame, picture
-from studies.report.words.text import number
+from studies.report.words.text import number, shorten
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def event_panel(event: DrawnEvent) -> EventPanel:
     values = dict(zip(PARAMETER_NAMES, event.parameters.tolist(), strict=True))
     side = "left" if event.side == LEFT else "right"
     said = f"d_y = {number(values['d_y'], 2)} m, T = {number(values['T'], 1)} s"
-    place = f"{event.recording}, from {number(event.start_time, 1)} s"
+    place = f"{shorten(event.recording, 200)}, from {number(event.start_time, 1)} s"
     alt = (
         f"Departure to the {side}, {said}, recording {place}: samples and fit of lateral position, speed "
         f"{number(values['v_mean'], 1)} m/s on average, and curvature."

@@ -10,7 +10,7 @@ from ldctoolkit.version import __version__
 from studies.extraction_page import counts, event_plots, facts, panels
 from studies.extraction_page.counts import Row
 from studies.report.rendering import asset, render
-from studies.report.words.text import plural, printable
+from studies.report.words.text import plural, printable, shorten
 
 _PACKAGE = "studies.extraction_page"
 
@@ -29,6 +29,8 @@ SECTIONS = (
 
 MOST_PROBLEMS = 300
 MOST_FILES = 200
+MOST_WARNINGS = 60
+MOST_LABELS = 6
 
 
 def make_page(extraction: Extraction) -> str:
@@ -49,7 +51,7 @@ def make_page(extraction: Extraction) -> str:
     several = departures.n > 0 and len(rows) > 1
     heads, small = panels.small_table(departures, facts.source_column(extraction), rows) if several else ([], [])
     widths = panels.width_panels(whole, rows) if whole is not None else []
-    drawn = _drawn(extraction, rows)
+    names = counts.label_names(accounts)
     return str(
         render(
             "extraction.html",
@@ -59,7 +61,7 @@ def make_page(extraction: Extraction) -> str:
             title=f"{plural(departures.n, 'departure')} in {plural(extraction.recordings, 'recording')}",
             sections=SECTIONS,
             summary=facts.summary(extraction, whole, sources),
-            warnings=extraction.warnings,
+            warnings=_warnings(extraction),
             tiles=facts.tiles(extraction, whole),
             problems=extraction.problems[:MOST_PROBLEMS],
             problem_count=len(extraction.problems),
@@ -71,7 +73,8 @@ def make_page(extraction: Extraction) -> str:
             reasons=_reasons(whole),
             reason_title=counts.reason_title,
             meanings=counts.MEANINGS,
-            groups=[(printable(name), counts.by_label(accounts, name)) for name in counts.label_names(accounts)],
+            groups=[(printable(name), counts.by_label(accounts, name)) for name in names[:MOST_LABELS]],
+            labels_left_out=[printable(name) for name in names[MOST_LABELS:]],
             counts=facts.side_counts(extraction),
             parameters=panels.parameter_panels(departures) if departures.n else [],
             quantiles=panels.quantile_rows(departures) if departures.n else [],
@@ -83,9 +86,16 @@ def make_page(extraction: Extraction) -> str:
             hours=facts.hours,
             rate=facts.rate,
             size=facts.size,
-            **drawn,
+            shorten=shorten,
+            **_drawn(extraction, rows),
         )
     )
+
+
+def _warnings(extraction: Extraction) -> list[str]:
+    shown = list(extraction.warnings[:MOST_WARNINGS])
+    more = len(extraction.warnings) - len(shown)
+    return [*shown, f"and {plural(more, 'more warning')}"] if more else shown
 
 
 def _reasons(whole: Row | None) -> list[str]:

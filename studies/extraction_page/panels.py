@@ -21,7 +21,7 @@ from studies.extraction_page.histograms import (
     width_shares,
 )
 from studies.extraction_page.quantities import LANE_WIDTH, PARAMETERS, Quantity
-from studies.report.words.text import number
+from studies.report.words.text import number, shorten
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def width_panels(whole: Row, rows: Sequence[Row]) -> list[Panel]:
         return []
     out = []
     for row, shares in zip(shown, width_shares([row.account.widths for row in shown]), strict=True):
-        title = "All recordings" if row is whole else row.title
+        title = "All recordings" if row is whole else shorten(row.title, 200)
         median = number(shares.median, LANE_WIDTH.digits)
         note = f"{title}: median {median} m" if shares.n else f"{title}: no valid samples"
         out.append(Panel(histogram(LANE_WIDTH, {"all": shares}, title), note))

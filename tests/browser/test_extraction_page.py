@@ -133,4 +133,6 @@ def test_prints(open_page: Callable[..., Any], pages: Callable[[str], Path], nam
     assert paper.startswith(b"%PDF")
     assert 2 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 30
     page.emulate_media(media="print")
+    page.set_viewport_size({"width": 718, "height": 1000})  # A4 with margins of 1 cm
+    assert page.evaluate("document.documentElement.scrollWidth") <= 718
     assert not page.get_by_role("navigation", name="Sections").is_visible()

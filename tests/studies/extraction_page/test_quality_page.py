@@ -330,6 +330,21 @@ def test_text_of_others_is_text(make: ModuleType) -> None:
     assert "&lt;script&gt;alert(1)" in page
 
 
+def test_endless_text_does_not_make_an_endless_page(make: ModuleType) -> None:
+    long = "x" * 100_000
+    one = make.make_extraction(
+        2, problems=tuple(Problem(long, long, long) for _ in range(400)), warnings=tuple(f"odd {k}" for k in range(99))
+    )
+    labels = tuple(Label(f"label{k}", long) for k in range(9))
+    accounts = tuple(dataclasses.replace(a, origin=make.Origin(a.origin.source + long, labels)) for a in one.accounts)
+    events = tuple(dataclasses.replace(event, recording=long, source=long) for event in one.drawn.deepest)
+    page = make_page(dataclasses.replace(one, accounts=accounts, drawn=dataclasses.replace(one.drawn, deepest=events)))
+    found = Parsed(page)
+    assert len(page) < 2_000_000
+    assert "and 39 more warnings" in found.text["warnings"]
+    assert "Not shown: label6, label7, label8" in found.text["groups"]
+
+
 def test_a_page_that_cannot_be_written_leaves_nothing(make: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot be written"):
         write_extraction_page(tmp_path / "none" / "a.html", make.make_extraction(1))
