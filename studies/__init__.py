@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from studies.comparison.compare_studies import compare
     from studies.comparison.comparison import Comparison
     from studies.design import Design
+    from studies.extraction.runner import run_extraction
     from studies.plotting.landscape_plot import plot_landscape
     from studies.plotting.ranking_plots import plot_ranking, plot_trade_off
     from studies.plotting.score_plots import plot_convergence, plot_distribution
@@ -38,6 +39,7 @@ _HOMES = {
     "rank_study": "ranking.ranking",
     "read_manifest": "storage.manifest",
     "read_results": "storage.store",
+    "run_extraction": "extraction.runner",
     "run_study": "running.runner",
 }
 
@@ -59,6 +61,7 @@ __all__ = [
     "rank_study",
     "read_manifest",
     "read_results",
+    "run_extraction",
     "run_study",
 ]
 

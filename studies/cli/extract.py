@@ -77,9 +77,8 @@ def run(chosen: argparse.Namespace) -> int:
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
     recordings = open_recordings(paths, format=chosen.format)
-    said = f"{recordings.reader.name}: {recordings.found}"
     try:
-        with progress_bar(said) as progress:
+        with progress_bar(f"reading {recordings.reader.name}") as progress:
             found = run_extraction(
                 recordings,
                 _criteria(chosen, recordings),
@@ -94,7 +93,7 @@ def run(chosen: argparse.Namespace) -> int:
             tell_problems(error.problems)
         raise
 
-    print(said)
+    print(f"format: {recordings.reader.name} ({recordings.found})")
     tell_problems(found.problems)
     for warning in found.warnings:
         warn(warning)

@@ -14,6 +14,7 @@ from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.sources import GROUP, RecordingSource
 from studies.extraction.part_work import PACKAGES
+from studies.running.executors.checked_task import versions
 
 FORMAT_VERSION: Final = 1
 
@@ -47,8 +48,7 @@ def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparatio
         "format_version": FORMAT_VERSION,
         "reader": reader,
         "program": _program(),
-        "versions": {name: importlib.metadata.version(name) for name in ("ldctoolkit", *PACKAGES)}
-        | _offered_by(reader),
+        "versions": dict(versions(("ldctoolkit", *PACKAGES))) | _offered_by(reader),
         "criteria": dataclasses.asdict(criteria),
         "preparation": dataclasses.asdict(preparation),
         "files": [[file.name, file.bytes, file.sha256] for file in source.files],
@@ -69,8 +69,9 @@ def _program() -> str:
 
 
 def _offered_by(reader: str) -> dict[str, str]:
-    """The package that a reader comes with, and its version."""
-    points = importlib.metadata.entry_points(group=GROUP, name=reader)
+    """The package that a reader comes with, and its version; of each, where several work together."""
+    names = reader.split(" + ")
+    points = [point for point in importlib.metadata.entry_points(group=GROUP) if point.name in names]
     return {point.dist.name: point.dist.version for point in points if point.dist is not None}
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
-from ldctoolkit.errors import InputError, RecordingError
+import cloudpickle
+
+from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.departures_table import write_departures
 from ldctoolkit.recordings.extract import merge_results
@@ -21,7 +24,7 @@ from studies.extraction.part_work import PACKAGES, PartWork, Unread
 from studies.extraction.plan import plan_of
 from studies.extraction.send_parts import send_parts
 from studies.extraction.work_folder import work_folder
-from studies.running.executors import make_executor
+from studies.running.executors import Executor, make_executor
 
 FOLDER_SUFFIX: Final = ".parts"
 """Of the work folder's name, after the name of the output."""
@@ -181,6 +184,7 @@ def _fill(
         workers = min(workers or os.cpu_count() or 1, len(missing))
     executor = make_executor(None, workers, dask, PACKAGES)
     try:
+        _check_sendable(executor, missing[0])
         for work, came in send_parts(executor, missing):
             if isinstance(came, Unread):
                 unread[work.number] = came
@@ -194,6 +198,20 @@ def _fill(
         raise
     executor.close(orderly=True)
     return unread
+
+
+def _check_sendable(executor: Executor, work: PartWork) -> None:
+    """Refuse parts that hold more than plain data; a third party's may."""
+    if executor.name == "serial":
+        return
+    dumps = pickle.dumps if executor.name == "dask" else cloudpickle.dumps
+    try:
+        dumps(work)
+    except Exception as error:  # a part may hold anything
+        kind = type(work.part).__name__
+        raise LdcError(
+            f"parts of the kind {kind} cannot be sent to other processes ({error}); use one worker"
+        ) from None
 
 
 def _in_order(

@@ -63,7 +63,7 @@ def test_several_tables_in_one_go(folder: Path, ldc: Ldc) -> None:
         (folder / name).write_text(recordings(10 * i))
     code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1")
     assert code == 0
-    assert out.startswith("table: 3 recording tables\n30 candidates in 30 recordings")
+    assert out.startswith("format: table (3 recording tables)\n30 candidates in 30 recordings")
     assert out.endswith("30 departures written to d.parquet\n")
     assert "warning: no column 'lane'" in err
     departures, provenance = read_departures("d.parquet")
@@ -217,10 +217,10 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
     (folder / "a.made").write_text("x")
     code, out, _ = ldc("a.made", "-o", "d.parquet")
     assert code == 0
-    assert out.startswith("made: made-up files\n1 candidates in 1 recordings")
+    assert out.startswith("format: made (made-up files)\n1 candidates in 1 recordings")
     code, out, _ = ldc("a.made", "-o", "e.parquet", "--format", "made")
     assert code == 0
-    assert out.startswith("made: made up\n")
+    assert out.startswith("format: made (made up)\n")
     provenance = read_departures("e.parquet")[1]
     assert (provenance.reader, provenance.criteria.vehicle_width, provenance.preparation.step) == ("made", 1.8, 0.1)
     (folder / "a.csv").write_text(recordings(0))
@@ -230,7 +230,7 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
 
 
 def test_two_readers_that_know_the_same_files(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
-    third_party(MadeReader(), MadeReader(name="other"))
+    third_party(MadeReader(), MadeReader(name="other", step=0.2))
     (folder / "a.made").write_text("x")
     code, out, err = ldc("a.made", "-o", "d.parquet")
     assert (code, out) == (2, "")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib.metadata
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import ldctoolkit
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures
 from ldctoolkit.recordings.opened import OpenedRecordings
@@ -128,16 +132,24 @@ def stopped(made: Made, output: Path, **named: Any) -> Path:
     return output.with_name(f"{output.name}.parts")
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part"])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part", "another"])
 def test_a_damaged_part_is_read_again(
     made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ) -> None:
     output = tmp_path / "d.parquet"
-    part = min(stopped(made, output).glob("part-000001-*"))
+    folder = stopped(made, output)
+    part, other = min(folder.glob("part-000001-*")), min(folder.glob("part-000000-*"))
     data = part.read_bytes()
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 1
-    part.write_bytes({"cut": data[:-9], "flipped": bytes(flipped), "emptied": b"", "not a part": b"hello"}[damage])
+    contents = {
+        "cut": data[:-9],
+        "flipped": bytes(flipped),
+        "emptied": b"",
+        "not a part": b"hello",
+        "another": other.read_bytes(),
+    }
+    part.write_bytes(contents[damage])
     source = made("good", "good", "interrupted")
     found = run_extraction(source, workers=1, output=output)
     assert times(source) == [1, 2, 2]
@@ -166,8 +178,7 @@ def test_parts_of_another_extraction_are_never_used(
     if change == "program":
         monkeypatch.setattr("studies.extraction.plan._program", lambda: "another")
     if change == "versions":
-        version = importlib.metadata.version
-        monkeypatch.setattr("importlib.metadata.version", lambda name: "0.1" if name == "polars" else version(name))
+        monkeypatch.setattr("studies.extraction.plan.versions", lambda names: dict.fromkeys(names, "0.1"))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
     monkeypatch.undo()
@@ -177,7 +188,8 @@ def test_parts_of_another_extraction_are_never_used(
         "parts": "they are divided in another way",
         "manifest": "its manifest is broken",
         "program": "the program has changed",
-        "versions": f"polars: {importlib.metadata.version('polars')} there, 0.1 now",
+        "versions": f"ldctoolkit: {ldctoolkit.__version__} there, 0.1 now; numpy: {np.__version__} there, 0.1 now; "
+        f"polars: {importlib.metadata.version('polars')} there, 0.1 now; and 1 more",
     }
     assert f"its parts are of another extraction and are removed ({words[change]})" in caplog.text
     assert content(found) == content(extract_departures(source, preparation=preparation))
@@ -283,6 +295,28 @@ def test_one_death_among_many_workers_ends_nothing(made: Made, monkeypatch: pyte
 def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     with on(Mortal(lambda _: True), monkeypatch), pytest.raises(LdcError, match="worker processes end whatever they"):
         run_extraction(made(*GOOD))
+
+
+@dataclasses.dataclass(frozen=True)
+class Unsendable:
+    """A part that holds what no other process can have."""
+
+    part: Any
+    lock: Any
+    key: str = "part"
+    bytes: int = 1
+
+    def read(self) -> Iterator[Any]:
+        yield from self.part.read()
+
+
+def test_parts_that_cannot_be_sent_are_told(made: Made) -> None:
+    source = made("good", "good")
+    parts = tuple(Unsendable(part, threading.Lock()) for part in source.source.parts)
+    source = dataclasses.replace(source, source=dataclasses.replace(source.source, parts=parts))  # type: ignore[type-var]
+    with pytest.raises(LdcError, match=r"parts of the kind Unsendable cannot be sent to other processes \(.*lock.*\)"):
+        run_extraction(source, workers=2)
+    assert run_extraction(source, workers=1).recordings == 6
 
 
 @pytest.mark.parametrize("workers", [0, -1, True, 1.5, "2"])
