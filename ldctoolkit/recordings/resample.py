@@ -136,7 +136,7 @@ def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
     if t.size == 0:
         return np.zeros(centre.size, dtype=np.int64)
     after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
-    before = np.maximum(after - 1, 0)
+    before = np.searchsorted(t, t[np.maximum(after - 1, 0)], "left")  # the first of a repeated time
     nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
     return nearest
 

@@ -1,0 +1,291 @@
+"""Resampling against a walk through every window, and what must never be made up."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.recordings import Recording
+from ldctoolkit.recordings.resample import MAX_GAP, resample
+
+SETTINGS = settings(max_examples=80, deadline=None)
+EPS = 1e-6
+"""Share of a step that the edge of a window is wider."""
+
+
+def recording(t: Any, **changes: Any) -> Recording:
+    n = len(t)
+    columns: dict[str, Any] = {"lane_offset": 0.01 * np.arange(n), "lane_width": np.full(n, 3.6)}
+    columns |= {"speed": np.full(n, 25.0), "valid": np.ones(n, bool)}
+    return Recording("a", np.asarray(t, dtype=float), **(columns | changes))
+
+
+def random_recording(seed: int, step: float) -> Recording:
+    """Irregular, repeated and jittered times, gaps, invalid and missing samples, jumps, lanes. Times lie on a grid of
+
+    2^-9 s that no edge of a window lies on but those of the multiples, so it is clear what is in.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 80))
+    ticks = rng.choice([0, 3, 17, 17, 17, 51, 90, 128, 200, 3000], n)
+    t = 7.0 + np.cumsum(ticks) / 512.0
+    if rng.random() < 0.2:  # on the multiples of the step, and half-way between them
+        t = 7.0 + np.cumsum(rng.choice([0.5, 1.0, 2.0, 3.0], n)) * step
+    offset = np.cumsum(rng.normal(0.0, 0.05, n)) + 3.5 * np.cumsum(rng.choice([-1, 0, 1], n, p=[0.05, 0.9, 0.05]))
+    speed = rng.uniform(10.0, 30.0, n)
+    speed[rng.random(n) < 0.05] = rng.choice([np.nan, np.inf, 1e9])
+    width = np.where(rng.random(n) < 0.05, rng.choice([0.0, -1.0, np.nan]), rng.uniform(3.0, 4.0, n))
+    yaw_rate = rng.normal(0.0, 0.01, n)
+    yaw_rate[rng.random(n) < 0.05] = np.nan
+    return Recording(
+        "a",
+        t,
+        offset,
+        width,
+        speed,
+        rng.random(n) > 0.1,
+        yaw_rate=yaw_rate if rng.random() < 0.7 else None,
+        lane=np.cumsum(rng.random(n) < 0.05) if rng.random() < 0.5 else None,
+        turn_signal=rng.integers(-1, 2, n) if rng.random() < 0.5 else None,
+        heading=np.where(rng.random(n) < 0.3, np.nan, rng.uniform(-3.0, 3.0, n)) if rng.random() < 0.5 else None,
+    )
+
+
+def one_by_one(given: Recording, step: float, max_gap: float) -> list[dict[str, Any]]:
+    """The docstring of `resample`, in plain loops over every multiple of the step."""
+
+    def known(value: float) -> bool:
+        return math.isfinite(value) and abs(value) < 1e9
+
+    t = [float(time) - float(given.t[0]) for time in given.t]
+    numbers = [name for name in ("lane_offset", "lane_width", "speed", "yaw_rate") if getattr(given, name) is not None]
+    good = [
+        i
+        for i in range(len(t))
+        if given.valid[i] and all(known(getattr(given, name)[i]) for name in numbers) and given.lane_width[i] > 0
+    ]
+    out = []
+    for k in range(round(t[-1] / step) + 2):
+        centre = k * step
+        if centre > t[-1] + 0.5 * step:
+            break
+        reach = (0.5 + EPS) * step
+        window = [i for i in good if centre - reach <= t[i] < centre + reach or t[i] == centre + reach]
+        row: dict[str, Any] = {"t": float(given.t[0]) + centre, "valid": True}
+        nearest = min(good, key=lambda i: abs(t[i] - centre), default=None)
+        if given.lane is not None and window:
+            # only the neighbours in the nearest sample's lane, without another one in between
+            place = good.index(nearest)
+            low = high = place
+            while low > 0 and given.lane[good[low - 1]] == given.lane[nearest]:
+                low -= 1
+            while high < len(good) - 1 and given.lane[good[high + 1]] == given.lane[nearest]:
+                high += 1
+            window = [i for i in window if i in good[low : high + 1]]
+        before = [i for i in good if t[i] < centre - reach]
+        after = [i for i in good if t[i] > centre + reach]
+        if window:
+            for name in numbers:
+                values = sorted(float(getattr(given, name)[i]) for i in window)
+                row[name] = statistics.median(values)
+                a, b = values[(len(values) - 1) // 2], values[len(values) // 2]
+                if name == "lane_offset" and b - a > 0.6:
+                    near = float(given.lane_offset[nearest])
+                    row[name] = a if abs(a - near) <= abs(b - near) else b
+        elif (
+            before
+            and after
+            and t[after[0]] - t[before[-1]] <= max_gap * (1.0 + EPS)
+            and abs(given.lane_offset[after[0]] - given.lane_offset[before[-1]]) <= 0.6
+            and (given.lane is None or given.lane[after[0]] == given.lane[before[-1]])
+        ):
+            i, j = before[-1], after[0]
+            for name in numbers:
+                row[name] = np.interp(centre, [t[i], t[j]], [getattr(given, name)[i], getattr(given, name)[j]])
+        elif any(abs(time - centre) <= reach for time in t):
+            row["valid"] = False
+        else:
+            continue
+        if row["valid"]:
+            for name in ("lane", "turn_signal", "heading"):
+                if getattr(given, name) is not None:
+                    row[name] = getattr(given, name)[nearest]
+        out.append(row)
+    return out
+
+
+@SETTINGS
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    step=st.sampled_from([0.05, 0.1, 0.125, 0.3, 1.0]),
+    max_gap=st.sampled_from([0.03, 0.25, 1.0]),
+)
+def test_equals_the_walk_through_every_window(seed, step, max_gap):
+    made = random_recording(seed, step)
+    rows = one_by_one(made, step, max_gap)
+    result = resample(made, step, max_gap)
+    assert result.valid.tolist() == [row["valid"] for row in rows]
+    np.testing.assert_allclose(result.t, [row["t"] for row in rows], rtol=1e-12)
+    for name in ("lane_offset", "lane_width", "speed", "yaw_rate", "lane", "turn_signal", "heading"):
+        values = getattr(result, name)
+        assert (values is None) == (getattr(made, name) is None)
+        if values is None:
+            continue
+        wanted = [row[name] for row in rows if row["valid"]]
+        np.testing.assert_allclose(values[result.valid], wanted, rtol=1e-9, atol=1e-12)
+        if name in ("lane_offset", "lane_width", "speed", "yaw_rate"):
+            assert np.isnan(values[~result.valid]).all()
+
+
+@pytest.mark.parametrize("origin", [0.0, 3.3, 1e5 + 0.7, 1.7e9])
+def test_samples_at_the_multiples_keep_their_bits(origin):
+    rng = np.random.default_rng(0)
+    t = origin + np.arange(200) / 10.0
+    columns = {name: rng.normal(5.0, 1.0, 200) for name in ("lane_offset", "lane_width", "speed", "yaw_rate")}
+    one = recording(t, **columns, turn_signal=rng.integers(-1, 2, 200))
+    kept = rng.random(200) > 0.1
+    kept[0] = True
+    one = one.take(kept)
+    result = resample(one, 0.1, max_gap=0.11)
+    for name in Recording.COLUMNS:
+        if getattr(one, name) is not None and (name != "t" or origin < 1e6):
+            np.testing.assert_array_equal(getattr(result, name), getattr(one, name))
+    # a clock of years resolves 2e-7 s
+    np.testing.assert_allclose(result.t, one.t, rtol=0.0, atol=5e-7)
+    again = resample(result, 0.1, max_gap=0.11)
+    np.testing.assert_array_equal(again.lane_offset, result.lane_offset)
+    np.testing.assert_array_equal(again.t, result.t)
+
+
+def test_thirty_hertz_with_jitter():
+    """Near the signal sampled at the multiples; single wild values are gone, whichever sample they are in."""
+    rng = np.random.default_rng(2)
+    t = np.sort(np.arange(3000) / 30.0 + rng.uniform(-0.008, 0.008, 3000))
+    t[0] = 0.0
+    offset = 0.3 * np.sin(0.8 * t)
+    wild = np.arange(15, 2990, 30)
+    noisy = offset.copy()
+    noisy[wild] += rng.choice([-5.0, 5.0], wild.size)
+    result = resample(recording(t, lane_offset=noisy, lane_width=np.full(3000, 3.5), speed=20.0 + t), 0.1)
+    assert result.valid.all()
+    np.testing.assert_allclose(np.diff(result.t), 0.1, rtol=1e-9)
+    # three samples a window: the median is one 1/30 s off at most, or the mean of two
+    np.testing.assert_allclose(result.lane_offset, 0.3 * np.sin(0.8 * result.t), atol=0.3 * 0.8 * 0.045)
+    np.testing.assert_allclose(result.speed, 20.0 + result.t, atol=0.045)
+
+
+@pytest.mark.parametrize(("gap", "bridged"), [(0.2, True), (0.25, True), (0.26, False), (0.4, False), (9.0, False)])
+def test_nothing_across_a_gap(gap, bridged):
+    """Of what the source has nothing; and of samples that it has, but calls invalid."""
+    t = np.concatenate([np.arange(11) / 20.0, 0.5 + gap + np.arange(11) / 20.0])
+    result = resample(recording(t), 0.1)
+    inside = (result.t > 0.55 + 1e-9) & (result.t < 0.45 + gap - 1e-9)
+    assert inside.any() == bridged
+    assert result.valid.all()
+    t = np.arange(400) / 20.0
+    valid = (t < 0.5 + 1e-9) | (t > 0.5 + gap - 1e-9)
+    result = resample(recording(t, valid=valid), 0.1)
+    inside = (result.t > 0.55 + 1e-9) & (result.t < 0.45 + gap - 1e-9)
+    assert inside.any()
+    assert result.valid[inside].all() == bridged
+    assert np.isnan(result.lane_offset[~result.valid]).all()
+
+
+@pytest.mark.parametrize("rate", [20.0, 25.0, 30.0, 50.0])
+@pytest.mark.parametrize("phase", np.linspace(0.0, 1.0, 7).tolist())
+def test_a_jump_stays_a_jump(rate, phase):
+    """No value half-way, which would hide a jump of 1 m and make one of a lane width look like another thing."""
+    t = np.arange(200) / rate
+    for height in (1.0, 3.5):
+        offset = np.where(t > 2.0 + phase / rate - 1e-9, height, 0.0)
+        result = resample(recording(t, lane_offset=offset), 0.1)
+        assert set(result.lane_offset.tolist()) == {0.0, height}
+        # nor across a short hole
+        hole = np.abs(t - 2.0) > 0.08
+        result = resample(recording(t, lane_offset=offset).take(hole), 0.1)
+        assert set(result.lane_offset.tolist()) == {0.0, height}
+
+
+def test_lanes_do_not_mix():
+    t = np.array([0.0, 0.06, 0.08, 0.13, 0.14])
+    lane = np.array([7, 7, 7, 9, 9])
+    result = resample(recording(t, lane_offset=np.array([0.1, 0.2, 0.3, -0.4, -0.5]), lane=lane), 0.1)
+    assert result.lane.tolist() == [7, 7]
+    np.testing.assert_allclose(result.lane_offset, [0.1, 0.25])
+
+
+def test_one_sample_and_none():
+    one = recording([5.0], lane_offset=np.array([0.4]))
+    result = resample(one, 0.1)
+    assert (result.t.tolist(), result.lane_offset.tolist(), result.valid.tolist()) == ([5.0], [0.4], [True])
+    assert resample(one.take(slice(0, 0)), 0.1).samples == 0
+    nothing = recording(np.arange(20) / 20.0, valid=np.zeros(20, bool), lane=np.ones(20, dtype=np.int64))
+    result = resample(nothing, 0.1)
+    assert not result.valid.any()
+    assert result.samples in (10, 11)
+    assert np.isnan(result.speed).all()
+    same = resample(recording(np.full(5, 3.0), lane_offset=np.array([0.5, 0.1, 0.2, 0.4, 0.3])), 0.1)
+    assert same.lane_offset.tolist() == [0.3]
+
+
+def test_a_huge_gap_costs_nothing():
+    t = np.concatenate([np.arange(50) / 10.0, 1e6 + np.arange(50) / 10.0, 1e12 + np.arange(50) / 10.0])
+    tracemalloc.start()
+    result = resample(recording(t), 0.01)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6
+    np.testing.assert_array_equal(np.unique(np.round(result.t[result.t > 10.0] / 1e6)), [1.0, 1e6])
+
+
+@pytest.mark.parametrize("t", [[0.0, 1e300], [-1e308, 1e308]])
+def test_absurd_times_are_told(t):
+    with pytest.raises(RecordingError, match=r"recording 'a': from t = .* too long to be brought to steps of 0\.1 s"):
+        resample(recording(t), 0.1)
+
+
+def test_absurd_numbers_are_no_part_of_a_median():
+    offset = np.array([0.1, 1e12, 1.5e308, 0.2, 1.5e308])
+    result = resample(recording([0.0, 0.01, 0.02, 0.1, 0.11], lane_offset=offset), 0.1)
+    assert result.lane_offset.tolist() == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("step", "max_gap"), [(0.0, 0.25), (-0.1, 0.25), (math.nan, 0.25), (0.1, 0.0), (0.1, math.inf)]
+)
+def test_steps_that_are_refused(step, max_gap):
+    with pytest.raises(InputError, match="allowed: more than 0, finite"):
+        resample(recording([0.0, 0.1]), step, max_gap)
+
+
+def test_no_loop_over_samples():
+    """As many lines run for a hundred samples as for ten thousand."""
+    import sys
+
+    def lines(n: int) -> int:
+        rng = np.random.default_rng(0)
+        t = np.cumsum(rng.choice([0.0, 0.02, 0.04, 0.3], n))
+        one = recording(t, valid=rng.random(n) > 0.1)
+        count = 0
+
+        def trace(frame: Any, event: str, _: Any) -> Any:
+            nonlocal count
+            count += event == "line"
+            return trace if "recordings" in frame.f_code.co_filename else None
+
+        sys.settrace(trace)
+        try:
+            resample(one, 0.1, MAX_GAP)
+        finally:
+            sys.settrace(None)
+        return count
+
+    assert lines(100) == lines(10_000) > 20
