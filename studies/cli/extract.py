@@ -56,7 +56,9 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "--max-jump", type=number, default=0.6, metavar="M", help="largest step of the offset (default: %(default)s)"
     )
-    parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
+    parser.add_argument(
+        "--workers", type=positive_number, metavar="N", help="processes (default: all cores, or 1 for little)"
+    )
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",

@@ -29,6 +29,9 @@ from studies.running.executors import Executor, make_executor
 FOLDER_SUFFIX: Final = ".parts"
 """Of the work folder's name, after the name of the output."""
 
+SMALL: Final = 16 << 20
+"""Bytes that this process has read before others would have started."""
+
 MOST_SAID: Final = 3
 """Problems that a `NothingReadError` puts into its message."""
 
@@ -75,7 +78,7 @@ def run_extraction(
         Departures table to write. Finished parts wait in a folder of this name with ``.parts`` behind it until all are
         there; then it is removed. Without an output, or with one part alone, nothing is kept.
     workers : int, optional
-        Processes; all cores by default, 1 runs in this process.
+        Processes; 1 runs in this process. By default all cores, or 1 where less than 16 MiB have to be read.
     dask : str, optional
         Address of a Dask scheduler, or ``"local"``. Its workers open the same paths.
     progress : callable, optional
@@ -181,7 +184,8 @@ def _fill(
     if progress is not None:
         progress(done, total)
     if dask is None:
-        workers = min(workers or os.cpu_count() or 1, len(missing))
+        workers = workers or (1 if total - done < SMALL else os.cpu_count() or 1)
+        workers = min(workers, len(missing))
     executor = make_executor(None, workers, dask, PACKAGES)
     try:
         _check_sendable(executor, missing[0])

@@ -263,10 +263,10 @@ def test_a_page_is_written_on_request(folder: Path, ldc: Ldc) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "d.parquet", "r.html"]
 
 
-def test_workers_are_processes_only_where_there_are_parts(
+def test_workers_are_processes_only_where_there_is_much_to_read(
     folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One file is read in this process; several in as many as there are cores."""
+    """One file, or little, is read in this process; much in as many as there are cores."""
     from studies.extraction import runner
     from studies.running.executors.serial import SerialExecutor
 
@@ -277,9 +277,11 @@ def test_workers_are_processes_only_where_there_are_parts(
         return SerialExecutor()
 
     monkeypatch.setattr(runner, "make_executor", make)
+    monkeypatch.setattr(runner, "SMALL", 50_000)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     for i in range(3):
         (folder / f"{i}.csv").write_text(recordings(10 * i))
-    for files in (["0.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
+    assert 20_000 < (folder / "0.csv").stat().st_size < 25_000
+    for files in (["0.csv"], ["0.csv", "1.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
         assert ldc(*files, "-o", "d.parquet")[0] == 0
-    assert asked == [(None, 1, None), (None, 2, None), (None, 2, None)]
+    assert asked == [(None, 1, None), (None, 1, None), (None, 2, None), (None, 2, None)]
