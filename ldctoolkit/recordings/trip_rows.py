@@ -194,6 +194,8 @@ def read_trips(
     pieces = [one for stretches in trips for one in stretches]
     text = _read(table, pieces)
     found = read_cells(text, table.columns, list(wanted.values()), cells=cells)
+    if found.lines != sum(one.lines for one in pieces):
+        raise _changed(table)
     first = np.array([one.line for one in pieces], dtype=np.int64)
     lines = np.array([one.lines for one in pieces], dtype=np.int64)
     before = np.cumsum(lines) - lines
@@ -229,12 +231,14 @@ def read_trips(
         trip = trip[keep]
         values = {name: column_[keep] for name, column_ in values.items()}
     faults.sort(key=lambda fault: fault[0])
-    named = Cells(tuple(values), tuple(values.values()), found.row[keep])
+    named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
     return TripRows(named, trip, tuple(told(table.name, faults)))
 
 
-def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
-    parts: list[bytes] = []
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytearray:
+    """Text of stretches, one after the other; each ends its last line."""
+    text = bytearray(sum(one.end - one.begin for one in pieces) + len(pieces))
+    view, at, changed = memoryview(text), 0, False
     try:
         with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
             changed = os.fstat(stream.fileno()).st_size != table.bytes
@@ -246,18 +250,24 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
                     end = pieces[i].end
                     i += 1
                 stream.seek(begin)
-                while begin < end and (data := stream.read(end - begin)):
-                    parts.append(data)
-                    begin += len(data)
+                while begin < end and (count := stream.readinto(view[at : at + end - begin])):
+                    begin += count
+                    at += count
                 changed = begin < end
-                if parts and not parts[-1].endswith(b"\n"):
-                    parts.append(b"\n")
+                if at and text[at - 1] != 10:
+                    text[at] = 10
+                    at += 1
     except OSError as error:
         raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
-    text = b"".join(parts)
-    if changed or np.count_nonzero(np.frombuffer(text, dtype=np.uint8) == 10) != sum(one.lines for one in pieces):
-        raise RecordingError(f"{table.name}: the file has changed since it was looked through")
+    if changed:
+        raise _changed(table)
+    view.release()
+    del text[at:]
     return text
+
+
+def _changed(table: TripTable) -> RecordingError:
+    return RecordingError(f"{table.name}: the file has changed since it was looked through")
 
 
 def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, int]]]:

@@ -3,10 +3,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ldctoolkit.recordings.table_text import read_cells
+from ldctoolkit.recordings._number_kernel import plain_numbers
+from ldctoolkit.recordings.table_text import COMPILED_FROM, read_cells
 
 COLUMNS = ("a", "b", "c", "d")
 WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
@@ -68,12 +70,19 @@ text = st.builds(
 )
 
 
-@settings(max_examples=500, deadline=None)
-@given(text=text, wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]))
-@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"))
-@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"))
-def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...]) -> None:
-    found = read_cells(text, COLUMNS, wanted)
+@settings(max_examples=300, deadline=None)
+@given(
+    text=text,
+    wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]),
+    compiled_from=st.sampled_from([0, COMPILED_FROM]),
+)
+@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=0)
+@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=COMPILED_FROM)
+@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"), compiled_from=0)
+@example(text=b"1,2,3,e0\n", wanted=("d",), compiled_from=0)
+@example(text=b"1,2,3,", wanted=("d",), compiled_from=0)
+def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...], compiled_from: int) -> None:
+    found = read_cells(text, COLUMNS, wanted, compiled_from=compiled_from)
     rows, bad = by_hand(text, wanted)
     assert found.row.tolist() == [row for row, _ in rows]
     assert sorted(fault.row for fault in found.faults) == bad
@@ -92,6 +101,42 @@ def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> Non
         np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
     told = [(f.row + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
     assert [(fault.row, fault.what) for fault in whole.faults] == told
+
+
+PLAIN = st.one_of(
+    st.integers(-(10**19), 10**19).map(str),
+    st.floats(-1e6, 1e6).map(repr),
+    st.floats(-1e6, 1e6).map(lambda value: f"{value:.7E}"),
+    st.builds(lambda a, b: f"{a}.{b}", st.integers(-(10**6), 10**6), st.text("0123456789", max_size=14)),
+    st.builds(lambda a, b: f"{a}e{b}", st.integers(-(10**16), 10**16), st.integers(-30, 30)),
+    st.sampled_from(["", "-0", "-0.0", "0.1", "9007199254740993", "9007199254740992", "1.", "-.5"]),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
+def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
+    text = end.join(f"7,{one},x y,{other}" for one, other in rows).encode()
+    bytes_ = np.frombuffer(text, dtype=np.uint8)
+    numbers = plain_numbers(bytes_, [1, 3], 4, len(rows))
+    expected = np.array([[float(cell or "nan") for cell in row] for row in rows]).T
+    if numbers is not None:
+        np.testing.assert_array_equal(numbers, expected)
+        np.testing.assert_array_equal(np.signbit(numbers), np.signbit(expected))
+    digits = [sum(char.isdigit() for char in cell.lower().split("e")[0]) for row in rows for cell in row]
+    if max(digits) <= 15 and not any("e" in cell.lower() for row in rows for cell in row):
+        assert numbers is not None  # nothing ordinary is turned down
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1,2", "1,2,3,4", "1,,x", "1,,.", "1,,-", "1,,e0", "1,,1e", "1,,1e+", "1,,+1", "1,, 1", "1,,1 ", "", "1,,1e23"],
+)
+def test_what_the_compiled_parser_leaves_to_others(text: str) -> None:
+    for whole in (f"1,2,3\n{text}\n", f"{text}\n1,2,3\n", f"1,2,3\n{text}\n1,2,3"):
+        bytes_ = np.frombuffer(whole.encode(), dtype=np.uint8)
+        assert plain_numbers(bytes_, [2], 3, whole.rstrip("\n").count("\n") + 1) is None
+    assert plain_numbers(np.frombuffer(b"1,2,3\n1,2,3\n", dtype=np.uint8), [2], 3, 1) is None
 
 
 def test_several_numbers_of_cells() -> None:

@@ -73,7 +73,7 @@ text = st.builds(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(text=text, block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]))
 def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int) -> None:
     found = indexed(text, block_bytes=block_bytes)
@@ -85,7 +85,7 @@ def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: 
     assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(text=st.binary(max_size=400), block_bytes=st.integers(1, 60))
 def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
     whole, parts = indexed(text), indexed(text, block_bytes=block_bytes)
