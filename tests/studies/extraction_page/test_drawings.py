@@ -44,6 +44,7 @@ def test_a_histogram_shows_the_shares() -> None:
     ticks = ticks_of(svg)
     across = scale([(x, v) for x, y, v in ticks if y == max(y for _, y, _ in ticks)])
     down = scale([(y - 4.0, v) for x, y, v in ticks if x == min(x for x, _, _ in ticks)])
+    assert across[0] > 0 > down[0]  # to the right and upwards
     for kind, values in (("left", left), ("right", right)):
         (d,) = paths(svg, f"steps {kind}")
         corners = [(float(y), float(x)) for y, x in re.findall(rf"V({NUMBER})H({NUMBER})", d)]
@@ -69,6 +70,7 @@ def test_a_departure_and_its_fit_stand_where_their_axes_say(make: ModuleType) ->
         scale([(y - 4.0, v) for x, y, v in ticks if y != lowest and low < y < high])
         for low, high in ((20.0, 140.0), (150.0, 225.0), (240.0, 312.0))
     ]
+    assert across[0] > 0 > max(slope for slope, _ in down)
     dots = paths(svg, "dots left")
     for d, (slope, zero), signal, factor in zip(dots, down, (event.y, event.v, event.c), (1, 1, 1000), strict=True):
         points = re.findall(rf"M({NUMBER}) ({NUMBER})h0", d)
@@ -159,5 +161,6 @@ def test_lane_widths_of_any_account(cells: list[tuple[int, int]]) -> None:
     if one.n:
         assert 0.98 <= one.share.sum() <= 1.0 + 1e-9
         middle = one.median / 0.1
-        assert count[: int(np.floor(middle + 1e-6))].sum() <= 0.5 * one.n
-        assert count[int(np.ceil(middle - 1e-6)) :].sum() <= 0.5 * one.n
+        most = (0.5 + 2e-6) * one.n  # as much as the margins below may hold
+        assert count[: int(np.floor(middle + 1e-6))].sum() <= most
+        assert count[int(np.ceil(middle - 1e-6)) :].sum() <= most

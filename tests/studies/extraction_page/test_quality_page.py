@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import re
+import statistics
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -192,6 +193,27 @@ def test_quantiles_are_those_of_the_departures(make: ModuleType) -> None:
             middle = values[len(values) // 2]  # odd counts
             assert plain(cells[1]) == pytest.approx(middle, abs=0.0051)
             assert plain(cells[0]) < plain(cells[1]) < plain(cells[2])
+
+
+def test_medians_of_each_source(make: ModuleType) -> None:
+    extraction = make.make_extraction(3, (15, 11))
+    found = parsed(extraction)
+    (caption,) = (one for one in found.tables if one.startswith("Each column has one axis"))
+    rows = found.tables[caption][1:]
+    assert [row[0] for row in rows] == ["D1", "D2", "D3"]
+    departures = extraction.departures
+    source = departures.extra[0].values.tolist()
+    for row in rows:
+        for cell, name, scale in ((row[1], "T", 1.0), (row[4], "v_mean", 1.0), (row[8], "dc", 1000.0)):
+            for said, side in zip(cell.split(" / "), (1, -1), strict=True):
+                values = [
+                    scale * value
+                    for value, s, of in zip(getattr(departures, name), departures.side, source, strict=True)
+                    if s == side and of == row[0]
+                ]
+                assert plain(said) == pytest.approx(
+                    statistics.median(values), abs=0.051 if name == "v_mean" else 0.0051
+                )
 
 
 def test_what_was_read_is_told(make: ModuleType) -> None:
