@@ -72,7 +72,7 @@ def run(chosen: argparse.Namespace) -> int:
     from ldctoolkit.recordings.opened import open_recordings
     from studies.cli._extract_table import print_extraction, tell_problems
     from studies.extraction import NothingReadError, run_extraction
-    from studies.extraction.runner import MOST_SAID
+    from studies.extraction.runner import FOLDER_SUFFIX, MOST_SAID
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
@@ -93,6 +93,11 @@ def run(chosen: argparse.Namespace) -> int:
     except NothingReadError as error:
         if len(error.problems) > MOST_SAID:
             tell_problems(error.problems)
+        raise
+    except KeyboardInterrupt:
+        folder = target.with_name(f"{target.name}{FOLDER_SUFFIX}")
+        if folder.is_dir():
+            warn(f"what was finished is kept in {folder}; the same command goes on with the rest")
         raise
 
     print(f"format: {recordings.reader.name} ({recordings.found})")

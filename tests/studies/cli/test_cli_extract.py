@@ -165,8 +165,11 @@ class Part:
     key: str = "a.made"
     bytes: int = 10
     problems: int = 0
+    interrupted: bool = False
 
     def read(self) -> Iterator[Recording | Problem]:
+        if self.interrupted:
+            raise KeyboardInterrupt
         t = np.arange(0, 8, 0.1)
         offset = np.maximum(0.3 * (1 - (t - 4) ** 2), -0.6) + 0.9
         yield Recording("one", t, offset, np.full(80, 3.6), np.full(80, 25.0), np.ones(80, bool), source="a.made")
@@ -184,6 +187,7 @@ class MadeReader:
     step: float | None = 0.1
     suffix: str = ".made"
     problems: int = 0
+    interrupted: bool = False
 
     def recognise(self, paths: Sequence[Path]) -> str:
         return "made-up files" if all(path.suffix == self.suffix for path in paths) else ""
@@ -192,7 +196,8 @@ class MadeReader:
         if paths[0].suffix != self.suffix:
             raise RecordingError(f"{paths[0].name}: is not made up")
         files = tuple(SourceFile(path.name, 10, "0" * 64) for path in paths)
-        return types.SimpleNamespace(parts=(Part(problems=self.problems),), files=files, problems=())
+        parts = (Part(problems=self.problems), Part("b", interrupted=True))[: 1 + self.interrupted]
+        return types.SimpleNamespace(parts=parts, files=files, problems=())
 
 
 @pytest.fixture
@@ -252,6 +257,18 @@ def test_the_first_twenty_problems_are_told(
     if problems > 20:
         assert lines[-1].startswith(f"ldc: warning: and {problems - 20:,} more problems, {problems:,} in all")
     assert len(read_departures("d.parquet")[1].problems) == problems
+
+
+def test_an_interrupt_says_where_the_work_is(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
+    third_party(MadeReader(interrupted=True))
+    (folder / "a.made").write_text("x")
+    code, out, err = ldc("a.made", "-o", "d.parquet")
+    assert (code, out) == (130, "")
+    assert err == (
+        "ldc: warning: what was finished is kept in d.parquet.parts; the same command goes on with the rest\n"
+        "ldc: interrupted\n"
+    )
+    assert sorted(path.name for path in folder.iterdir()) == ["a.made", "d.parquet.parts"]
 
 
 def test_a_page_is_written_on_request(folder: Path, ldc: Ldc) -> None:
