@@ -85,7 +85,11 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
                 for column, field in COLUMNS.items()
                 if field not in ("recording", "side")
             ),
-            *(pl.Series(column.name, column.values.tolist(), strict=True) for column in departures.extra),
+            *(
+                pl.Series(column.name, column.values.tolist(), dtype=pl.Float64 if numeric else pl.String)
+                for column in departures.extra
+                for numeric in [column.values.dtype.kind == "f"]
+            ),
         ]
     )
     _check(target.name, table)

@@ -1,0 +1,210 @@
+"""Warnings in words: what sets each one off, and what does not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.recordings import Preparation, Recording, extract_departures
+
+N = 6000
+T = np.arange(N) * 0.1
+LANE = "no column 'lane': a lane change is seen only as a jump of the offset by about a lane width"
+
+
+def bends(seed: int = 0, largest: float = 0.06) -> np.ndarray:
+    """Yaw rate [rad/s] of a drive through bends."""
+    phase = np.random.default_rng(seed).uniform(0.0, 6.0)
+    return largest * np.sin(2.0 * math.pi * T / 40.0 + phase)
+
+
+def drive(name: str = "a", seed: int = 0, **changes: Any) -> Recording:
+    rng = np.random.default_rng(seed)
+    rate = changes.pop("true_rate", bends(seed))
+    columns: dict[str, Any] = {
+        "lane_offset": 0.2 * np.sin(0.3 * T) + rng.normal(0.0, 0.01, N),
+        "lane_width": np.full(N, 3.5),
+        "speed": np.full(N, 25.0),
+        "valid": np.ones(N, bool),
+        "yaw_rate": rate,
+        "heading": (np.cumsum(rate) * 0.1 + math.pi) % (2.0 * math.pi) - math.pi,
+    }
+    return Recording(name, T, **(columns | changes))
+
+
+def warnings(*recordings: Recording, **preparation: Any) -> tuple[str, ...]:
+    found = extract_departures(list(recordings), preparation=Preparation(**preparation))
+    return tuple(words for words in found.warnings if words != LANE)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+@pytest.mark.parametrize("step", [None, 0.1, 0.5])
+def test_the_right_yaw_rate_is_silent(noise, step):
+    """Also with noise on the course [rad] of the size that receivers have."""
+    one = drive()
+    course = one.heading + noise * np.random.default_rng(1).standard_normal(N)
+    assert warnings(dataclasses.replace(one, heading=course), step=step) == ()
+
+
+@pytest.mark.parametrize(
+    ("factor", "words", "advice"),
+    [
+        (-1.0, "the yaw rate turns against the GPS heading (correlation -1.00); it is positive to the right", "-1"),
+        (180.0 / math.pi, "the yaw rate is 57.3 times what the GPS heading turns: another unit?", "0.0175"),
+        (-180.0 / math.pi, "(correlation -1.00), and 57.3 times as much: another unit?; it is positive", "-0.0175"),
+        (0.5, "the yaw rate is 0.5 times", "2"),
+    ],
+)
+def test_sign_and_scale(factor, words, advice):
+    wrong = drive(yaw_rate=factor * bends())
+    found = [text for text in warnings(wrong) if "GPS" in text]
+    assert len(found) == 1
+    assert words in found[0]
+    assert f"--yaw-rate-factor {advice}" in found[0].replace(",", " ").replace(")", " ").replace("  ", " ")
+    # the advice mends it
+    assert warnings(wrong, yaw_rate_factor=1.0 / factor) == ()
+
+
+def test_noise_on_the_heading_is_not_taken_for_a_wrong_scale():
+    """It makes the heading turn more than the yaw rate does."""
+    one = drive(true_rate=bends(largest=0.03))
+    course = one.heading + 0.03 * np.random.default_rng(1).standard_normal(N)
+    assert warnings(dataclasses.replace(one, heading=course)) == ()
+    wrong = dataclasses.replace(one, heading=course, yaw_rate=-one.yaw_rate)
+    assert "turns against the GPS heading" in warnings(wrong)[0]
+    assert "another unit" not in warnings(wrong)[0]
+
+
+def test_a_yaw_rate_that_has_nothing_to_do_with_the_heading():
+    noise = 0.06 * np.random.default_rng(3).standard_normal(N)
+    (words,) = warnings(drive(yaw_rate=noise))
+    assert "do not agree" in words
+    assert "curvatures are doubtful" in words
+
+
+def test_where_nothing_can_be_said_nothing_is():
+    rng = np.random.default_rng(4)
+    straight = drive(true_rate=np.zeros(N), yaw_rate=0.002 * rng.standard_normal(N))
+    noisy = dataclasses.replace(straight, heading=straight.heading + 0.02 * rng.standard_normal(N))
+    reversed_rate = -bends()
+    slow = drive(speed=np.full(N, 5.0), yaw_rate=reversed_rate)
+    for silent in (
+        straight,
+        noisy,
+        slow,
+        drive(heading=None, yaw_rate=reversed_rate),
+        drive(heading=np.full(N, np.nan), yaw_rate=reversed_rate),
+        drive(heading=np.where(T < 8.0, drive().heading, np.nan), yaw_rate=reversed_rate),  # too little of it
+        drive(valid=T < 8.0, yaw_rate=reversed_rate),
+    ):
+        assert [words for words in warnings(silent) if "GPS" in words] == []
+
+
+def test_gaps_and_lost_samples_take_no_part():
+    """Turns across a gap, or with samples in between that cannot be used, are not compared."""
+    one = drive()
+    rate, course = one.yaw_rate.copy(), one.heading.copy()
+    lost = (np.arange(N) // 50) % 4 == 1
+    rate[lost] = 50.0 * np.random.default_rng(0).standard_normal(int(lost.sum()))
+    assert warnings(dataclasses.replace(one, yaw_rate=rate, valid=~lost)) == ()
+    rate[lost] = np.inf
+    assert warnings(dataclasses.replace(one, yaw_rate=rate)) == ()
+    course[::7] = np.nan
+    assert warnings(dataclasses.replace(one, yaw_rate=rate, heading=course)) == ()
+    assert [words for words in warnings(one.take(~lost)) if "GPS" in words] == []
+
+
+def test_repeated_recordings():
+    rng = np.random.default_rng(0)
+    several = [drive(f"r{i}", seed=i) for i in range(8)]
+    assert warnings(*several) == ()
+    # on another clock, and whether scaled, resampled or not
+    twin = dataclasses.replace(several[2], name="copy", t=T + 1000.0, source="other")
+    for preparation in ({}, {"step": 0.1}, {"nominal_lane_width": 3.5}):
+        (words,) = warnings(*several, twin, **preparation)
+        assert words == "1 recording repeats another's samples, and the departures count twice: r2 = copy"
+    third = dataclasses.replace(twin, name="again")
+    many = [dataclasses.replace(one, name=f"{one.name}'") for one in several]
+    (words,) = warnings(*several, *many, third)
+    assert words.startswith("9 recordings repeat another's samples, and the departures count twice: r0 = r0'; r1 = r1'")
+    assert words.endswith("r2 = r2' = again; r3 = r3'; r4 = r4'; and 3 more")
+    # one sample differs; short ones are alike by chance
+    other = several[2].lane_offset.copy()
+    other[int(rng.integers(N))] += 1e-9
+    assert warnings(*several, dataclasses.replace(twin, lane_offset=other)) == ()
+    short = several[2].take(slice(0, 50))
+    assert warnings(*several, short, dataclasses.replace(short, name="short")) == ()
+
+
+@pytest.mark.parametrize(
+    ("widths", "warned"),
+    [
+        ([3.5], False),
+        ([2.9, 3.5, 3.7], False),
+        ([3.0, 3.4, 3.8, 4.1], False),  # roads differ: country road and motorway
+        ([2.5, 2.9, 3.0, 3.2, 3.6], True),
+        ([2.5], True),
+        ([4.6], True),
+        ([3.4] * 60 + [2.4], False),  # one odd trip of many
+    ],
+)
+def test_the_scale_of_the_lane(widths, warned):
+    recordings = [
+        drive(f"r{i}", seed=i, lane_width=np.full(N, width)).take(slice(0, 600)) for i, width in enumerate(widths)
+    ]
+    found = [words for words in warnings(*recordings) if "median lane width" in words]
+    assert bool(found) == warned
+    if warned:
+        assert f"from {min(widths):.2f} to {max(widths):.2f} m" in found[0]
+        assert "--nominal-lane-width" in found[0]
+    assert warnings(*recordings, nominal_lane_width=3.5) == ()
+    # what a reader scaled is judged as the source had it
+    scaled = [dataclasses.replace(one, lane_width=one.lane_width * 1.01, lane_scale=1.01) for one in recordings]
+    assert [words for words in warnings(*scaled) if "median lane width" in words] == found
+
+
+def test_flat_curvature():
+    flat = "the lane is straight in nearly all samples: c_0 and dc tell nothing"
+    assert warnings(drive(yaw_rate=np.zeros(N), heading=None)) == (flat,)
+    assert warnings(drive(yaw_rate=None, heading=None, curvature=np.zeros(N))) == (flat,)
+    assert warnings(drive(yaw_rate=None, heading=None, curvature=np.where(T < 100.0, 1e-3, 0.0))) == ()
+    assert warnings(drive(yaw_rate=None, heading=None)) == (
+        "no column 'curvature' or 'yaw_rate': the lane's curvature is taken as 0 (c_0 = dc = 0)",
+    )
+    (words,) = warnings(drive(yaw_rate=None, heading=None), drive("b", seed=1))
+    assert words.startswith("no column 'curvature' or 'yaw_rate' in some recordings")
+
+
+def test_notes_are_counted():
+    notes = [("no GPS", "no yaw"), ("no GPS",), (), ("short",)]
+    recordings = [drive(f"r{i}", seed=i, notes=given) for i, given in enumerate(notes)]
+    assert warnings(*recordings) == (
+        "no GPS: 2 of 4 recordings",
+        "no yaw: 1 of 4 recordings",
+        "short: 1 of 4 recordings",
+    )
+
+
+def test_warnings_do_not_depend_on_the_split(monkeypatch):
+    """The sums behind them are the same to the last bit, however recordings are searched together."""
+    from ldctoolkit.recordings import Criteria
+    from ldctoolkit.recordings.extract_part import extract_items
+    from ldctoolkit.recordings.part_result import joined_results
+
+    rng = np.random.default_rng(7)
+    recordings = [
+        drive(f"r{i}", seed=i, true_rate=bends(i) * rng.uniform(0.1, 2.0)).take(slice(0, int(rng.integers(200, N))))
+        for i in range(7)
+    ]
+    whole = extract_items(recordings, Criteria(), Preparation()).evidence
+    monkeypatch.setattr(sys.modules["ldctoolkit.recordings.extract_part"], "BATCH", 7000)
+    for cut in (1, 3, 6):
+        parts = [extract_items(some, Criteria(), Preparation()) for some in (recordings[:cut], recordings[cut:])]
+        split = joined_results(parts).evidence
+        for field in dataclasses.fields(whole):
+            np.testing.assert_array_equal(getattr(split, field.name), getattr(whole, field.name))

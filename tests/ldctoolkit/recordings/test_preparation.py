@@ -1,0 +1,197 @@
+"""Scale, yaw rate and common step of recordings; what a stream, tables and opened files have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.recordings import (
+    Label,
+    Preparation,
+    Recording,
+    RecordingTable,
+    extract_departures,
+    open_recordings,
+    read_departures,
+    read_recordings,
+    write_departures,
+)
+from ldctoolkit.recordings.extract_part import recordings_of, table_of
+from ldctoolkit.recordings.preparation import prepare
+
+T = np.arange(100) * 0.1
+OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
+
+
+def drive(name: str = "a", **changes: Any) -> Recording:
+    columns: dict[str, Any] = {"t": T, "lane_offset": OFFSET, "lane_width": np.full(100, 3.6)}
+    columns |= {"speed": np.full(100, 25.0), "valid": np.ones(100, bool), "curvature": np.zeros(100)}
+    return Recording(name, **(columns | changes))
+
+
+def scale_of(found: Any) -> list[float]:
+    return next((column.values.tolist() for column in found.departures.extra if column.name == "lane_scale"), [])
+
+
+@pytest.mark.parametrize("seen", [2.5, 3.5, 4.2])
+def test_the_nominal_width(seen, tmp_path):
+    """A camera that sees everything `seen`/3.5 times as large as it is."""
+    true = drive(lane_offset=OFFSET - 0.05, lane_width=np.full(100, 3.5))
+    factor = 3.5 / seen
+    wrong = dataclasses.replace(true, lane_offset=true.lane_offset / factor, lane_width=true.lane_width / factor)
+    preparation = Preparation(nominal_lane_width=3.5)
+    prepared = prepare(wrong, preparation)
+    assert prepared.lane_scale == pytest.approx(factor)
+    assert np.median(prepared.lane_width) == pytest.approx(3.5)
+    np.testing.assert_allclose(prepared.lane_offset, true.lane_offset)
+
+    right = extract_departures([true], vehicle_width=1.8)
+    found = extract_departures([wrong], vehicle_width=1.8, preparation=preparation)
+    assert len(right.departures) == len(found.departures) == 1
+    np.testing.assert_allclose(found.departures.matrix(), right.departures.matrix(), rtol=1e-9, atol=1e-12)
+    # told even where the factor is 1: it was asked for; never told where it was not
+    assert scale_of(found) == pytest.approx([factor])
+    assert scale_of(right) == []
+    write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+    departures, provenance = read_departures(tmp_path / "d.parquet")
+    assert provenance.preparation == preparation
+    assert departures.extra[-1].name == "lane_scale"
+    assert departures.extra[-1].values.tolist() == scale_of(found)
+
+
+def test_the_median_is_that_of_usable_samples():
+    width = np.full(100, 2.8)
+    width[:60] = 9.0
+    valid = np.arange(100) >= 30
+    speed = np.full(100, 25.0)
+    speed[30:60] = np.nan
+    assert prepare(
+        drive(lane_width=width, valid=valid, speed=speed), Preparation(nominal_lane_width=3.5)
+    ).lane_scale == (pytest.approx(1.25))
+    nothing = drive(valid=np.zeros(100, bool))
+    assert prepare(nothing, Preparation(nominal_lane_width=3.5)) is nothing
+    # a reader that has scaled already
+    assert prepare(drive(lane_scale=2.0), Preparation(nominal_lane_width=3.6)).lane_scale == pytest.approx(2.0)
+
+
+def test_the_yaw_rate_factor():
+    yaw_rate = np.full(100, 0.02)
+    one = drive(curvature=None, yaw_rate=-yaw_rate)
+    found = extract_departures([one], vehicle_width=1.8, preparation=Preparation(yaw_rate_factor=-1.0))
+    np.testing.assert_allclose(found.departures.c_0, 0.02 / 25.0)
+    measured = drive(curvature=np.full(100, 1e-3))
+    assert prepare(measured, Preparation(yaw_rate_factor=-1.0)) == measured
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"step": 0.001}, "step: 0.001; allowed: 0.01 to 1 s, or None"),
+        ({"step": math.nan}, "step: nan"),
+        ({"max_gap": 0.0}, "max_gap: 0.0; allowed: more than 0, at most 10 s"),
+        ({"max_gap": math.inf}, "max_gap: inf"),
+        ({"nominal_lane_width": 350.0}, "nominal_lane_width: 350.0; allowed: 2 to 6 m, or None"),
+        ({"yaw_rate_factor": 0.0}, "yaw_rate_factor: 0.0; allowed: finite, not 0"),
+        ({"yaw_rate_factor": math.inf}, "yaw_rate_factor: inf"),
+    ],
+)
+def test_values_that_are_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        Preparation(**changes)
+
+
+def test_absurd_numbers_do_no_harm():
+    """Not even a floating point warning, which the tests turn into errors."""
+    offset, width = OFFSET.copy(), np.full(100, 3.6)
+    offset[3], width[4], width[5] = 1e308, 1e308, math.inf
+    yaw_rate = np.full(100, 1e308)
+    one = drive(lane_offset=offset, lane_width=width, curvature=None, yaw_rate=yaw_rate, heading=yaw_rate)
+    with np.errstate(all="raise", under="ignore"):
+        for preparation in (Preparation(0.1), Preparation(0.05, 0.25, 6.0, 1e300), Preparation(None, 0.25, 2.0, -5.0)):
+            assert len(extract_departures([one], preparation=preparation).departures) == 0
+
+
+@pytest.fixture
+def table(bump: Any) -> RecordingTable:
+    """Two recordings with a departure each, the second to the right."""
+    one, two = bump(turn_signal=0), bump(turn_signal=0, lane_offset=-OFFSET, curvature=1e-3)
+    return table_of([*recordings_of(one), *(dataclasses.replace(one, name="b") for one in recordings_of(two))])
+
+
+def test_stream_tables_and_files_are_the_same(table, to_frame, assert_same, tmp_path):
+    frame = to_frame(table)
+    frame.write_csv(tmp_path / "d.csv")
+    frame.write_parquet(tmp_path / "e.parquet")
+    whole = extract_departures([table], vehicle_width=1.8)
+    assert len(whole.departures) == 2
+    for given in (
+        recordings_of(table),
+        list(recordings_of(table)),
+        [table_of([one]) for one in recordings_of(table)],
+        read_recordings(tmp_path / "d.csv"),
+        open_recordings(tmp_path / "d.csv"),
+        open_recordings([tmp_path / "e.parquet"], format="table"),
+    ):
+        found = extract_departures(given, vehicle_width=1.8)
+        assert_same(whole, found)
+        assert found.problems == ()
+
+
+def test_tables_are_prepared_as_recordings_are(table, assert_same):
+    """Whatever the step; and a sample without a time is passed over, not refused."""
+    t = table.t.copy()
+    t[[7, 160]] = np.nan
+    holed = dataclasses.replace(table, t=t)
+    for preparation in (Preparation(0.1), Preparation(0.1, nominal_lane_width=3.4), Preparation(yaw_rate_factor=2.0)):
+        one = extract_departures([holed], vehicle_width=1.8, preparation=preparation)
+        two = extract_departures(recordings_of(holed), vehicle_width=1.8, preparation=preparation)
+        assert_same(one, two)
+        assert len(one.departures) == 2
+        assert scale_of(one) == scale_of(two)
+        assert one.provenance.preparation == preparation
+
+
+def test_a_table_between_recordings_keeps_its_place(table):
+    first, second = recordings_of(table)
+    third = dataclasses.replace(first, name="c", labels=(Label("driver", "D1"),))
+    found = extract_departures([second, table_of([first]), third], vehicle_width=1.8)
+    assert found.departures.recording.tolist() == ["b", "a", "c"]
+    assert {column.name: column.values.tolist() for column in found.departures.extra} == {"driver": ["", "", "D1"]}
+
+
+def test_the_gap_of_the_criteria_rules_resampled_recordings():
+    """A stricter one bridges less; a wider one lets a hole pass, but makes nothing up in it."""
+    t = np.arange(200) * 0.05
+    offset = 0.9 + np.clip(0.3 * (1.0 - ((t - 5.0) / 0.95) ** 2), -0.4, None)
+    columns = {"lane_offset": offset, "lane_width": np.full(200, 3.6), "speed": np.full(200, 25.0)}
+    one = Recording("a", t, valid=np.ones(200, bool), curvature=np.zeros(200), **columns)
+
+    def found(hole: float, **criteria: Any) -> tuple[int, dict[str, int]]:
+        holed = one.take(np.abs(t - 5.0) >= 0.5 * hole - 1e-9)
+        result = extract_departures([holed], vehicle_width=1.8, preparation=Preparation(0.1), **criteria)
+        samples = int(result.departures.samples[0]) if len(result.departures) else 0
+        return samples, {reason: count for reason, count in result.refused.items() if count}
+
+    assert found(0.2) == (19, {})
+    assert found(0.2, max_gap=0.15) == (0, {"gap": 1})
+    assert found(0.6) == (0, {"gap": 1})
+    assert found(0.6, max_gap=0.7) == (14, {})
+
+
+def test_a_recording_that_cannot_be_prepared_is_a_problem():
+    endless = drive("endless", t=np.linspace(0.0, 1e300, 100), source="x.csv")
+    found = extract_departures([endless, drive("b")], vehicle_width=1.8, preparation=Preparation(0.1))
+    assert found.departures.recording.tolist() == ["b"]
+    (problem,) = found.problems
+    assert str(problem).startswith("x.csv: recording 'endless': from t = 0.0 to 1e+300 s; too long")
+    assert found.provenance.problems == (str(problem),)
+
+
+def test_things_that_are_no_recordings():
+    with pytest.raises(InputError, match="recordings: an item is a str; allowed: Recording, RecordingTable"):
+        extract_departures(["drive.csv"])  # type: ignore[list-item]
