@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import tempfile
 from pathlib import Path
@@ -127,6 +128,7 @@ ODD = (
 )  # fmt: skip
 
 
+@functools.cache
 def sound(das1: Any, das2: Any) -> bytes:
     moved = das1.Planted(1, 2.0, 2.0, 0.3)
     drives = [das1.planted_drive(10, trip, [moved], rows=60) for trip in (1, 2)]
