@@ -120,7 +120,7 @@ class SpmdDas1:
                 continue
             if not index.stretches:
                 problems.append(Problem(shown, "", "a header but no usable row; it is left out"))
-            tables[kind].append((TripTable(shown, str(path.resolve()), header.columns, index.bytes), index))
+            tables[kind].append((TripTable(shown, str(path.absolute()), header.columns, index.bytes), index))
         files = tuple(
             SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
         )

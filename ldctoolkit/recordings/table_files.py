@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import re
-import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -36,13 +36,14 @@ def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
     ...     [(path.name, named) for path, named in find_tables([Path(folder)])]
     [('a.csv', False)]
     """
-    found: dict[Path, tuple[Path, bool]] = {}
+    found: dict[str, tuple[Path, bool]] = {}
     for path in paths:
-        named = not path.is_dir()
+        named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
         inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
         for one in inside:
-            known = found.get(one.resolve())
-            found[one.resolve()] = (known[0] if known else one, named or (known is not None and known[1]))
+            place = os.path.realpath(one)
+            known = found.get(place)
+            found[place] = (known[0] if known else one, named or (known is not None and known[1]))
     return list(found.values())
 
 
@@ -52,18 +53,11 @@ def _walk(folder: Path, depth: int) -> Iterator[Path]:
     except OSError:
         return
     for one in inside:
-        if one.is_dir():
+        if os.path.isdir(one):  # noqa: PTH112
             if depth > 0 and not one.name.startswith("."):
                 yield from _walk(one, depth - 1)
-        elif not one.name.startswith(".") and _is_file(one):
+        elif not one.name.startswith(".") and os.path.isfile(one):  # noqa: PTH113
             yield one
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return stat.S_ISREG(path.stat().st_mode)
-    except OSError:
-        return False
 
 
 def shown_names(paths: Sequence[Path]) -> list[str]:

@@ -101,6 +101,8 @@ def read_header(path: Path) -> Header:
         If the file cannot be read, is empty, is packed, is not UTF-8, or is separated by something else.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise RecordingError("it is not a regular file")  # a pipe would be waited for
         with path.open("rb") as stream:
             first = stream.readline(LONGEST_HEADER)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -302,6 +303,23 @@ def test_a_file_that_cannot_be_opened(tables: tuple[Path, Path], tmp_path: Path)
     recordings, problems = read(*tables, broken)
     assert samples(recordings) == [ROWS] * 3
     assert problems == ["DataLane_2.csv: cannot be read: No such file or directory; it is left out"]
+
+
+def test_what_is_no_file(tables: tuple[Path, Path], tmp_path: Path) -> None:
+    pipe, loop, folder = tmp_path / "DataLane_pipe.csv", tmp_path / "DataLane_loop.csv", tmp_path / "DataLane_3.csv"
+    os.mkfifo(pipe)
+    loop.symlink_to(loop)
+    folder.mkdir()
+    recordings, problems = read(*tables, pipe, loop, folder)
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == [
+        "DataLane_pipe.csv: it is not a regular file; it is left out",
+        "DataLane_loop.csv: cannot be read: Too many levels of symbolic links; it is left out",
+    ]
+    assert READER.recognise([pipe]) == READER.recognise([loop]) == READER.recognise([folder]) == ""
+    recordings, problems = read(tmp_path)
+    assert samples(recordings) == [ROWS] * 3
+    assert problems == []
 
 
 def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Path]) -> None:
