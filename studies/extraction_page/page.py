@@ -7,7 +7,7 @@ from markupsafe import Markup
 from ldctoolkit.recordings import Extraction
 from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.version import __version__
-from studies.extraction_page import counts, event_plots, facts, panels
+from studies.extraction_page import amounts, counts, event_plots, panels, reading, tiles
 from studies.extraction_page.counts import Row
 from studies.report.rendering import asset, render
 from studies.report.words.text import plural, printable, shorten
@@ -49,7 +49,7 @@ def make_page(extraction: Extraction) -> str:
     rows = counts.by_source(accounts)
     sources = len({one.origin.source for one in accounts})
     several = departures.n > 0 and len(rows) > 1
-    heads, small = panels.small_table(departures, facts.source_column(extraction), rows) if several else ([], [])
+    heads, small = panels.small_table(departures, reading.source_column(extraction), rows) if several else ([], [])
     widths = panels.width_panels(whole, rows) if whole is not None else []
     names = counts.label_names(accounts)
     return str(
@@ -60,12 +60,12 @@ def make_page(extraction: Extraction) -> str:
             version=__version__,
             title=f"{plural(departures.n, 'departure')} in {plural(extraction.recordings, 'recording')}",
             sections=SECTIONS,
-            summary=facts.summary(extraction, whole, sources),
+            summary=tiles.summary(extraction, whole, sources),
             warnings=_warnings(extraction),
-            tiles=facts.tiles(extraction, whole),
+            tiles=tiles.tiles(extraction, whole),
             problems=extraction.problems[:MOST_PROBLEMS],
             problem_count=len(extraction.problems),
-            facts=facts.facts(extraction),
+            facts=reading.facts(extraction),
             files=origin.sources[:MOST_FILES],
             file_count=len(origin.sources),
             whole=whole,
@@ -75,7 +75,7 @@ def make_page(extraction: Extraction) -> str:
             meanings=counts.MEANINGS,
             groups=[(printable(name), counts.by_label(accounts, name)) for name in names[:MOST_LABELS]],
             labels_left_out=[printable(name) for name in names[MOST_LABELS:]],
-            counts=facts.side_counts(extraction),
+            counts=tiles.side_counts(extraction),
             parameters=panels.parameter_panels(departures) if departures.n else [],
             quantiles=panels.quantile_rows(departures) if departures.n else [],
             small_heads=heads,
@@ -83,9 +83,9 @@ def make_page(extraction: Extraction) -> str:
             widths=widths,
             widths_left_out=len(rows) if len(widths) == 1 and len(rows) > 1 and small else 0,
             nominal=origin.preparation.nominal_lane_width is not None,
-            hours=facts.hours,
-            rate=facts.rate,
-            size=facts.size,
+            hours=amounts.hours,
+            rate=amounts.rate,
+            size=amounts.size,
             shorten=shorten,
             **_drawn(extraction, rows),
         )

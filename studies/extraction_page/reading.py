@@ -1,20 +1,15 @@
-"""What the page says in words: summary, tiles, and how the recordings were read."""
+"""How recordings were read, in words: format, widths, steps, criteria."""
 
 from __future__ import annotations
-
-import dataclasses
-import math
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract_part import SOURCE
 from ldctoolkit.recordings.together import ReadersTogether
-from studies.extraction_page.counts import SIDES, Row, reason_title
-from studies.report.words.text import compact, number, percent, plural
+from studies.report.words.text import compact, plural
 
 _CURVATURE = {
     "measured": "recorded by the source",
@@ -23,98 +18,7 @@ _CURVATURE = {
     "mixed": "recorded in some of the recordings, from yaw rate and speed or taken as 0 in others",
 }
 
-
-@dataclasses.dataclass(frozen=True)
-class Tile:
-    """One large number at the top of the page."""
-
-    value: str
-    unit: str
-    text: str
-    detail: str
-
-
-def hours(value: float) -> str:
-    """Hours with two decimals where they are few.
-
-    Examples
-    --------
-    >>> hours(0.5), hours(1234.5)
-    ('0.50', '1,234')
-    """
-    return number(value, 2) if value < 10.0 else number(value, 1) if value < 100.0 else f"{value:,.0f}"
-
-
-def rate(value: float) -> str:
-    """Events per hour; a dash without any hours.
-
-    Examples
-    --------
-    >>> rate(12.34), rate(0.034)
-    ('12.3', '0.034')
-    """
-    if not math.isfinite(value):
-        return number(value)
-    return number(value, 0 if value >= 100.0 else 1 if value >= 10.0 else 2 if value >= 0.1 or value == 0.0 else 3)
-
-
-def size(count: int) -> str:
-    """Bytes in a unit that gives a short number, powers of ten.
-
-    Examples
-    --------
-    >>> size(17), size(31_400_000)
-    ('17 B', '31.4 MB')
-    """
-    value, units = float(count), iter(("kB", "MB", "GB", "TB"))
-    unit = "B"
-    while value >= 999.5 and unit != "TB":
-        value, unit = value / 1000.0, next(units)
-    return f"{value:.0f} {unit}" if unit == "B" or value >= 99.95 else f"{value:.1f} {unit}"
-
-
-def side_counts(extraction: Extraction) -> tuple[int, int]:
-    """Departures left and right."""
-    left = int(np.sum(extraction.departures.side == LEFT))
-    return left, extraction.departures.n - left
-
-
-def summary(extraction: Extraction, whole: Row | None, sources: int) -> list[str]:
-    """Parts of the line under the heading."""
-    left, right = side_counts(extraction)
-    return [
-        f"{plural(left + right, 'departure')}: {left:,} left, {right:,} right",
-        f"{plural(extraction.recordings, 'recording')} of {plural(sources, 'source')}",
-        f"{hours(whole.account.hours_valid if whole else 0.0)} h valid",
-        f"format {extraction.provenance.reader}",
-    ]
-
-
-def tiles(extraction: Extraction, whole: Row | None) -> list[Tile]:
-    """Departures, how often, hours, refusals, faults."""
-    left, right = side_counts(extraction)
-    out = [Tile(f"{left + right:,}", "", "departures", f"{left:,} left, {right:,} right")]
-    if whole is not None:
-        rates = whole.rates
-        said = ", ".join(f"{rate(one)} {side}" for one, side in zip(rates, SIDES, strict=True))
-        out.append(Tile(rate(sum(rates)), "1/h", "departures in a valid hour", said))
-        account = whole.account
-        share = f"{percent(whole.valid_share, 0)} of {hours(account.hours_read)} h read"
-        out.append(Tile(hours(account.hours_valid), "h", "valid", share))
-        out.append(_refused(whole))
-    faults = len(extraction.problems)
-    said = plural(len(extraction.warnings), "warning")
-    out.append(Tile(f"{faults:,}", "", "problem with the files" if faults == 1 else "problems with the files", said))
-    return out
-
-
-def _refused(whole: Row) -> Tile:
-    refused, candidates = sum(whole.refused), int(whole.account.candidates.sum())
-    reasons = {reason: count + whole.refusals(1)[reason] for reason, count in whole.refusals(0).items()}
-    most = max(reasons, key=lambda reason: reasons[reason])
-    share = percent(refused / candidates, 0) if candidates else ""
-    detail = f"{share}; most often: {reason_title(most)}" if refused else f"of {plural(candidates, 'candidate')}"
-    return Tile(f"{refused:,}", "", "candidates refused", detail)
+AnyReader = RecordingReader | ReadersTogether
 
 
 def facts(extraction: Extraction) -> list[tuple[str, str]]:
@@ -140,7 +44,7 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
     ]
 
 
-def _reader(name: str) -> RecordingReader | None:
+def _reader(name: str) -> AnyReader | None:
     try:
         readers = tuple(map(recording_reader, name.split(" + ")))
     except LdcError:  # a reader that is not installed here: its defaults are not known
@@ -148,7 +52,7 @@ def _reader(name: str) -> RecordingReader | None:
     return readers[0] if len(readers) == 1 else ReadersTogether(readers)
 
 
-def _width_from(width: float, reader: RecordingReader | None) -> str:
+def _width_from(width: float, reader: AnyReader | None) -> str:
     if reader is None:
         return "as given"
     if width == reader.vehicle_width:
@@ -156,7 +60,7 @@ def _width_from(width: float, reader: RecordingReader | None) -> str:
     return f"given by the user; {reader.name} takes {compact(reader.vehicle_width)} m by itself"
 
 
-def _step(step: float | None, reader: RecordingReader | None) -> str:
+def _step(step: float | None, reader: AnyReader | None) -> str:
     if step is None:
         return "as recorded"
     own = " (the reader's own)" if reader is not None and step == reader.step else ""
