@@ -200,18 +200,19 @@ def read_cells(
             return None
 
     lines = int(np.count_nonzero(bytes_ == 10)) + int(bytes_[-1] != 10)
-    if len(allowed) == 1 and bytes_.max() < 128:
+    commas = int(np.count_nonzero(bytes_ == 44))
+    exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
+    if exact and bytes_.max() < 128:
         if bytes_.size >= compiled_from:
             from ldctoolkit.recordings._number_kernel import plain_numbers
 
-            numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], allowed[0], lines)
+            numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], exact, lines)
             if numbers is not None:
                 return Cells(tuple(wanted), tuple(numbers), np.arange(lines), lines)
-        if np.count_nonzero(bytes_ == 44) == lines * (allowed[0] - 1):
-            frame = parse(text, pl.Float64)
-            # the last cell is nowhere missing, so no line is short; the sum then says that none is long
-            if frame is not None and frame.height == lines and frame[place[-1]].null_count() == 0:
-                return Cells(tuple(wanted), _arrays(frame.select(chosen)), np.arange(lines), lines)
+        frame = parse(text, pl.Float64, exact)
+        # the last cell is nowhere missing, so no line is short; the sum then says that none is long
+        if frame is not None and frame.height == lines and frame[place[exact - 1]].null_count() == 0:
+            return Cells(tuple(wanted), _arrays(frame.select(chosen)), np.arange(lines), lines)
     row, source, faults = _survey(bytes(text), bytes_, allowed)
     frame = parse(source, pl.Float64)
     if frame is None or frame.height != row.size:

@@ -139,6 +139,15 @@ def test_what_the_compiled_parser_leaves_to_others(text: str) -> None:
     assert plain_numbers(np.frombuffer(b"1,2,3\n1,2,3\n", dtype=np.uint8), [2], 3, 1) is None
 
 
+@pytest.mark.parametrize("compiled_from", [0, COMPILED_FROM])
+@pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
+def test_every_allowed_number_of_cells_alone(line: bytes, compiled_from: int) -> None:
+    found = read_cells(line * 3, COLUMNS, ("d", "a"), cells=(4, 6), compiled_from=compiled_from)
+    assert found["d"].tolist() == [4.0] * 3
+    assert found["a"].tolist() == [1.0] * 3
+    assert found.faults == ()
+
+
 def test_several_numbers_of_cells() -> None:
     found = read_cells(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", COLUMNS, ("d",), cells=(4, 6))
     assert found["d"].tolist() == [4.0, 8.0]
