@@ -113,7 +113,10 @@ class Dispatcher:
                     elif following:
                         self._start(following)
                         following = next(queue, None)
-            for ended in self._executor.wait():
+            came = self._executor.wait()
+            if any(ended.done is None and ended.fault is None for ended in came):
+                self._faults.lost()  # once, however many tasks a broken pool held
+            for ended in came:
                 self._under_way -= 1
                 self._take(ended)
 
@@ -155,7 +158,6 @@ class Dispatcher:
             self._seconds_a_run[task.designs[0].law] = ended.done.result.seconds / task.runs
             self._give(task, ended.done)
         elif ended.fault is None:
-            self._faults.lost()
             self._again.append(task)
         else:
             self._blame(task, ended.fault, certain=ended.certain)

@@ -15,7 +15,7 @@ _MOST_SCENARIOS: Final = 3
 """Scenarios of a design that may end or stop a worker; with one more the design has failed."""
 
 _MOST_LOST: Final = 25
-"""Tasks lost in a row, not to be blamed themselves, before it is plain that workers cannot live here."""
+"""Times in a row that tasks are lost which are not to blame, before it is plain that workers cannot live here."""
 
 _WORDS: Final[dict[Fault, str]] = {"died": "ends its worker process", "late": "takes longer than the time limit"}
 
@@ -58,12 +58,12 @@ class Faults:
         return f"ends or stops its worker process in scenarios {named}"
 
     def lost(self) -> None:
-        """A task was lost that is not to blame.
+        """Tasks were lost that are not to blame.
 
         Raises
         ------
         LdcError
-            After many of them in a row.
+            After many times in a row.
         """
         self._lost += 1
         if self._lost >= _MOST_LOST:

@@ -143,6 +143,16 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     np.testing.assert_array_equal(again.cases[0].S, results.cases[0].S)
 
 
+def test_one_death_among_many_workers_ends_nothing(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pool that breaks gives up all that it held, here more tasks than may be lost one after the other."""
+    use(monkeypatch, Deadly(1, {1.0: {3}}, workers=30))
+    results = run_study(small_study(make_study, [0.1 * i for i in range(40)]), directory=tmp_path, block_size=1)
+    assert not results.failed
+    assert int((results.cases[0].status == EventStatus.CRASHED).sum()) == 1
+
+
 def test_a_study_of_nothing_but_a_deadly_design_says_so(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
