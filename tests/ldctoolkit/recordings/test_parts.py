@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import re
+import sys
+import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,7 @@ from ldctoolkit.recordings import (
     OpenedRecordings,
     Preparation,
     Problem,
+    Provenance,
     Recording,
     RecordingPart,
     RecordingReader,
@@ -30,6 +34,7 @@ from ldctoolkit.recordings import (
     recording_reader,
 )
 from ldctoolkit.recordings import sources as readers
+from ldctoolkit.recordings.events import REASONS
 
 T = np.arange(100) * 0.1
 OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
@@ -211,3 +216,113 @@ def test_readers_that_are_not_readers(monkeypatch, loaded, message):
 def test_opened_recordings_are_plain():
     opened = OpenedRecordings(Reader(), Source((Part("a", ("x",)),)), "something")
     assert len(extract_departures(opened).departures) == 1
+
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), flags=re.S)
+
+
+def log(path: Path, *, driver: str = "driver Ann", side: int = 1) -> None:
+    """What the guide's logger writes; one departure."""
+    rows = [f"{round(1000 * t)} {-100 * side * y:.2f} 360 90 {0.6 * side:.3f}" for t, y in zip(T, OFFSET, strict=True)]
+    path.write_text("\n".join([driver, *rows, ""]), encoding="utf-8")
+
+
+@pytest.fixture
+def guide(tmp_path, monkeypatch):
+    """The guide's package, installed as pip leaves a pure one."""
+    site, point = tmp_path / "site", tomllib.loads(blocks("writing-a-reader.md", "toml")[0])["project"]
+    (site / "lane_logs").mkdir(parents=True)
+    (site / "lane_logs" / "__init__.py").write_text("")
+    (site / "lane_logs" / "reader.py").write_text(blocks("writing-a-reader.md", "python")[0], encoding="utf-8")
+    info = site / "lane_logs-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {point['name']}\nVersion: {point['version']}\n")
+    lines = [f"{key} = {value}" for key, value in point["entry-points"][readers.GROUP].items()]
+    (info / "entry_points.txt").write_text("\n".join([f"[{readers.GROUP}]", *lines]))
+    monkeypatch.syspath_prepend(site)
+    for cache in (readers._installed, readers.recording_reader):
+        cache.cache_clear()
+    yield tmp_path
+    for cache in (readers._installed, readers.recording_reader):
+        cache.cache_clear()
+    for name in ("lane_logs.reader", "lane_logs"):
+        sys.modules.pop(name, None)
+
+
+def test_the_guides_reader(guide):
+    folder = guide / "logs"
+    folder.mkdir()
+    log(folder / "a.lane")
+    log(folder / "b.lane", driver="driver Bob", side=-1)
+    text = (folder / "b.lane").read_text().splitlines()
+    text[10], text[20] = "900 x", text[5]
+    (folder / "b.lane").write_text("\n".join(text))
+    (folder / "notes.lane").write_text("nothing")
+    (folder / "bad.lane").write_bytes(b"driver \xff\n0 0 0 0 0\n")
+
+    opened = open_recordings(folder)
+    assert (opened.reader.name, opened.found) == ("lane-logs", "3 lane logs")
+    assert isinstance(opened.reader, RecordingReader)
+    assert isinstance(opened.source, RecordingSource)
+    assert all(isinstance(pickle.loads(pickle.dumps(part)), RecordingPart) for part in opened.source.parts)
+    found = extract_departures(opened, vehicle_width=1.8)
+    d = found.departures
+    assert (d.recording.tolist(), d.side.tolist()) == (["a", "b"], [1, -1])
+    np.testing.assert_allclose(d.d_y, 0.3, atol=2e-3)
+    np.testing.assert_allclose(d.T, 1.9, atol=0.01)
+    # both bend towards the departed side
+    np.testing.assert_allclose(d.c_0, np.radians(0.6) / 25.0, rtol=1e-6)
+    assert {column.name: column.values.tolist() for column in d.extra} == {
+        "source": ["a.lane", "b.lane"],
+        "driver": ["Ann", "Bob"],
+    }
+    told = [str(problem) for problem in found.problems]
+    assert told[0] == "notes.lane, line 1: no line 'driver NAME'; it is left out"
+    assert [words.partition(":")[0] for words in told[1:3]] == ["b.lane, line 11", "b.lane, line 21"]
+    assert "bad.lane: cannot be read" in told[3] or "bad.lane: cannot be read" in told[1]
+    assert [file.name for file in found.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
+
+
+def test_the_guides_reader_from_the_command_line(guide, capsys):
+    from studies.cli import main
+
+    log(guide / "a.lane")
+    assert main(["extract", str(guide / "a.lane"), "--workers", "1", "-o", str(guide / "d.parquet")]) == 0
+    assert "lane-logs (1 lane logs)" in capsys.readouterr().out
+
+
+def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (code,) = blocks("recordings.md", "python")
+    exec(compile(code, "recordings.md", "exec"), {"__name__": "page"})
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith("table ")
+    assert second == "3 1.0 minutes"
+    assert (tmp_path / "departures.parquet").is_file()
+
+
+@pytest.mark.parametrize("page", ["recordings.md", "writing-a-reader.md"])
+def test_links_lead_somewhere(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([\w/.-]+)\)", text):
+        assert (DOCS / link).exists(), link
+    titles = {re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in re.findall(r"^#+ (.*)$", text, re.M)}
+    for anchor in re.findall(r"\]\(#([\w-]+)\)", text):
+        assert anchor in titles, anchor
+
+
+def test_the_page_names_everything():
+    """Every format, every reason, every setting that the metadata hold."""
+    text = (DOCS / "recordings.md").read_text(encoding="utf-8")
+    names = [*reader_names(), *REASONS]
+    names += [field.name for kind in (Preparation, Provenance) for field in dataclasses.fields(kind)]
+    for name in names:
+        assert f"`{name}`" in text, name
+    for name in ("table", "spmd-das1", "spmd-das2", "uah-driveset"):
+        reader = recording_reader(name)
+        step = "as recorded" if reader.step is None else f"{reader.step:g} s"
+        assert re.search(rf"^\| `{name}` \|.*\| {reader.vehicle_width:g} m \| {step} \|$", text, re.M), name
