@@ -49,6 +49,7 @@ test-fast: lint  ## the same without the slow tests
 
 bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/extraction.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/linear_mpc.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/mixture.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/nonlinear_mpc.py
