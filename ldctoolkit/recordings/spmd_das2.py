@@ -205,6 +205,10 @@ class SpmdDas2:
                 if meant:
                     problems.append(Problem(shown, "", f"{str(error).removeprefix(path.name + ': ')}; it is left out"))
                 continue
+            twin = next((table.name for table, other in tables if other.sha256 == index.sha256), "")
+            if twin:
+                problems.append(Problem(shown, "", f"holds the same as {twin}, byte by byte; it is left out"))
+                continue
             if not index.stretches:
                 problems.append(Problem(shown, "", "no usable row"))
             tables.append((TripTable(shown, str(path.resolve()), layout.columns, index.bytes), index))
@@ -218,7 +222,6 @@ class SpmdDas2:
         parts: list[Das2Part] = []
         for number, ((table, _), layout) in enumerate(zip(tables, layouts, strict=True)):
             own = [stretches for where, stretches in trips.values() if where == number]
-            own.sort(key=lambda stretches: stretches[0].begin)
             parts += self._parts(table, layout, own)
         return Das2Source(tuple(parts), files, tuple(problems))
 

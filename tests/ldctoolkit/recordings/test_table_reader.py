@@ -160,6 +160,13 @@ def test_a_recording_in_two_files_is_left_out_of_both(save: Save) -> None:
     ]
 
 
+def test_lines_are_counted_past_blank_and_faulty_ones(save: Save) -> None:
+    one = save(HEADER + "\n \n" + B + "\n" + A, "one.csv")
+    two = save((HEADER + C + "c,1,2,3,4,5\n\n" + A).replace("\n", "\r\n"), "two.csv")
+    _, problems = read(one, two)
+    assert str(problems[0]) == "two.csv, line 6: recording 'a' is also in one.csv, line 7; it is left out of both"
+
+
 def test_the_same_file_twice(save: Save) -> None:
     one, two = save(HEADER + A, "one.csv"), save(HEADER + A, "two.csv")
     recordings, problems = read(one, two, one)

@@ -241,6 +241,22 @@ def test_a_trip_in_two_files_is_left_out(das1: Any, das2: Any, write: Write) -> 
     assert "october/HV_Primary.csv, line 2" in problem.what
 
 
+def test_the_same_table_under_two_names(das1: Any, das2: Any, write: Write) -> None:
+    lines = lines_of(das1, das2, 1)
+    recordings, problems = read(write(lines, "a.csv"), write(lines, "b.csv"))
+    assert list(recordings) == ["10/1"]
+    assert [str(one) for one in problems] == ["b.csv: holds the same as a.csv, byte by byte; it is left out"]
+
+
+def test_without_a_header_most_of_the_first_lines_must_look_right(das1: Any, das2: Any, write: Write) -> None:
+    good, other = lines_of(das1, das2, 1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
+    with pytest.raises(RecordingError, match="rows of 45 or 53 cells"):
+        read(write([*good[:9], *other], header=False))
+    recordings, problems = read(write([*other[:9], *good], header=False))
+    assert recordings["10/1"].samples == 30
+    assert {problem.what.split(";")[0] for problem in problems} == {"8 cells"}
+
+
 WHOLE: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "empty": (lambda _: b"", "empty"),
     "semicolons": (lambda text: text.replace(b",", b";"), "semicolons"),
