@@ -90,10 +90,21 @@ class RecordingReader(Protocol):
         Step that recordings are resampled to unless the user gives another; None leaves them as they are.
     """
 
-    name: str
-    title: str
-    vehicle_width: float
-    step: float | None
+    @property
+    def name(self) -> str:
+        """As given to ``ldc extract --format``."""
+
+    @property
+    def title(self) -> str:
+        """A few words."""
+
+    @property
+    def vehicle_width(self) -> float:
+        """In m."""
+
+    @property
+    def step(self) -> float | None:
+        """In s."""
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found, in a few words, if these paths are of this kind; otherwise an empty text.
