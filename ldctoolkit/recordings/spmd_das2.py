@@ -177,7 +177,8 @@ class SpmdDas2:
                 found.append(layout.header)
         if not found:
             return ""
-        without = f", {found.count(False)} of them without a header" if False in found else ""
+        some = "" if not any(found) else f"{found.count(False)} of them "
+        without = f", {some}without a header" if False in found else ""
         return f"{len(found)} of HV_Primary{without}"
 
     def open(self, paths: Sequence[Path]) -> Das2Source:

@@ -77,9 +77,16 @@ def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
     assert np.isnan(recordings["10/1417715"].speed).all()
 
 
-@pytest.mark.parametrize("folder", ["one-day", "two-month", "."])
+FOUND = {
+    "one-day": "1 of HV_Primary",
+    "two-month": "1 of HV_Primary, without a header",
+    ".": "2 of HV_Primary, 1 of them without a header",
+}
+
+
+@pytest.mark.parametrize("folder", FOUND)
 def test_the_sample_folders_are_recognised(sample: Path, folder: str) -> None:
-    assert "HV_Primary" in SpmdDas2().recognise([sample / folder])
+    assert SpmdDas2().recognise([sample / folder]) == FOUND[folder]
     assert len(SpmdDas2().open([sample / folder]).files) == (2 if folder == "." else 1)
 
 
