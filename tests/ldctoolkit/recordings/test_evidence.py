@@ -114,6 +114,9 @@ def test_gaps_and_lost_samples_take_no_part():
     assert warnings(dataclasses.replace(one, yaw_rate=rate, valid=~lost)) == ()
     rate[lost] = np.inf
     assert warnings(dataclasses.replace(one, yaw_rate=rate)) == ()
+    # most of the time: what is lost counts as nothing, not as straight on
+    often = np.arange(N) % 60 > 22
+    assert warnings(dataclasses.replace(one, yaw_rate=np.where(often, np.nan, one.yaw_rate))) == ()
     course[::7] = np.nan
     assert warnings(dataclasses.replace(one, yaw_rate=rate, heading=course)) == ()
     assert [words for words in warnings(one.take(~lost)) if "GPS" in words] == []

@@ -66,10 +66,10 @@ def test_the_nominal_width(seen, tmp_path):
 
 def test_the_median_is_that_of_usable_samples():
     width = np.full(100, 2.8)
-    width[:60] = 9.0
+    width[:80] = 9.0
     valid = np.arange(100) >= 30
     speed = np.full(100, 25.0)
-    speed[30:60] = np.nan
+    speed[30:80] = np.nan
     assert prepare(
         drive(lane_width=width, valid=valid, speed=speed), Preparation(nominal_lane_width=3.5)
     ).lane_scale == (pytest.approx(1.25))
