@@ -142,7 +142,7 @@ def _turns(recording: Recording, step: float) -> FloatArray:
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
     h, r = by_heading[good], by_yaw_rate[good]
-    squares = np.array([h @ h, h @ r, r @ r])
+    squares = np.array([np.sum(h * h), np.sum(h * r), np.sum(r * r)])
     return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])
 
 

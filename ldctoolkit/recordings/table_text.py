@@ -23,6 +23,7 @@ LONGEST_HEADER: Final = 1 << 16
 COMPILED_FROM: Final = 1 << 20
 """Loading a compiler's library is not worth it for less."""
 
+_PIECE: Final = 1 << 17
 _MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 _BLANKS: Final = " \t\r\"'"
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
@@ -199,10 +200,9 @@ def read_cells(
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
             return None
 
-    lines = int(np.count_nonzero(bytes_ == 10)) + int(bytes_[-1] != 10)
-    commas = int(np.count_nonzero(bytes_ == 44))
+    lines, commas, ascii_ = _counts(bytes_)
     exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
-    if exact and bytes_.max() < 128:
+    if exact and ascii_:
         if bytes_.size >= compiled_from:
             from ldctoolkit.recordings._number_kernel import plain_numbers
 
@@ -223,6 +223,17 @@ def read_cells(
         frame, row, words = _numbers(frame.select(chosen), row, wanted)
         faults = sorted([*faults, *words], key=lambda fault: fault.row)
     return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(faults))
+
+
+def _counts(bytes_: npt.NDArray[np.uint8]) -> tuple[int, int, bool]:
+    """Lines, commas, and whether all is ASCII; in pieces that stay in the cache."""
+    ends = commas = highest = 0
+    for begin in range(0, bytes_.size, _PIECE):
+        piece = bytes_[begin : begin + _PIECE]
+        ends += int(np.count_nonzero(piece == 10))
+        commas += int(np.count_nonzero(piece == 44))
+        highest = max(highest, int(piece.max()))
+    return ends + int(bytes_[-1] != 10), commas, highest < 128
 
 
 def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:

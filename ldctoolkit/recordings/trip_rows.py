@@ -235,10 +235,10 @@ def read_trips(
     return TripRows(named, trip, tuple(told(table.name, faults)))
 
 
-def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytearray:
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
     """Text of stretches, one after the other; each ends its last line."""
-    text = bytearray(sum(one.end - one.begin for one in pieces) + len(pieces))
-    view, at, changed = memoryview(text), 0, False
+    text = np.empty(sum(one.end - one.begin for one in pieces) + len(pieces), dtype=np.uint8).data
+    at, changed = 0, False
     try:
         with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
             changed = os.fstat(stream.fileno()).st_size != table.bytes
@@ -250,7 +250,7 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytearray:
                     end = pieces[i].end
                     i += 1
                 stream.seek(begin)
-                while begin < end and (count := stream.readinto(view[at : at + end - begin])):
+                while begin < end and (count := stream.readinto(text[at : at + end - begin])):
                     begin += count
                     at += count
                 changed = begin < end
@@ -261,9 +261,7 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytearray:
         raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
     if changed:
         raise _changed(table)
-    view.release()
-    del text[at:]
-    return text
+    return text[:at]
 
 
 def _changed(table: TripTable) -> RecordingError:
