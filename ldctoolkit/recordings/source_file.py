@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import stat
 from pathlib import Path
 
 from ldctoolkit.errors import RecordingError
@@ -41,7 +42,7 @@ def source_file(path: Path, name: str = "") -> SourceFile:
     Raises
     ------
     RecordingError
-        If it cannot be read.
+        If it is no regular file or cannot be read.
 
     Examples
     --------
@@ -53,6 +54,8 @@ def source_file(path: Path, name: str = "") -> SourceFile:
     4
     """
     try:
+        if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would wait for ever
+            raise RecordingError(f"{path.name}: is not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256")
             size = stream.tell()

@@ -41,7 +41,10 @@ def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
         named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
         inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
         for one in inside:
-            place = os.path.realpath(one)
+            try:
+                place = os.path.realpath(one)
+            except ValueError:  # a NUL in the name; opening it tells
+                place = str(one)
             known = found.get(place)
             found[place] = (known[0] if known else one, named or (known is not None and known[1]))
     return list(found.values())

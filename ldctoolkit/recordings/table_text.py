@@ -106,8 +106,9 @@ def read_header(path: Path) -> Header:
             raise RecordingError("it is not a regular file")  # a pipe would be waited for
         with path.open("rb") as stream:
             first = stream.readline(LONGEST_HEADER)
-    except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise RecordingError(f"cannot be read: {reason or error}") from None
     for magic, name in _PACKED.items():
         if first.startswith(magic):
             raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
