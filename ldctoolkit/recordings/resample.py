@@ -84,12 +84,14 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
     usable = usable_samples(recording)
     grid = _occupied(t, step, max_gap)
     centre: FloatArray = np.asarray(grid * step, dtype=np.float64)
-    half = (0.5 + _SLACK) * step
-    seen = np.searchsorted(t, centre + half, "right") > np.searchsorted(t, centre - half, "left")
-    tu, offset = t[usable], recording.lane_offset[usable]
-    low, high = np.searchsorted(tu, centre - half, "left"), np.searchsorted(tu, centre + half, "right")
+    first, last = _windows(t, grid, centre, step)
+    seen = last > first
+    before = np.concatenate([[0], np.cumsum(usable)])
+    low, high = before[first], before[last]
     filled = high > low
-    nearest = _nearest(tu, centre)
+    tu, offset = t[usable], recording.lane_offset[usable]
+    nearest = _nearest_in(low, high, tu, centre)
+    times = _times(recording.t, _nearest_in(first, last, t, centre), origin + centre, step)
     stretch = None
     if recording.lane is not None and tu.size:
         # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
@@ -118,7 +120,7 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
     for name in _NAMES:
         values = getattr(recording, name)
         columns[name] = None if values is None else _taken(values[usable], nearest)
-    return dataclasses.replace(recording, t=_times(recording.t, origin + centre, step), valid=good, **columns)
+    return dataclasses.replace(recording, t=times[kept], valid=good, **columns)
 
 
 def usable_samples(recording: Recording) -> BoolArray:
@@ -131,6 +133,25 @@ def usable_samples(recording: Recording) -> BoolArray:
     return usable
 
 
+def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:
+    """Samples within half a step of each centre: the first of them, and the one after the last."""
+    own = np.rint(t / step).astype(np.int64)
+    if (own[1:] > own[:-1]).all() and (np.abs(t - own * step) <= _SLACK * step).all():
+        # each sample lies at a multiple of its own: no search
+        first = np.arange(own.size) if np.array_equal(own, grid) else np.searchsorted(own, grid, "left")
+        return first, first + (own[np.minimum(first, own.size - 1)] == grid)
+    half = (0.5 + _SLACK) * step
+    return np.searchsorted(t, centre - half, "left"), np.searchsorted(t, centre + half, "right")
+
+
+def _nearest_in(low: IntArray, high: IntArray, t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, where ``low:high`` are those in its window."""
+    nearest = low.copy()
+    others = np.flatnonzero(high - low != 1)
+    nearest[others] = _nearest(t, centre[others])
+    return nearest
+
+
 def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
     """Index of the time nearest to each centre, of two the earlier; 0 where there are none at all."""
     if t.size == 0:
@@ -141,9 +162,9 @@ def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
     return nearest
 
 
-def _times(t: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
+def _times(t: FloatArray, nearest: IntArray, wanted: FloatArray, step: float) -> FloatArray:
     """The wanted times; a recorded one in place of one that differs by rounding only."""
-    recorded = t[_nearest(t, wanted)]
+    recorded = t[nearest]
     times: FloatArray = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)
     return times
 
