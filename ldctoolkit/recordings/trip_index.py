@@ -9,6 +9,7 @@ import concurrent.futures
 import dataclasses
 import hashlib
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +21,9 @@ from ldctoolkit.errors import RecordingError
 BLOCK_BYTES: Final = 1 << 20
 LONGEST_LINE: Final = 1 << 20
 """A longer line [bytes] is not a row of a table; it is left out."""
+
+COMPILED_FROM: Final = 32 << 20
+"""Loading a compiler's library is not worth it for a smaller file [bytes]."""
 
 MOST_STRETCHES: Final = 1_000_000
 """More stretches than these mean that the rows are not sorted by trip at all."""
@@ -87,7 +91,13 @@ class TripIndex:
 
 
 def index_trips(
-    path: Path, begin: int, line: int, *, block_bytes: int = BLOCK_BYTES, most_faults: int = 20
+    path: Path,
+    begin: int,
+    line: int,
+    *,
+    block_bytes: int = BLOCK_BYTES,
+    most_faults: int = 20,
+    compiled_from: int = COMPILED_FROM,
 ) -> TripIndex:
     r"""Find the stretches of lines that belong to one trip each.
 
@@ -101,6 +111,8 @@ def index_trips(
         How much is read at once.
     most_faults : int
         How many faulty lines are told one by one.
+    compiled_from : int
+        Size of a file [bytes] from which lines are compared by a compiled loop; it finds the same.
 
     Raises
     ------
@@ -117,13 +129,14 @@ def index_trips(
     >>> [(one.trip, one.line, one.lines) for one in index.stretches]
     [(1, 2, 2), (2, 4, 1)]
     """
-    scan = _Scan(path.name, begin, line, most_faults)
     digest, size, kept, skipping = hashlib.sha256(), 0, 0, False
     # one buffer for the whole file; the begin of a line that a block cuts stays at its front
     buffer = bytearray(LONGEST_LINE + block_bytes + 1)
     view = memoryview(buffer)
     try:
         # the digest is made beside the search: both leave the interpreter free
+        compiled = path.stat().st_size >= compiled_from
+        scan = _Scan(path.name, begin, line, most_faults, compiled)
         with path.open("rb", buffering=0) as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
             while count := stream.readinto(view[kept : kept + block_bytes]):
                 hashed = beside.submit(digest.update, view[kept : kept + count])
@@ -156,13 +169,14 @@ def index_trips(
 class _Scan:
     """State of the search: the stretch that is open, and where the next block begins."""
 
-    def __init__(self, file: str, begin: int, line: int, most_faults: int) -> None:
+    def __init__(self, file: str, begin: int, line: int, most_faults: int, compiled: bool) -> None:
         self.stretches: list[Stretch] = []
         self.faults: list[LineFault] = []
         self.more_faults = 0
         self._file = file
         self._at, self._line = begin, line
         self._most = most_faults
+        self._same = _compiled() if compiled else _same
         self._key: tuple[int, int] | None = None
         self._first = (0, 0)  # byte and line of the open stretch
         self._last = (0, 0)  # behind it
@@ -176,6 +190,7 @@ class _Scan:
         starts = np.empty_like(ends)
         starts[0], starts[1:] = 0, ends[:-1]
         long = ends - starts > LONGEST_LINE
+        same = _same if long.any() else self._same
         i = 0
         while i < starts.size:
             start, end = int(starts[i]), int(ends[i])
@@ -188,7 +203,7 @@ class _Scan:
                     self._last = (self._at + end, self._line + after)
             else:
                 key = (int(found[1]), int(found[2]))
-                after = _same(text, starts, i, found[0], long)
+                after = same(text, starts, i, found[0], long)
                 if self._key != key:
                     self.close()
                     self._key, self._first = key, (self._at + start, self._line + i)
@@ -236,6 +251,17 @@ class _Scan:
                     "allowed: rows sorted by device, trip and time"
                 )
         self._key = None
+
+
+def _compiled() -> Callable[..., int]:
+    from ldctoolkit.recordings._key_kernel import first_other_line
+
+    def same(
+        text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], i: int, key: bytes, _: npt.NDArray[np.bool_]
+    ) -> int:
+        return first_other_line(text, starts, i, key)
+
+    return same
 
 
 def _same(

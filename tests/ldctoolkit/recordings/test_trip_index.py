@@ -74,9 +74,13 @@ text = st.builds(
 
 
 @settings(max_examples=150, deadline=None)
-@given(text=text, block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]))
-def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int) -> None:
-    found = indexed(text, block_bytes=block_bytes)
+@given(
+    text=text,
+    block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]),
+    compiled_from=st.sampled_from([0, trip_index.COMPILED_FROM]),
+)
+def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int, compiled_from: int) -> None:
+    found = indexed(text, block_bytes=block_bytes, compiled_from=compiled_from)
     stretches, faults = by_hand(text)
     assert list(found.stretches) == stretches
     assert [fault.line for fault in found.faults] == faults[:20]
@@ -89,7 +93,7 @@ def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: 
 @given(text=st.binary(max_size=400), block_bytes=st.integers(1, 60))
 def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
     whole, parts = indexed(text), indexed(text, block_bytes=block_bytes)
-    assert whole == parts
+    assert whole == parts == indexed(text, compiled_from=0)
     content = HEADER + text
     for one in whole.stretches:
         assert content[one.begin - 1 : one.begin] == b"\n"
@@ -105,6 +109,7 @@ def test_long_lines_do_not_depend_on_blocks(monkeypatch: pytest.MonkeyPatch) -> 
     assert [one.lines for one in whole.stretches] == [3, 1]
     for block_bytes in (1, 10, 49, 50, 51, 52, 100):
         assert indexed(text, block_bytes=block_bytes) == whole
+        assert indexed(text, block_bytes=block_bytes, compiled_from=0) == whole
 
 
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
