@@ -136,6 +136,9 @@ def csv_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None
         if faults is None:
             yield _parse(path, header, block, line)
             continue
+        if _ends_inside(header, block):
+            yield _parse_faulty(path, header, block, line, faults)
+            continue
         try:
             yield _parse(path, header, block, line).with_columns(pl.lit(False).alias(FAULT))
         except RecordingError:
@@ -248,8 +251,12 @@ def _parse_faulty(path: Path, header: list[str], block: bytes, line: int, faults
     """
     index = {name: header.index(name) for name in COLUMNS if name in header}
     good, places, broken = [], [], []
-    for number, raw in enumerate(block.replace(b"\r\n", b"\n").split(b"\n"), line):
+    lines = block.replace(b"\r\n", b"\n").split(b"\n")
+    for number, raw in enumerate(lines, line):
         fault = _fault_of_line(path, len(header), raw, number)
+        if fault is None and number == line + len(lines) - 1 and _ends_inside(header, block):
+            few = f"{raw.count(b',') + 1} of {len(header)} fields"
+            fault = RecordingError(f"{path.name}, line {number}: the file ends inside this line, behind {few}")
         if fault is not None:
             faults.append(fault)
             broken.append((number, raw.split(b",")[: index["recording"] + 1][-1].strip(b' "')))
@@ -270,6 +277,12 @@ def _parse_faulty(path: Path, header: list[str], block: bytes, line: int, faults
         near[same or around] = True
     frame = pl.DataFrame(cells, schema=dict.fromkeys(index, pl.String))
     return typed(path, frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near)), "line", faults)
+
+
+def _ends_inside(header: list[str], block: bytes) -> bool:
+    """Whether the last line has no end and lacks cells: the file was cut. Short lines elsewhere lack values only."""
+    last = block[block.rfind(b"\n") + 1 :]
+    return bool(last.strip()) and last.count(b",") + 1 < len(header)
 
 
 def _open_quote(text: bytes) -> bool:
@@ -305,8 +318,17 @@ def _fault_of_line(path: Path, fields: int, raw: bytes, number: int) -> Recordin
     return None
 
 
+def check_parquet_path(path: Path) -> None:
+    """Refuse a path that cannot be given to the Parquet library."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise RecordingError(f"{path.name}: its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
+
+
 def parquet_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
     """Blocks of rows of a Parquet file."""
+    check_parquet_path(path)
     with path.open("rb") as raw:
         while data := raw.read(1 << 20):
             meter.update(data)

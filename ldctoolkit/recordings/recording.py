@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.source_file import printable
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -32,7 +33,7 @@ class Label:
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Something in a source that could not be used; the rest is.
+    """Something in a source that could not be used; the rest is. Its texts are made printable.
 
     Attributes
     ----------
@@ -52,6 +53,10 @@ class Problem:
     file: str
     place: str
     what: str
+
+    def __post_init__(self) -> None:
+        for name in ("file", "place", "what"):
+            object.__setattr__(self, name, printable(getattr(self, name)))
 
     def __str__(self) -> str:
         return f"{self.file}, {self.place}: {self.what}" if self.place else f"{self.file}: {self.what}"

@@ -28,6 +28,22 @@ class SourceFile:
     bytes: int
     sha256: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", printable(self.name))
+
+
+def printable(text: str) -> str:
+    r"""A text on one line that can be shown and stored; names of files may hold line ends and bytes that are no text.
+
+    Examples
+    --------
+    >>> printable("a.csv"), printable("a\nb"), printable("\udcff.csv")
+    ('a.csv', 'a\\nb', '\\udcff.csv')
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
 
 def source_file(path: Path, name: str = "") -> SourceFile:
     r"""Read a file for its digest.

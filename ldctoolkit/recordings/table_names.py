@@ -42,7 +42,7 @@ def header_names(path: Path) -> tuple[str, ...]:
         if name.endswith(".parquet"):
             return tuple(_parquet_names(path))
         with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
-            first = stream.read(HEADER_BYTES)
+            first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is told when it is read
     except (OSError, EOFError, ValueError, zlib.error, RecordingError):
         return ()
     utf_16 = first[:2] in (b"\xff\xfe", b"\xfe\xff")
@@ -114,6 +114,9 @@ def _word(path: Path) -> str:
 def _parquet_names(path: Path) -> list[str]:
     import polars as pl
 
+    from ldctoolkit.recordings.frames import check_parquet_path
+
+    check_parquet_path(path)
     try:
         return list(pl.read_parquet_schema(path))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
