@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.rising_times import rising_rows
 from ldctoolkit.recordings.table_text import Cells, read_cells
 from ldctoolkit.recordings.trip_index import Stretch, TripIndex
 
@@ -281,8 +282,8 @@ def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[i
     Returns
     -------
     keep : (m,) bool
-        False for rows before an earlier row's time, or, where that leaves out fewer rows of the trip, for rows behind a
-        later row's: one time that jumps ahead does not cost the rest of the trip.
+        False for rows that must go so that as many as possible of the trip stay: a time that jumps ahead does not cost
+        the rest of the trip.
     back : list of (int, int)
         First row left out of each trip, and how many.
 
@@ -297,10 +298,7 @@ def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[i
     back: list[tuple[int, int]] = []
     for one in np.unique(trip[falls + 1]):
         low, high = np.searchsorted(trip, one), np.searchsorted(trip, one, side="right")
-        times = t[low:high]
-        ahead = times >= np.maximum.accumulate(times)
-        behind = times <= np.minimum.accumulate(times[::-1])[::-1]
-        good = ahead if ahead.sum() >= behind.sum() else behind
+        good = rising_rows(t[low:high])
         keep[low:high] = good
         back.append((int(low + np.argmin(good)), int(np.sum(~good))))
     return keep, back

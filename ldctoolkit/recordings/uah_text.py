@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.rising_times import rising_rows
 from ldctoolkit.recordings.table import LARGEST, BoolArray, FloatArray
 
 LARGEST_FILE: Final = 64 << 20
@@ -87,7 +88,7 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> Numbe
     """
     text, fault = _read_text(path)
     values = None if fault else _fast(text, columns)
-    if values is not None and in_order(values[:, 0]).all():
+    if values is not None and rising_rows(values[:, 0]).all():
         return NumberText(values, text, ())
     fault = fault or wrong_delimiter(text)
     if fault:
@@ -102,28 +103,10 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> Numbe
         line, what = faults[TOLD]
         where = f"line {line} and {len(faults) - TOLD - 1} more"
         problems.append(Problem(shown, where, f"{what}, or alike; the lines are left out"))
-    kept = in_order(values[:, 0])
+    kept = rising_rows(values[:, 0])
     if not kept.all():
         problems.append(Problem(shown, f"line {lines[int(np.argmin(kept))]}", _backwards(values[:, 0], kept)))
     return NumberText(values[kept], text, tuple(problems))
-
-
-def in_order(t: FloatArray) -> BoolArray:
-    """Rows whose times do not fall, (n,) bool: where one row alone is ahead of its neighbours, that row is left out.
-
-    Examples
-    --------
-    >>> in_order(np.array([0.0, 1.0, 90.0, 2.0, 1.5, 3.0])).tolist()
-    [True, True, False, True, False, True]
-    """
-    kept = np.ones(t.size, dtype=bool)
-    if (t[1:] >= t[:-1]).all():
-        return kept
-    before, later = np.append(-np.inf, t[:-2]), np.append(t[2:], -np.inf)
-    kept[:-1] = ~((t[:-1] > t[1:]) & (t[1:] >= before) & (t[:-1] > later))
-    rest = t[kept]
-    kept[kept] = rest >= np.maximum.accumulate(rest)
-    return kept
 
 
 def wrong_delimiter(text: str) -> str:
@@ -239,6 +222,8 @@ def _fault(tokens: Sequence[str], column: Column, needed: int) -> str:
 def _backwards(t: FloatArray, kept: BoolArray) -> str:
     first, count = int(np.argmin(kept)), int(np.sum(~kept))
     latest, here = t[:first].max(initial=-np.inf), t[first]
-    told = f"after {float(latest)!r} s" if latest > here else f"before {float(t[first + 1])!r} s"
+    # what is not behind an earlier row is ahead of the next one that is kept
+    after = latest > here
+    told = f"after {float(latest)!r} s" if after else f"before {float(t[first:][kept[first:]][0])!r} s"
     left = "the line is" if count == 1 else f"{count} lines are"
     return f"the time runs backwards: {float(here)!r} s {told}; {left} left out"

@@ -132,6 +132,8 @@ def test_a_file_that_ends_inside_the_key(tables: tuple[Path, Path]) -> None:
         ({50: 99999}, [50], 172),  # one that jumps ahead
         ({50: 510, 51: 500}, [51], 173),  # two rows changed places
         (dict.fromkeys(range(50, 53), 300), [50, 51, 52], 172),
+        ({50: 90000, 51: 90010}, [50, 51], 172),  # two neighbours ahead
+        ({50: 90000, 80: 100}, [50, 80], 172),  # one ahead, one behind
     ],
 )
 def test_time_that_runs_backwards(tables: tuple[Path, Path], times: dict[int, int], kept: list[int], line: int) -> None:

@@ -198,6 +198,17 @@ def test_time_runs_backwards(made, sound, tmp_path):
     np.testing.assert_array_equal(found.speed[early], np.delete(sound.speed, slice(700, 720))[early])
 
 
+@pytest.mark.parametrize("changed", [{700: 900.0, 701: 900.0}, {700: 900.0, 900: 0.5}])
+def test_two_odd_times_cost_two_lines(changed, made, sound, tmp_path):
+    """Two neighbours far ahead; one ahead and one behind."""
+    trip = made()
+    trip.lane[list(changed), 0] = list(changed.values())
+    problems, found = read(trip.write(tmp_path))
+    told = f"the time runs backwards: 900.0 s before {sound.t[701 + (701 in changed)]} s; 2 lines are left out"
+    assert problems == [f"/{LANE}, line 701: {told}"]
+    np.testing.assert_array_equal(found.t, np.delete(sound.t, list(changed)))
+
+
 def test_a_clock_that_starts_again(made, sound, tmp_path):
     """Two drives in one file: the second one's times lie before the end of the first."""
     trip = made()

@@ -15,8 +15,9 @@ from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.extract_part import extract_part
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.rising_times import rising_rows
 from ldctoolkit.recordings.uah_driveset import READER
-from ldctoolkit.recordings.uah_text import Column, in_order, number, read_number_text
+from ldctoolkit.recordings.uah_text import Column, number, read_number_text
 
 FILES = ("PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt")
 NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"
@@ -160,25 +161,8 @@ def test_against_plain_python(lines, end, last):
         assert not expected or "decimal comma" in found.problems[0].what
         return
     rows = np.array(expected)
-    kept = in_order(rows[:, 0])
+    kept = rising_rows(rows[:, 0])
     np.testing.assert_array_equal(found.values, rows[kept])
     told = [problem for problem in found.problems if "time runs" not in problem.what]
     assert [problem.place for problem in told][:5] == [f"line {line}" for line in faulty[:5]]
     assert len(found.problems) - len(told) == (not kept.all())
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.integers(0, 12), max_size=30))
-def test_in_order(times):
-    """What is kept never falls; sound times are all kept, and one bad time costs one row."""
-    t = np.array(times, dtype=float)
-    kept = in_order(t)
-    assert (np.diff(t[kept]) >= 0.0).all()
-    assert kept.all() == (times == sorted(times))
-    for i in range(len(times)):
-        for bad in (99.0, -99.0):
-            one = np.sort(t)
-            one[i] = bad
-            assert in_order(one).sum() >= len(times) - 1
-            if 0 < i < len(times) - 1:
-                assert not in_order(one)[i] or len(times) < 4
