@@ -11,6 +11,7 @@ import numpy as np
 from ldctoolkit.departures import LEFT
 from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
 from ldctoolkit.recordings.recording import FloatArray, IntArray, Label
+from ldctoolkit.recordings.source_file import printable
 from ldctoolkit.recordings.table import RecordingTable
 
 WIDTH_STEP: Final = 0.1
@@ -40,6 +41,9 @@ class Origin:
 
     source: str = ""
     labels: tuple[Label, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "source", printable(self.source))
 
 
 @dataclasses.dataclass(frozen=True)
