@@ -1,8 +1,8 @@
 """Driving recordings in, departures out.
 
-`open_recordings` finds the reader for files or folders of any known kind, `read_recordings` opens plain recording tables,
-`extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them in a
-departures table. The formats, the rules and the reasons for refusing a candidate are described in
+`open_recordings` finds the reader for files or folders of any known kind, `read_recordings` opens plain recording
+tables, `extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them
+in a departures table. The formats, the rules and the reasons for refusing a candidate are described in
 ``docs/recordings.md``.
 """
 

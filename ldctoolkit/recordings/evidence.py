@@ -25,6 +25,9 @@ TURN_WINDOW: Final = 2.0
 GRAIN: Final = 2.0**-20
 """Sums of squared turns [rad^2] of a recording are rounded to multiples of this, so that the order does not count."""
 
+SMALLEST_TURN: Final = 0.02
+"""Turns [rad] up to this are not compared: on a straight road, where most is driven, both are noise."""
+
 TURN_SPEED: Final = 8.0
 """Below this speed [m/s] the course over ground is noise."""
 
@@ -141,6 +144,7 @@ def _turns(recording: Recording, step: float) -> FloatArray:
     good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
+    good &= np.abs(by_heading) > SMALLEST_TURN
     h, r = by_heading[good], by_yaw_rate[good]
     squares = np.array([np.sum(h * h), np.sum(h * r), np.sum(r * r)])
     return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])

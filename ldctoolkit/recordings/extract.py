@@ -18,7 +18,7 @@ from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.result import Extraction, Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.table import RecordingTable
-from ldctoolkit.recordings.warnings_in_words import warnings_in_words
+from ldctoolkit.recordings.warnings_in_words import few_usable, warnings_in_words
 
 VEHICLE_WIDTH = 1.9
 """Width [m] of a vehicle that nothing is known of."""
@@ -131,16 +131,23 @@ def merge_results(
     refused = np.sum([account.refused.sum(axis=0) for account in whole.accounts], axis=0, initial=0)
     counts = np.broadcast_to(refused, (len(REASONS),))
     kinds, samples = whole.evidence.kinds, sum(account.samples for account in whole.accounts)
+    usable = sum(account.usable for account in whole.accounts)
+    said = warnings_in_words(
+        whole.evidence,
+        criteria.vehicle_width,
+        preparation.nominal_lane_width,
+        labelled=reader == "table",
+    )
     provenance = Provenance(
         criteria=criteria,
         refused=Refused(**{reason: int(count) for reason, count in zip(REASONS, counts, strict=True)}),
         sources=tuple(files),
         recordings=sum(account.recordings for account in whole.accounts),
         samples=samples,
-        invalid_samples=samples - sum(account.usable for account in whole.accounts),
+        invalid_samples=samples - usable,
         hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
         curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
-        warnings=warnings_in_words(whole.evidence, criteria.vehicle_width, preparation.nominal_lane_width),
+        warnings=(*few_usable(samples, usable), *said),
         reader=reader,
         preparation=preparation,
         problems=tuple(str(problem) for problem in whole.problems),

@@ -110,7 +110,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         start_time[verdict == ACCEPTED],
     )
     parameters = reduce_signals(kept, runs.side[run])
-    plausible = np.abs(parameters.a_mean) <= LARGEST_ACCELERATION
+    plausible = (np.abs(parameters.a_mean) <= LARGEST_ACCELERATION) & (_lateral(kept) <= LARGEST_ACCELERATION)
     reason[run[~plausible]] = CODE["implausible"]
     owner = table.recording_index[runs.first[run]]
     departures = Departures(
@@ -155,6 +155,14 @@ def _seconds(table: RecordingTable, place: IntArray, limit: FloatArray, *, adjac
     return np.bincount(owner[1:][counted], weights=step[counted], minlength=table.names.size).astype(float)
 
 
+def _lateral(signals: DepartureSignals) -> FloatArray:
+    """Largest lateral acceleration that the curvature asks for, (n,) [m/s^2]."""
+    if signals.n == 0:
+        return np.empty(0)
+    largest: FloatArray = np.maximum.reduceat(signals.v**2 * np.abs(signals.c), signals.offsets[:-1])
+    return largest
+
+
 def _only(signals: DepartureSignals, chosen: BoolArray) -> DepartureSignals:
     rows = np.repeat(chosen, np.diff(signals.offsets))
     length = np.diff(signals.offsets)[chosen]
@@ -168,7 +176,7 @@ def _only(signals: DepartureSignals, chosen: BoolArray) -> DepartureSignals:
 def _judge(
     table: RecordingTable, side: IntArray, signals: DepartureSignals, source: IntArray, criteria: Criteria
 ) -> IntArray:
-    """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings; "implausible" is seen only later."""
+    """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings; accelerations are judged later."""
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
     verdict = np.full(signals.n, ACCEPTED)
     if signals.n == 0:
@@ -178,6 +186,9 @@ def _judge(
     step[last] = 0.0
     d_x = np.add.reduceat(step, starts)
     # the weakest first: a stronger reason overwrites it
+    # no lane that a vehicle fits into: one of the lines is not the lane's
+    narrow = table.lane_width[source] <= criteria.vehicle_width
+    verdict[np.logical_or.reduceat(narrow, starts)] = CODE["implausible"]
     if table.turn_signal is not None:
         towards = table.turn_signal[source] == np.repeat(side, np.diff(signals.offsets))
         towards[last] = False  # back inside: a signal set only then says nothing of the departure

@@ -10,6 +10,7 @@ import numpy as np
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings.recording import Recording
 from ldctoolkit.recordings.resample import MAX_GAP, resample, usable_samples
+from ldctoolkit.recordings.yaw_from_heading import with_yaw_rate
 
 LONGEST_GAP = 10.0
 """Longest time [s] that may be bridged; bounds the memory, too."""
@@ -72,7 +73,7 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
     Returns
     -------
     Recording
-        Scaled, then resampled; `lane_scale` tells the factor.
+        Missing yaw rates filled in from the heading, scaled, then resampled; `lane_scale` tells the factor.
 
     Examples
     --------
@@ -86,6 +87,7 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
         recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
+    recording = with_yaw_rate(recording)
     if preparation.nominal_lane_width is not None:
         recording = scaled(recording, preparation.nominal_lane_width)
     if preparation.step is not None:

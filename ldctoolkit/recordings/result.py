@@ -30,7 +30,8 @@ class Refused:
     intended : int
         The turn signal was on towards the departed side.
     implausible : int
-        The mean acceleration is beyond 9.81 m/s^2 either way, more than tyres can do: noise in the speeds.
+        The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
+        the lane is no wider than the vehicle: one of its lines is not the lane's.
     """
 
     lane_change: int = 0

@@ -13,7 +13,10 @@ FEWEST_TURNS: Final = 100
 """Windows that it takes to compare yaw rate and heading."""
 
 LEAST_TURNING: Final = 0.02 * TURN_WINDOW
-"""Root mean square of the turns by heading [rad in a window] that it takes: on a straight road both are noise."""
+"""Root mean square of the turns by heading [rad in a window] above which they must agree: smaller ones may be noise."""
+
+LEAST_USABLE: Final = 0.25
+"""A smaller share of usable samples is worth a warning: cameras often see no lane, but not nearly always."""
 
 TWINS_NAMED: Final = 5
 
@@ -30,7 +33,9 @@ EDGE: Final = 0.05
 """Share of the recordings at either end that may have odd lane widths."""
 
 
-def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_width: float | None) -> tuple[str, ...]:
+def warnings_in_words(
+    evidence: Evidence, vehicle_width: float, nominal_lane_width: float | None, *, labelled: bool = True
+) -> tuple[str, ...]:
     """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible.
 
     Parameters
@@ -41,6 +46,8 @@ def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_wid
         Width that was taken.
     nominal_lane_width : float [m] or None
         Lane width that recordings were scaled to.
+    labelled : bool
+        The format has a place for the label of the lane, so that it can be missed.
 
     Returns
     -------
@@ -53,7 +60,7 @@ def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_wid
     if "none" in evidence.kinds:
         where = "" if evidence.kinds == ("none",) else " in some recordings"
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
-    if not evidence.lanes:
+    if labelled and not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
     found += _turning(evidence)
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
@@ -67,12 +74,24 @@ def warnings_in_words(evidence: Evidence, vehicle_width: float, nominal_lane_wid
     return tuple(found)
 
 
+def few_usable(samples: int, usable: int) -> tuple[str, ...]:
+    """A warning where most of what was read cannot be used."""
+    if samples == 0 or usable >= LEAST_USABLE * samples:
+        return ()
+    return (
+        f"only {usable:,} of {samples:,} samples can be used ({usable / samples:.1%}): in the others the lane, the "
+        "speed or the yaw rate is missing, or the source itself distrusts them",
+    )
+
+
 def _turning(evidence: Evidence) -> list[str]:
     windows, hh, hr, rr = evidence.turns
-    if windows < FEWEST_TURNS or hh < LEAST_TURNING**2 * windows:
+    if windows < FEWEST_TURNS:
         return []
     likeness = hr / max(np.sqrt(hh * rr), 1e-300)
     if abs(likeness) < 0.5:
+        if hh < LEAST_TURNING**2 * windows:
+            return []
         return [f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful"]
     # the true ratio lies between the two regressions, the first if all noise is the yaw rate's, the second if it is
     # all the heading's

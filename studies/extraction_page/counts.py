@@ -28,7 +28,7 @@ MEANINGS: Final = {
     "too_few_samples": "fewer than three samples between its crossings",
     "slow": "too slow on average, or the vehicle stops in it",
     "intended": "the turn signal is on towards the departed side",
-    "implausible": "its mean acceleration is more than tyres can do: noise in the speeds",
+    "implausible": "it accelerates or bends more than tyres can do, or the lane is no wider than the vehicle: noise",
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import sys
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.recordings import Preparation, Recording, extract_departures
+from ldctoolkit.recordings.yaw_from_heading import FILLED
 
 N = 6000
 T = np.arange(N) * 0.1
@@ -49,6 +51,27 @@ def test_the_right_yaw_rate_is_silent(noise, step):
     one = drive()
     course = one.heading + noise * np.random.default_rng(1).standard_normal(N)
     assert warnings(dataclasses.replace(one, heading=course), step=step) == ()
+
+
+@pytest.mark.parametrize("rate", [np.full(N, 6e-4 * 28.0), np.where((T > 60.0) & (T < 80.0), 0.025, 0.0)])
+def test_gentle_bends_tell_the_sign_too(rate):
+    """A motorway: one long bend, or a single one among straights; the course is as good as a receiver's."""
+    course = np.cumsum(rate) * 0.1 + 0.002 * np.random.default_rng(2).standard_normal(N)
+    one = drive(true_rate=rate, heading=course)
+    assert warnings(one) == ()
+    (words,) = warnings(dataclasses.replace(one, yaw_rate=-rate))
+    assert "turns against the GPS heading" in words
+    (words,) = warnings(dataclasses.replace(one, yaw_rate=rate * math.pi / 180.0))
+    assert re.search(r"0\.017[456] times what the GPS heading turns", words)  # the course is noisy
+
+
+@pytest.mark.parametrize("usable", [0.2, 0.3])
+def test_few_usable_samples(usable):
+    valid = np.arange(N) % 10 < 10 * usable
+    found = warnings(drive(valid=valid), step=None)
+    assert [words.startswith("only 1,200 of 6,000 samples can be used (20.0%)") for words in found] == [True] * (
+        usable < 0.25
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,12 +136,13 @@ def test_gaps_and_lost_samples_take_no_part():
     rate[lost] = 50.0 * np.random.default_rng(0).standard_normal(int(lost.sum()))
     assert warnings(dataclasses.replace(one, yaw_rate=rate, valid=~lost)) == ()
     rate[lost] = np.inf
-    assert warnings(dataclasses.replace(one, yaw_rate=rate)) == ()
+    filled = (f"{FILLED}: 1 of 1 recordings",)
+    assert warnings(dataclasses.replace(one, yaw_rate=rate)) == filled
     # most of the time: what is lost counts as nothing, not as straight on
     often = np.arange(N) % 60 > 22
-    assert warnings(dataclasses.replace(one, yaw_rate=np.where(often, np.nan, one.yaw_rate))) == ()
+    assert warnings(dataclasses.replace(one, yaw_rate=np.where(often, np.nan, one.yaw_rate))) == filled
     course[::7] = np.nan
-    assert warnings(dataclasses.replace(one, yaw_rate=rate, heading=course)) == ()
+    assert warnings(dataclasses.replace(one, yaw_rate=rate, heading=course)) == filled
     assert [words for words in warnings(one.take(~lost)) if "GPS" in words] == []
 
 

@@ -111,6 +111,9 @@ REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
     ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}, 1),
     ("implausible", {"speed": 5.0 + 9.82 * T}, {}, 1),
+    ("implausible", {"curvature": 9.82 / 25.0**2}, {}, 1),
+    ("implausible", {"curvature": -9.82 / 25.0**2}, {}, 1),
+    ("implausible", {"lane_width": with_value(3.6, slice(41, 60), 1.75), "lane_offset": 0.3}, {}, 1),
     # every other reason is stronger
     ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
     ("lane_change", {"lane": with_value(1, slice(50, None), 2)}, {}, 1),

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.uah_driveset import READER
-from ldctoolkit.recordings.uah_signals import local_slope, merge_repeated, values_at
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
 TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(lambda ks: np.sort(ks) / 32.0)
