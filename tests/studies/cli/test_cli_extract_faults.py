@@ -253,7 +253,10 @@ L2, L3 = row(2, BETWEEN), row(3, BETWEEN)
 U2 = UAH["7/2"]
 
 CASES = (
-    Case("table", "ends in a line", cut("drives.csv", L3, 3), (rf"drives\.csv, line {L3}: the file ends inside",), third=HALF),
+    Case(
+        "table", "ends in a line", cut("drives.csv", L3, 3),
+        (rf"drives\.csv, line {L3}: the file ends inside",), third=HALF,
+    ),
     Case(
         "table", "ends in gzip",
         lambda folder: (folder / "more.csv.gz").write_bytes(gzip.compress(more_table(DRIVES[:1]))[:3000]) and None,
@@ -271,7 +274,10 @@ CASES = (
         "table", "in two files", more_file("more.csv", more_table, 2),
         (rf"more\.csv, line 2: recording '7/2' is also in drives\.csv, line {row(2, 0)}",), NONE,
     ),
-    Case("spmd-das1", "ends in a line", cut("DataLane.csv", L3, 4), (rf"DataLane\.csv, line {L3}: 4 cells",), third=HALF),
+    Case(
+        "spmd-das1", "ends in a line", cut("DataLane.csv", L3, 4),
+        (rf"DataLane\.csv, line {L3}: 4 cells",), third=HALF,
+    ),
     Case(
         "spmd-das1", "other table ends in a line", cut("DataWsu.csv", L3, 9),
         (rf"DataWsu\.csv, line {L3}: 9 cells",), third=HALF,
@@ -300,7 +306,10 @@ CASES = (
         "spmd-das1", "in two files", more_file("DataLane_2.csv", more_lane, 2),
         (rf"DataLane_2\.csv, line 2: trip 7/2 is also in DataLane\.csv, line {row(2, 0)}",), NONE,
     ),
-    Case("spmd-das2", "ends in a line", cut("HV_Primary.csv", L3, 30), (rf"HV_Primary\.csv, line {L3}: 30 cells",), third=HALF),
+    Case(
+        "spmd-das2", "ends in a line", cut("HV_Primary.csv", L3, 30),
+        (rf"HV_Primary\.csv, line {L3}: 30 cells",), third=HALF,
+    ),
     Case(
         "spmd-das2", "not UTF-8", cell("HV_Primary.csv", L2, 1, 5, b"\xe9"),
         (rf"HV_Primary\.csv, line {L2}: the text is not UTF-8",),

@@ -1,0 +1,114 @@
+"""What must hold whatever the files hold: an `LdcError`, or departures that are numbers and meet the criteria."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import LdcError
+from ldctoolkit.recordings import (
+    Extraction,
+    Preparation,
+    extract_departures,
+    open_recordings,
+    read_departures,
+    write_departures,
+)
+from ldctoolkit.recordings.sources import recording_reader
+
+PATIENCE = 60
+"""Seconds after which an example counts as hanging; the slowest takes well under one."""
+
+
+class HangError(BaseException):
+    """Not an `Exception`: `TimeoutError` is an `OSError`, which readers handle."""
+
+
+def check(
+    paths: Sequence[Path], format_: str, nominal_lane_width: float | None = None, table: Path | None = None
+) -> str:
+    """Extract, and check what came; tells in a word what it was. With a `table` the departures are written, too."""
+    with warnings.catch_warnings(), _limited():
+        warnings.simplefilter("error")
+        try:
+            opened = open_recordings(paths, format=format_)
+            preparation = Preparation(step=opened.reader.step, nominal_lane_width=nominal_lane_width)
+            found = extract_departures(opened, preparation=preparation)
+        except LdcError as error:
+            return "refused" if str(error) else "refused without a word"
+        _check_departures(found)
+        _check_account(found)
+        for problem in found.problems:
+            assert problem.file
+            assert problem.what
+        if table is not None:
+            write_departures(table, found.departures, found.provenance)
+            back, provenance = read_departures(table)
+            np.testing.assert_array_equal(back.matrix(), found.departures.matrix())
+            assert provenance == found.provenance
+    if found.departures.n:
+        return "damaged departures" if found.problems else "departures"
+    return "problems" if found.problems else "no departure"
+
+
+def recognise(paths: Sequence[Path], reader: str) -> str:
+    """What a reader says of paths."""
+    with warnings.catch_warnings(), _limited():
+        warnings.simplefilter("error")
+        words = recording_reader(reader).recognise(paths)
+    assert isinstance(words, str)
+    return words
+
+
+def _check_departures(found: Extraction) -> None:
+    departures, criteria = found.departures, found.provenance.criteria
+    assert np.isfinite(departures.matrix()).all()
+    assert np.isfinite(departures.start_time).all()
+    assert np.isin(departures.side, (LEFT, RIGHT)).all()
+    assert (criteria.min_duration <= departures.T).all()
+    assert (criteria.max_duration >= departures.T).all()
+    assert (departures.d_y > 0.0).all()
+    assert (departures.sigma_y >= 0.0).all()
+    assert (departures.v_mean > criteria.min_speed).all()
+    assert (np.abs(departures.a_mean) <= 9.81).all()
+    assert (departures.samples >= 3).all()
+    assert all(departures.recording.tolist())
+
+
+def _check_account(found: Extraction) -> None:
+    provenance = found.provenance
+    assert 0.0 <= provenance.hours < np.inf
+    assert 0 <= provenance.invalid_samples <= provenance.samples
+    assert found.departures.n == sum(int(account.departures.sum()) for account in found.accounts)
+    assert found.candidates == sum(int(account.candidates.sum()) for account in found.accounts)
+    assert provenance.recordings == sum(account.recordings for account in found.accounts)
+    for account in found.accounts:
+        assert 0 <= account.valid_ns <= account.read_ns
+        assert account.usable <= account.samples
+        assert account.widths.sum() == account.usable
+
+
+@contextlib.contextmanager
+def _limited() -> Iterator[None]:
+    """A hang is a failure of its own example, not of the whole run."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGALRM"):
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise HangError(f"no end after {PATIENCE} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(PATIENCE)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)

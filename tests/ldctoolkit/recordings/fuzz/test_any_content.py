@@ -1,0 +1,196 @@
+"""Whatever lies on the disk, every reader gives departures within the criteria or an `LdcError`, nothing else."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+
+def _load() -> ModuleType:
+    """The package `making` beside: test folders are not on the path."""
+    name = "recordings_fuzz_making"
+    if name not in sys.modules:
+        place = Path(__file__).with_name("making") / "__init__.py"
+        spec = importlib.util.spec_from_file_location(name, place, submodule_search_locations=[str(place.parent)])
+        if spec is None or spec.loader is None:
+            raise ImportError(place)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+making = _load()
+READERS = tuple(making.SOUND)
+SHAPES = [(reader, i) for reader, shapes in making.SOUND.items() for i in range(len(shapes))]
+
+SHAPES_OF = {reader: tuple(range(len(shapes))) for reader, shapes in making.SOUND.items()}
+
+
+def fixed(examples: int) -> settings:
+    """The same examples in every run."""
+    return settings(
+        max_examples=examples, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck)
+    )
+
+
+@pytest.mark.parametrize(("reader", "shape"), SHAPES)
+def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int) -> None:
+    """Else the damage would be done to nothing."""
+    making.write(tmp_path, making.SOUND[reader][shape])
+    for format_ in (reader, "auto"):
+        opened = making.open_recordings([tmp_path], format=format_)
+        found = making.extract_departures(opened)
+        assert opened.reader.name == reader
+        assert found.problems == ()
+        assert found.departures.n == making.DEPARTURES[reader]
+
+
+def fuzz_damaged_files(reader: str, examples: int) -> Counter[str]:
+    """Damaged files of a format, given to its reader, to whichever is found, or to another one."""
+    outcomes: Counter[str] = Counter()
+    formats = st.sampled_from((*[reader] * 12, *["auto"] * 4, *READERS))
+    widths = st.sampled_from((None, None, 3.5))
+
+    @fixed(examples)
+    @given(making.files_changed(making.SOUND[reader]), formats, st.booleans(), widths, st.integers(0, 15))
+    def run(files: dict[str, bytes], format_: str, as_folder: bool, width: float | None, written: int) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder, "in")
+            root.mkdir()
+            paths = making.write(root, files)
+            table = Path(folder, "d.parquet") if written == 0 else None
+            outcomes[making.check([root] if as_folder else paths, format_, width, table)] += 1
+
+    run()
+    return outcomes
+
+
+def fuzz_bytes(reader: str, examples: int) -> Counter[str]:
+    """Any bytes under the names that a format's files have."""
+    outcomes: Counter[str] = Counter()
+    names = list(making.SOUND[reader][0])
+    contents = st.lists(st.binary(max_size=300) | making.WORDS, min_size=len(names), max_size=len(names))
+
+    @fixed(examples)
+    @given(contents, st.sampled_from((reader, reader, "auto")), st.booleans())
+    def run(contents: list[bytes], format_: str, as_folder: bool) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            paths = making.write(Path(folder), dict(zip(names, contents, strict=True)))
+            outcomes[making.check([Path(folder)] if as_folder else paths, format_)] += 1
+
+    run()
+    return outcomes
+
+
+def fuzz_places(reader: str, examples: int) -> Counter[str]:
+    """Sound files beside links in loops, pipes, folders and files that may not be read, odd names; odd paths given."""
+    outcomes: Counter[str] = Counter()
+    formats = st.sampled_from((*[reader] * 4, "auto"))
+    given_paths = st.lists(making.PATHS, max_size=2)
+
+    @fixed(examples)
+    @given(st.sampled_from(SHAPES_OF[reader]), making.PLACES, given_paths, st.integers(0, 2), formats)
+    def run(shape: int, places: list[tuple[str, str]], others: list[str], named: int, format_: str) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder, "in")
+            root.mkdir()
+            written = making.write(root, making.SOUND[reader][shape])
+            odd = making.put_places(root, places)
+            paths = [[root], written, [*written, *odd]][named] + [Path(f"{root}/{name}") for name in others]
+            outcomes[making.check(paths, format_, table=Path(folder, "d.parquet"))] += 1
+
+    run()
+    return outcomes
+
+
+def fuzz_recognise(reader: str, examples: int) -> Counter[str]:
+    """Every reader's first look at anything: words or none."""
+    outcomes: Counter[str] = Counter()
+
+    @fixed(examples)
+    @given(making.files_changed(making.SOUND[reader]), making.PLACES, st.lists(making.PATHS, max_size=2))
+    def run(files: dict[str, bytes], places: list[tuple[str, str]], others: list[str]) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder, "in")
+            root.mkdir()
+            paths = (
+                making.write(root, files)
+                + making.put_places(root, places)
+                + [Path(f"{root}/{name}") for name in others]
+            )
+            for name in READERS:
+                for some in (paths, [root], []):
+                    outcomes[f"{name} {bool(making.recognise(some, name))}"] += 1
+
+    run()
+    return outcomes
+
+
+FUZZ = {"damaged": fuzz_damaged_files, "bytes": fuzz_bytes, "places": fuzz_places, "recognise": fuzz_recognise}
+FAST = {"damaged": 100, "bytes": 40, "places": 40, "recognise": 40}
+SLOW = {"damaged": 6000, "bytes": 2500, "places": 1000, "recognise": 500}
+"""Examples a reader: 10,000 together in the slow tier."""
+
+
+def check_outcomes(kind: str, outcomes: Counter[str], examples: int) -> None:
+    """The examples reached what they are for: neither were all files refused, nor did all stay as they were."""
+    total = sum(outcomes.values())
+    if kind == "recognise":
+        assert total == 3 * len(READERS) * examples
+        return
+    assert total >= examples
+    found = outcomes["departures"] + outcomes["damaged departures"]
+    if kind == "bytes":
+        assert found == 0
+    else:
+        assert found > 0.2 * total
+        assert outcomes["refused"] > 0.02 * total
+        assert kind != "damaged" or outcomes["damaged departures"] > 0.05 * total
+    assert outcomes["refused without a word"] == 0
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("kind", FUZZ)
+def test_departures_or_a_known_error(kind: str, reader: str) -> None:
+    check_outcomes(kind, FUZZ[kind](reader, FAST[kind]), FAST[kind])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("kind", FUZZ)
+def test_departures_or_a_known_error_at_length(kind: str, reader: str) -> None:
+    check_outcomes(kind, FUZZ[kind](reader, SLOW[kind]), SLOW[kind])
+
+
+@pytest.mark.parametrize(("reader", "shape"), SHAPES)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, reader: str, shape: int) -> None:
+    """In the place of any of the files."""
+    for name in making.SOUND[reader][shape]:
+        root = tmp_path / name.replace("/", "_")
+        paths = making.write(root, making.SOUND[reader][shape])
+        (root / name).unlink()
+        os.mkfifo(root / name)
+        assert making.check([root], reader) in ("refused", "departures", "damaged departures")
+        assert making.check(paths, reader) in ("refused", "departures", "damaged departures")
+
+
+def test_names_that_are_no_text(tmp_path: Path) -> None:
+    """A name on the disk may hold any bytes; it is told, and stored, in a form that is text."""
+    content = making.SOUND["table"][0]["drives.csv"]
+    for i, name in enumerate((b"\xff.csv", b"a\nb.csv")):
+        path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name))
+        path.write_bytes(content.replace(b"r", b"%d" % i) if i else content)
+    found = making.extract_departures(making.open_recordings([tmp_path], format="table"))
+    assert found.departures.n == making.DEPARTURES["table"]
+    assert [file.name for file in found.provenance.sources] == ["\\udcff.csv"]
+    assert [problem.file for problem in found.problems] == ["a\\nb.csv"]
