@@ -165,7 +165,7 @@ def test_what_is_no_trip(root, tmp_path):
             READER.open([path])
     source = READER.open([*others, root])
     assert len(source.parts) == 4
-    assert [problem.file for problem in source.problems] == ["other", "drive.csv", "gone", "a\0b"]
+    assert [problem.file for problem in source.problems] == ["other", "drive.csv", "gone", "a\\x00b"]
     assert source.problems[2].what == "does not exist"
     with pytest.raises(RecordingError, match=r"^other, gone: no trip .*; other: holds no trip: .* \(1 more\)$"):
         READER.open([others[0], gone])
