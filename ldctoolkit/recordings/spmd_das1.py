@@ -17,7 +17,7 @@ from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.spmd_das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
 from ldctoolkit.recordings.table_files import find_tables, shown_names
-from ldctoolkit.recordings.table_text import Header, read_header
+from ldctoolkit.recordings.table_header import Header, is_plain, read_header
 from ldctoolkit.recordings.trip_index import TripIndex, index_trips
 from ldctoolkit.recordings.trip_rows import TripTable, collect_trips
 
@@ -79,16 +79,17 @@ class SpmdDas1:
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
         kinds: list[str] = []
-        for path, named in find_tables(paths):
+        for path, _ in find_tables(paths):
             try:
-                kind = _kind(read_header(path).columns)
+                columns = read_header(path).columns
             except RecordingError:
-                kind = ""
+                columns = ()
+            kind = _kind(columns)
             if kind:
                 kinds.append(kind)
-            elif named:
-                return ""
-        return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in _COLUMNS if kind in kinds)
+            elif (kind := _named(path)) and not is_plain(columns):
+                kinds.append(f"{kind} by name alone")  # opening it tells what is wrong
+        return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
 
     def open(self, paths: Sequence[Path]) -> Das1Source:
         """Look through the tables for where each trip lies.

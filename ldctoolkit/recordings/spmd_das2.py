@@ -18,6 +18,7 @@ from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.spmd_das2_columns import Layout, layout_of
 from ldctoolkit.recordings.table import LARGEST
 from ldctoolkit.recordings.table_files import find_tables, shown_names
+from ldctoolkit.recordings.table_header import is_plain, read_header
 from ldctoolkit.recordings.table_text import Cells
 from ldctoolkit.recordings.trip_index import Stretch, TripIndex, index_trips
 from ldctoolkit.recordings.trip_rows import TripTable, collect_trips, read_trips
@@ -168,18 +169,21 @@ class SpmdDas2:
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
         found: list[bool] = []
+        named = 0
         for path, _ in find_tables(paths):
             try:
                 layout = layout_of(path)
+                known = layout is not None or is_plain(read_header(path).columns)
             except RecordingError:
-                continue
+                layout, known = None, False
             if layout is not None:
                 found.append(layout.header)
-        if not found:
-            return ""
+            elif not known and _NAMED.search(path.name):
+                named += 1  # opening it tells what is wrong
         some = "" if not any(found) else f"{found.count(False)} of them "
         without = f", {some}without a header" if False in found else ""
-        return f"{len(found)} of HV_Primary{without}"
+        words = [f"{len(found)} of HV_Primary{without}"] if found else []
+        return ", ".join(words + [f"{named} of HV_Primary by name alone"] * (named > 0))
 
     def open(self, paths: Sequence[Path]) -> Das2Source:
         """Look through the tables for where each trip lies.

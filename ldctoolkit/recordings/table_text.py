@@ -1,17 +1,13 @@
-"""Text of tables of numbers: their headers, and cells as numbers with every faulty line named."""
+"""Cells of tables as numbers, with every faulty line named."""
 
 from __future__ import annotations
 
-import codecs
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
-
-from ldctoolkit.errors import RecordingError
 
 if TYPE_CHECKING:
     import polars as pl
@@ -19,31 +15,12 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-LONGEST_HEADER: Final = 1 << 16
 COMPILED_FROM: Final = 1 << 20
 """Loading a compiler's library is not worth it for less."""
 
 _PIECE: Final = 1 << 17
 _MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 _BLANKS: Final = " \t\r\"'"
-_DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
-_PACKED: Final = {b"\x1f\x8b": "gzip", b"PK": "a ZIP archive", b"PAR1": "Parquet", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Header:
-    """First line of a table.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Names, without blanks around them.
-    begin : int
-        Byte where the second line begins.
-    """
-
-    columns: tuple[str, ...]
-    begin: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,45 +68,6 @@ class Cells:
 
     def __getitem__(self, name: str) -> FloatArray:
         return self.values[self.names.index(name)]
-
-
-def read_header(path: Path) -> Header:
-    """The first line of a comma-separated table in UTF-8.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, is empty, is packed, is not UTF-8, or is separated by something else.
-    """
-    try:
-        if path.exists() and not path.is_file():
-            raise RecordingError("it is not a regular file")  # a pipe would be waited for
-        with path.open("rb") as stream:
-            first = stream.readline(LONGEST_HEADER)
-    except (OSError, ValueError) as error:  # a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise RecordingError(f"cannot be read: {reason or error}") from None
-    for magic, name in _PACKED.items():
-        if first.startswith(magic):
-            raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
-    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in first[:64]:
-        raise RecordingError("the text is UTF-16 or not a text; allowed: UTF-8, so save it as that")
-    if not first:
-        raise RecordingError("the file is empty; a header is needed")
-    if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
-        raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
-    try:
-        text = first.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"the first line is not UTF-8 ({error.reason})") from None
-    if "\r" in text.rstrip("\r\n"):
-        raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
-    names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
-    if len(names) == 1:
-        for mark, words in _DELIMITERS.items():
-            if text.strip().count(mark) > 1:
-                raise RecordingError(f"the columns are separated by {words}; allowed: commas")
-    return Header(names, len(first))
 
 
 def read_cells(

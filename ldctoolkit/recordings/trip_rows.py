@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.rising_times import rising_rows
 from ldctoolkit.recordings.table_text import Cells, read_cells
 from ldctoolkit.recordings.trip_index import Stretch, TripIndex
+from ldctoolkit.recordings.trip_order import forward_rows, pieces_in_time
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -85,14 +85,14 @@ def collect_trips(
     Returns
     -------
     dict of (device, trip) to (int, tuple of Stretch)
-        Which table a trip lies in, and where; in the order of the tables. Trips that two tables hold are left out,
-        for nobody knows which of them is right.
+        Which table a trip lies in, and where; in the order of the tables. Of a trip that two tables hold, the first
+        one's rows are taken: a table of one day is often part of a larger one.
     list of Problem
         What was left out, or looks odd.
     """
     trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
     problems: list[Problem] = []
-    dropped: set[Key] = set()
+    seen: dict[Key, str] = {}
     for number, (table, index) in enumerate(indexed):
         own: dict[Key, list[Stretch]] = {}
         apart: dict[Key, int] = {}
@@ -113,7 +113,7 @@ def collect_trips(
             table.name,
             (
                 (line, "apart", f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; "
-                 "they are put together in the order of the file")
+                 "they are put together in the order of time")
                 for key, line in apart.items()
             ),
         )  # fmt: skip
@@ -121,17 +121,13 @@ def collect_trips(
         large: list[tuple[int, str, str]] = []
         for key, stretches in own.items():
             line = stretches[0].line
-            if key in trips or key in dropped:
-                if key in trips:
-                    other, first = trips.pop(key)
-                    where = f"{indexed[other][0].name}, line {first[0].line}"
-                else:
-                    where = "an earlier table"
-                twice.append((line, "twice", f"trip {_shown(key)} is also in {where}; it is left out"))
-                dropped.add(key)
-            elif sum(one.end - one.begin for one in stretches) > LARGEST_TRIP:
+            if key in seen:
+                words = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
+                twice.append((line, "twice", words))
+                continue
+            seen[key] = f"{table.name}, line {line}"
+            if sum(one.end - one.begin for one in stretches) > LARGEST_TRIP:
                 large.append((line, "large", f"trip {_shown(key)} is larger than {LARGEST_TRIP} bytes; it is left out"))
-                dropped.add(key)
             else:
                 trips[key] = number, tuple(stretches)
         problems += told(table.name, [*twice, *large])
@@ -221,13 +217,16 @@ def read_trips(
         for line in line_of(found.row[~timed]).tolist()
     ]
     keep = np.flatnonzero(timed)
+    apart = len(pieces) > len(trips)
+    if apart:
+        keep = keep[pieces_in_time(trip[keep], np.searchsorted(before, found.row[keep], side="right"), t[keep])]
     forward, back = forward_rows(trip[keep], t[keep])
     for row, count in back:
         line, i = int(line_of(found.row[keep[row : row + 1]])[0]), int(keep[row])
         one = trips[int(trip[i])][0]
         rows = "this line is" if count == 1 else f"{count} lines of the trip are"
         faults.append((line, "back", f"trip {one.device}/{one.trip}: the time runs backwards; {rows} left out"))
-    if not forward.all() or keep.size < t.size:
+    if apart or not forward.all() or keep.size < t.size:
         keep = keep[forward]
         trip = trip[keep]
         values = {name: column_[keep] for name, column_ in values.items()}
@@ -267,38 +266,3 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
 
 def _changed(table: TripTable) -> RecordingError:
     return RecordingError(f"{table.name}: the file has changed since it was looked through")
-
-
-def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, int]]]:
-    """Which rows to keep so that the times of no trip fall.
-
-    Parameters
-    ----------
-    trip : (m,) int
-        Number of each row's trip; never falls.
-    t : (m,)
-        Times, finite.
-
-    Returns
-    -------
-    keep : (m,) bool
-        False for rows that must go so that as many as possible of the trip stay: a time that jumps ahead does not cost
-        the rest of the trip.
-    back : list of (int, int)
-        First row left out of each trip, and how many.
-
-    Examples
-    --------
-    >>> keep, back = forward_rows(np.zeros(5, dtype=int), np.array([0.0, 10.0, 900.0, 30.0, 40.0]))
-    >>> keep.tolist(), back
-    ([True, True, False, True, True], [(2, 1)])
-    """
-    keep = np.ones(t.size, dtype=bool)
-    falls = np.flatnonzero((t[1:] < t[:-1]) & (trip[1:] == trip[:-1]))
-    back: list[tuple[int, int]] = []
-    for one in np.unique(trip[falls + 1]):
-        low, high = np.searchsorted(trip, one), np.searchsorted(trip, one, side="right")
-        good = rising_rows(t[low:high])
-        keep[low:high] = good
-        back.append((int(low + np.argmin(good)), int(np.sum(~good))))
-    return keep, back

@@ -201,7 +201,7 @@ def test_other_tables_of_the_folder_are_passed_over(das1: ModuleType, tmp_path: 
     assert [one.name for one in source.files] == ["DataLane.csv", "DataWsu.csv"]
     assert [one.bytes for one in source.files] == [(inner / one.name).stat().st_size for one in source.files]
     assert READER.recognise([tmp_path / "DataFrontTargets.csv"]) == ""
-    assert READER.recognise([tmp_path / "picture.png", inner]) == ""
+    assert READER.recognise([tmp_path / "picture.png", inner]) == "1 of DataLane, 1 of DataWsu"
 
 
 def test_tables_with_one_name_are_told_apart(das1: ModuleType, tmp_path: Path) -> None:

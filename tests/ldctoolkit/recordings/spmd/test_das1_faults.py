@@ -153,19 +153,66 @@ def test_time_that_runs_backwards(tables: tuple[Path, Path], times: dict[int, in
     np.testing.assert_array_equal(recordings["7/2"].lane_offset, left)
 
 
-def test_a_trip_in_two_files_is_left_out(das1: ModuleType, tables: tuple[Path, Path], tmp_path: Path) -> None:
+def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(
+    das1: ModuleType, tables: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """A table of one day is part of a larger one, and both are given."""
+    clean, _ = read(*tables)
     again = tmp_path / "DataLane_again.csv"
     again.write_bytes(das1.text_of(das1.lane_frame([das1.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
-    recordings, problems = read(*tables, again)
-    assert samples(recordings) == [ROWS, 0, ROWS]
-    assert problems == ["DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; it is left out"]
+    other = tmp_path / "DataWsu_again.csv"
+    other.write_bytes(das1.text_of(das1.wsu_frame([das1.planted_drive(7, 3, rows=50)])))
+    recordings, problems = read(*tables, again, other)
+    assert [one.samples for one in recordings.values()] == [ROWS] * 3 + [50]
+    assert problems == [
+        "DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; these rows are left out",
+        "DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; these rows are left out",
+    ]
+    for name, one in clean.items():
+        np.testing.assert_array_equal(recordings[name].lane_offset, one.lane_offset)
+        np.testing.assert_array_equal(recordings[name].speed, one.speed)
     assert recordings["7/4"].notes == (ALONE,)
-    third = tmp_path / "DataWsu_again.csv"
-    third.write_bytes(das1.text_of(das1.wsu_frame([das1.planted_drive(7, 3, rows=50)])))
-    recordings, problems = read(*tables, third)
+    recordings, problems = read(again, *tables)  # the order in which they are given says which is the first
+    assert {name: one.samples for name, one in recordings.items()} == {"7/1": ROWS, "7/2": 50, "7/3": ROWS, "7/4": 50}
+    assert problems == [
+        "DataLane.csv, line 122: trip 7/2 is also in DataLane_again.csv, line 2; these rows are left out"
+    ]
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_pieces_in_any_order_are_put_together_by_time(tables: tuple[Path, Path], which: int) -> None:
+    clean, _ = read(*tables)
+
+    def change(lines: list[bytes]) -> None:
+        one, two, three = (lines[1 + i * ROWS : 1 + (i + 1) * ROWS] for i in range(3))
+        lines[1:] = [*one[80:], *two[50:], *one[:30], *three, *two[:50], *one[30:80], *lines[1 + 3 * ROWS :]]
+
+    edit(tables[which], change)
+    recordings, problems = read(*tables)
+    assert len(problems) == 2
+    assert all(problem.endswith("they are put together in the order of time") for problem in problems)
     assert samples(recordings) == [ROWS] * 3
-    assert problems == ["DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; it is left out"]
-    assert recordings["7/3"].notes == (ALONE,)
+    for name, one in clean.items():
+        for column in ("t", "lane_offset", "speed", "yaw_rate"):
+            np.testing.assert_array_equal(getattr(recordings[name], column), getattr(one, column))
+
+
+def test_an_odd_time_does_not_move_a_piece(tables: tuple[Path, Path]) -> None:
+    clean, _ = read(*tables)
+
+    def change(lines: list[bytes]) -> None:
+        one, two = lines[1 : 1 + ROWS], lines[1 + ROWS : 1 + 2 * ROWS]
+        cells = one[0].split(b",")
+        one[0] = b",".join([*cells[:2], b"9000000", *cells[3:]])
+        lines[1 : 1 + 2 * ROWS] = [*one[:60], *two, *one[60:]]
+
+    edit(tables[0], change)
+    recordings, problems = read(*tables)
+    assert [problem.split(": ", 1)[1][:30] for problem in problems] == [
+        "trip 7/1 goes on here, its rows begin in line 2"[:30],
+        "trip 7/1: the time runs backwards"[:30],
+    ]
+    np.testing.assert_array_equal(recordings["7/1"].lane_offset, clean["7/1"].lane_offset[1:])
 
 
 def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
@@ -176,7 +223,7 @@ def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
 
     edit(tables[0], change)
     recordings, problems = read(*tables)
-    put_together = "they are put together in the order of the file"
+    put_together = "they are put together in the order of time"
     assert problems == [
         f"DataLane.csv, line 122: trip 7/1 goes on here, its rows begin in line 2; {put_together}",
         f"DataLane.csv, line 182: trip 7/2 goes on here, its rows begin in line 62; {put_together}",
@@ -315,10 +362,11 @@ def test_what_is_no_file(tables: tuple[Path, Path], tmp_path: Path) -> None:
     recordings, problems = read(*tables, pipe, loop, folder)
     assert samples(recordings) == [ROWS] * 3
     assert problems == [
-        "DataLane_pipe.csv: it is not a regular file; it is left out",
+        "DataLane_pipe.csv: cannot be read: it is not a regular file; it is left out",
         "DataLane_loop.csv: cannot be read: Too many levels of symbolic links; it is left out",
     ]
-    assert READER.recognise([pipe]) == READER.recognise([loop]) == READER.recognise([folder]) == ""
+    assert READER.recognise([pipe]) == READER.recognise([loop]) == "1 of DataLane by name alone"
+    assert READER.recognise([folder]) == ""
     recordings, problems = read(tmp_path)
     assert samples(recordings) == [ROWS] * 3
     assert problems == []
