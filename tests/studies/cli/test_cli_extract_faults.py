@@ -304,7 +304,7 @@ CASES = (
     ),
     Case(
         "spmd-das1", "in two files", more_file("DataLane_2.csv", more_lane, 2),
-        (rf"DataLane_2\.csv, line 2: trip 7/2 is also in DataLane\.csv, line {row(2, 0)}",), NONE,
+        (rf"DataLane_2\.csv, line 2: trip 7/2 is also in DataLane\.csv, line {row(2, 0)}",),
     ),
     Case(
         "spmd-das2", "ends in a line", cut("HV_Primary.csv", L3, 30),
@@ -332,7 +332,7 @@ CASES = (
     ),
     Case(
         "spmd-das2", "in two files", more_file("HV_Primary_2.csv", more_das2, 2),
-        (rf"HV_Primary_2\.csv, line 2: trip 7/2 is also in HV_Primary\.csv, line {row(2, 0)}",), NONE,
+        (rf"HV_Primary_2\.csv, line 2: trip 7/2 is also in HV_Primary\.csv, line {row(2, 0)}",),
     ),
     Case(
         "uah-driveset", "ends in a line", cut(f"{U2}/{LANE}", 1 + BETWEEN, 2, b" "),

@@ -138,7 +138,7 @@ def fuzz_recognise(reader: str, examples: int) -> Counter[str]:
 
 FUZZ = {"damaged": fuzz_damaged_files, "bytes": fuzz_bytes, "places": fuzz_places, "recognise": fuzz_recognise}
 FAST = {"damaged": 100, "bytes": 40, "places": 40, "recognise": 40}
-SLOW = {"damaged": 6000, "bytes": 2500, "places": 1000, "recognise": 500}
+SLOW = {"damaged": 5000, "bytes": 4000, "places": 500, "recognise": 500}
 """Examples a reader: 10,000 together in the slow tier."""
 
 
