@@ -10,6 +10,7 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.table_files import find_tables, shown_names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,9 +21,12 @@ class SourcesTogether:
     ----------
     sources : tuple of RecordingSource
         In the order of their readers' names.
+    unread : tuple of Problem
+        Why other readers found nothing that they can use.
     """
 
     sources: tuple[RecordingSource, ...]
+    unread: tuple[Problem, ...] = ()
 
     @property
     def parts(self) -> Sequence[RecordingPart]:
@@ -36,8 +40,16 @@ class SourcesTogether:
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """Of all sources."""
-        return tuple(problem for source in self.sources for problem in source.problems)
+        """Of all sources; a file that one of them reads is no problem of another that it is not for."""
+        files = [{file.name for file in source.files} for source in self.sources]
+        read = set().union(*files)
+        own = (
+            problem
+            for source, names in zip(self.sources, files, strict=True)
+            for problem in source.problems
+            if problem.file in names or problem.file not in read
+        )
+        return (*own, *self.unread)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,18 +95,39 @@ class ReadersTogether:
         Raises
         ------
         RecordingError
-            If two of them read the same file, whose departures would count twice.
+            If none of them can use anything, or if two of them read the same file, whose departures would count twice.
         """
-        sources = tuple(reader.open(paths) for reader in self.readers)
+        sources: list[RecordingSource] = []
+        opened: list[RecordingReader] = []
+        errors: list[RecordingError] = []
+        unread: list[Problem] = []
+        for reader in self.readers:
+            try:
+                sources.append(reader.open(paths))
+                opened.append(reader)
+            except RecordingError as error:
+                errors.append(error)
+                unread.append(Problem(_file_for(reader, paths), "", str(error)))
+        if not sources:
+            raise errors[0]
         owner: dict[str, str] = {}
-        for reader, source in zip(self.readers, sources, strict=True):
+        for reader, source in zip(opened, sources, strict=True):
             for file in source.files:
                 if owner.setdefault(file.sha256, reader.name) != reader.name:
                     said = self.recognise(paths)
                     raise RecordingError(
                         f"{file.name}: several readers know such files ({said}); choose one with --format"
                     )
-        return SourcesTogether(sources)
+        return SourcesTogether(tuple(sources), tuple(unread))
+
+
+def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
+    """Name of the first file that a reader knows, or else of the first path."""
+    found = [path for path, _ in find_tables(paths)]
+    for path, name in zip(found, shown_names(found), strict=True):
+        if reader.recognise([path]):
+            return name
+    return paths[0].name
 
 
 def agree(readers: Sequence[RecordingReader]) -> bool:

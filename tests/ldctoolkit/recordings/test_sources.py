@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -176,12 +177,16 @@ def test_no_reader_and_several(tmp_path: Path, install: Callable[..., None]) -> 
         open_recordings([tmp_path])
 
 
+WSU = (
+    "Device,Trip,Time,GpsValidWsu,GpsSpeedWsu,GpsHeadingWsu,ValidCanWsu,YawRateWsu,SpeedWsu,TurnSngRWsu,TurnSngLWsu\n"
+    "1,1,0,1,25,90,1,0,90,0,0\n"
+)
+
+
 def test_two_fleets_in_one_folder(tmp_path: Path) -> None:
     (tmp_path / "HV_Primary.csv").write_text(TABLES["spmd-das2"][1])
     (tmp_path / "DataLane.csv").write_text(TABLES["spmd-das1"][1])
-    columns = ("Device,Trip,Time,GpsValidWsu,GpsSpeedWsu,GpsHeadingWsu,ValidCanWsu,YawRateWsu,SpeedWsu,TurnSngRWsu,"
-               "TurnSngLWsu")  # fmt: skip
-    (tmp_path / "DataWsu.csv").write_text(f"{columns}\n1,1,0,1,25,90,1,0,90,0,0\n")
+    (tmp_path / "DataWsu.csv").write_text(WSU)
     opened = open_recordings([tmp_path])
     assert opened.reader.name == "spmd-das1 + spmd-das2"
     assert (opened.reader.vehicle_width, opened.reader.step) == (1.82, 0.1)
@@ -190,6 +195,68 @@ def test_two_fleets_in_one_folder(tmp_path: Path) -> None:
     found = extract_departures(opened)
     assert {account.origin.source for account in found.accounts} == {"DataLane.csv", "HV_Primary.csv"}
     assert found.problems == ()
+
+
+BROKEN = {
+    "empty": (b"", "the file is empty"),
+    "semicolons": (b"Device;Trip;Time;LaneDistanceLeft\n1;1;0;1\n", "separated by semicolons"),
+    "tabs": (b"Device\tTrip\tTime\tLaneDistanceLeft\n1\t1\t0\t1\n", "separated by tab"),
+    "UTF-16": ("Device,Trip,Time\n1,1,0\n".encode("utf-16"), "UTF-16"),
+    "other columns": (b"a,b\n1,2\n", "neither the columns"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+@pytest.mark.parametrize("file", ["DataLane.csv", "DataWsu_04.csv", "HV_Primary.csv"])
+@pytest.mark.parametrize("given", ["file", "folder"])
+def test_a_broken_file_with_a_known_name_is_named(given: str, file: str, kind: str, tmp_path: Path) -> None:
+    content, words = BROKEN[kind]
+    (tmp_path / file).write_bytes(content)
+    with pytest.raises(RecordingError, match=rf"spmd-das.*{re.escape(file)}.*{words}") as caught:
+        open_recordings(tmp_path / file if given == "file" else tmp_path)
+    if given == "file":
+        assert "no reader" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+@pytest.mark.parametrize("given", ["files", "folder"])
+def test_a_broken_table_beside_a_good_pair(given: str, kind: str, tmp_path: Path) -> None:
+    content, words = BROKEN[kind]
+    files = {"DataLane.csv": TABLES["spmd-das1"][1].encode(), "DataWsu.csv": WSU.encode(), "HV_Primary.csv": content}
+    for name, text in files.items():
+        (tmp_path / name).write_bytes(text)
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    opened = open_recordings([tmp_path / name for name in files] if given == "files" else tmp_path)
+    assert opened.found == ("spmd-das1: 1 of DataLane, 1 of DataWsu; spmd-das2: 1 of HV_Primary by name alone")
+    assert [file.name for file in opened.source.files] == ["DataLane.csv", "DataWsu.csv"]
+    told = [str(problem) for problem in opened.source.problems if problem.what.startswith("spmd-das2: no trip")]
+    assert len(told) == 1
+    assert words in told[0]
+    assert {problem.file for problem in opened.source.problems} == {"HV_Primary.csv"}
+    found = extract_departures(opened)
+    assert [account.origin.source for account in found.accounts] == ["DataLane.csv"]
+
+
+def test_files_given_by_themselves_are_no_problem_of_the_other_reader(tmp_path: Path) -> None:
+    files = {"DataLane.csv": TABLES["spmd-das1"][1], "DataWsu.csv": WSU, "HV_Primary.csv": TABLES["spmd-das2"][1]}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    source = open_recordings([tmp_path / name for name in files]).source
+    assert [file.name for file in source.files] == list(files)
+    assert source.problems == ()
+
+
+def test_if_every_reader_fails_the_first_one_tells(tmp_path: Path) -> None:
+    (tmp_path / "DataLane.csv").write_bytes(b"")
+    (tmp_path / "HV_Primary.csv").write_bytes(b"")
+    with pytest.raises(RecordingError, match=r"^spmd-das1: .*DataLane.csv: the file is empty"):
+        open_recordings(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["DataLane_converted.csv", "HV_Primary_converted.csv"])
+def test_a_plain_table_under_the_name_of_another(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(TABLES["table"][1])
+    assert open_recordings(tmp_path).reader.name == "table"
 
 
 def test_the_sample_folders() -> None:
