@@ -64,7 +64,7 @@ def with_yaw_rate(recording: Recording) -> Recording:
         if not told_already and np.count_nonzero(filled) > WORTH_TELLING * np.count_nonzero(recording.valid):
             notes = (*notes, FILLED)
     if not (np.abs(rate) < LARGEST).any():
-        # where nothing is known of the speed either, the recording is of no use anyway
-        told = (NONE,) if np.isfinite(recording.speed).any() else ()
+        # where the lane or the speed is not known either, the recording is of no use anyway
+        told = (NONE,) if (recording.valid & np.isfinite(recording.speed)).any() else ()
         return dataclasses.replace(recording, yaw_rate=None, notes=(*notes, *told))
     return dataclasses.replace(recording, yaw_rate=rate, notes=notes)
