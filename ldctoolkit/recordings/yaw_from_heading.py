@@ -63,8 +63,7 @@ def with_yaw_rate(recording: Recording) -> Recording:
         told_already = any("yaw rate" in note for note in notes)  # by the reader
         if not told_already and np.count_nonzero(filled) > WORTH_TELLING * np.count_nonzero(recording.valid):
             notes = (*notes, FILLED)
-    if not (np.abs(rate) < LARGEST).any():
-        # where the lane or the speed is not known either, the recording is of no use anyway
-        told = (NONE,) if (recording.valid & np.isfinite(recording.speed)).any() else ()
-        return dataclasses.replace(recording, yaw_rate=None, notes=(*notes, *told))
+    # where the lane or the speed is not known either, the recording is of no use anyway
+    if not (np.abs(rate) < LARGEST).any() and (recording.valid & np.isfinite(recording.speed)).any():
+        return dataclasses.replace(recording, yaw_rate=None, notes=(*notes, NONE))
     return dataclasses.replace(recording, yaw_rate=rate, notes=notes)
