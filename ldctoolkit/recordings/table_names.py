@@ -71,7 +71,7 @@ def check_header(path: Path) -> None:
 
 
 def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
-    """Recordings that more than one file holds: nothing says which is right, so none of them is read.
+    """Recordings that more than one file holds: the first file's rows are taken.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], 
     Returns
     -------
     left_out : (n,) tuple of str
-        For each file, names of recordings that another one holds, too.
+        For each file, names of recordings that an earlier one holds, too.
     problems : tuple of Problem
         Naming both files and places.
     """
@@ -96,14 +96,13 @@ def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], 
             if i == j:
                 continue
             left_out[i].add(name)
-            left_out[j].add(name)
             if len(problems) == MOST_TOLD:
                 more += 1
                 continue
-            what = f"recording {name!r} is also in {paths[j].name}, {_word(paths[j])} {other}; it is left out of both"
+            what = f"recording {name!r} is also in {paths[j].name}, {_word(paths[j])} {other}; these rows are left out"
             problems.append(Problem(path.name, f"{word} {row}", what))
     if more:
-        problems.append(Problem(paths[-1].name, "", f"{more} more recordings are in two files; they are left out"))
+        problems.append(Problem(paths[-1].name, "", f"{more} more recordings are in an earlier file, too; these rows are left out"))
     return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
 
 

@@ -148,15 +148,17 @@ def test_a_parquet_row_at_fault(save: Save) -> None:
     assert "holds 7" in problems[0].what
 
 
-def test_a_recording_in_two_files_is_left_out_of_both(save: Save) -> None:
+def test_of_a_recording_in_two_files_the_first_ones_rows_are_taken(save: Save) -> None:
     one = save(HEADER + A + B, "one.csv")
     two = save(pl.read_csv((HEADER + C + B.replace("0.1,3.6", "0.15,3.6")).encode()), "two.parquet")
     three = save(gzip.compress((HEADER + '"d",0,0.1,3.6,25\n' + B).encode()), "three.csv.gz")
     recordings, problems = read(one, two, three)
-    assert list(recordings) == ["a", "c", "d"]
+    assert list(recordings) == ["a", "b", "c", "d"]
+    assert recordings["b"].source == "one.csv"
+    assert recordings["b"].lane_offset[0] == 0.1
     assert [str(problem) for problem in problems] == [
-        "two.parquet, row 3: recording 'b' is also in one.csv, line 4; it is left out of both",
-        "three.csv.gz, line 3: recording 'b' is also in one.csv, line 4; it is left out of both",
+        "two.parquet, row 3: recording 'b' is also in one.csv, line 4; these rows are left out",
+        "three.csv.gz, line 3: recording 'b' is also in one.csv, line 4; these rows are left out",
     ]
 
 
@@ -164,7 +166,7 @@ def test_lines_are_counted_past_blank_and_faulty_ones(save: Save) -> None:
     one = save(HEADER + "\n \n" + B + "\n" + A, "one.csv")
     two = save((HEADER + C + "c,1,2,3,4,5\n\n" + A).replace("\n", "\r\n"), "two.csv")
     _, problems = read(one, two)
-    assert str(problems[0]) == "two.csv, line 6: recording 'a' is also in one.csv, line 7; it is left out of both"
+    assert str(problems[0]) == "two.csv, line 6: recording 'a' is also in one.csv, line 7; these rows are left out"
 
 
 def test_the_same_file_twice(save: Save) -> None:

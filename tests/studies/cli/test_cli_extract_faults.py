@@ -272,7 +272,7 @@ CASES = (
     Case("table", "backwards", cell("drives.csv", L2, 2, 1, b"3.05"), (rf"drives\.csv, line {L2}: .*'7/2'",), NONE),
     Case(
         "table", "in two files", more_file("more.csv", more_table, 2),
-        (rf"more\.csv, line 2: recording '7/2' is also in drives\.csv, line {row(2, 0)}",), NONE,
+        (rf"more\.csv, line 2: recording '7/2' is also in drives\.csv, line {row(2, 0)}",),
     ),
     Case(
         "spmd-das1", "ends in a line", cut("DataLane.csv", L3, 4),
