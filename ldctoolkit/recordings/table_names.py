@@ -102,7 +102,9 @@ def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], 
             what = f"recording {name!r} is also in {paths[j].name}, {_word(paths[j])} {other}; these rows are left out"
             problems.append(Problem(path.name, f"{word} {row}", what))
     if more:
-        problems.append(Problem(paths[-1].name, "", f"{more} more recordings are in an earlier file, too; these rows are left out"))
+        problems.append(
+            Problem(paths[-1].name, "", f"{more} more recordings are in an earlier file, too; they are left out")
+        )
     return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
 
 
