@@ -108,6 +108,7 @@ def fuzz_places(reader: str, examples: int) -> Counter[str]:
             odd = making.put_places(root, places)
             paths = [[root], written, [*written, *odd]][named] + [Path(f"{root}/{name}") for name in others]
             outcomes[making.check(paths, format_, table=Path(folder, "d.parquet"))] += 1
+            making.open_again(odd)
 
     run()
     return outcomes
@@ -123,14 +124,12 @@ def fuzz_recognise(reader: str, examples: int) -> Counter[str]:
         with tempfile.TemporaryDirectory() as folder:
             root = Path(folder, "in")
             root.mkdir()
-            paths = (
-                making.write(root, files)
-                + making.put_places(root, places)
-                + [Path(f"{root}/{name}") for name in others]
-            )
+            odd = making.put_places(root, places)
+            paths = [*making.write(root, files), *odd, *(Path(f"{root}/{name}") for name in others)]
             for name in READERS:
                 for some in (paths, [root], []):
                     outcomes[f"{name} {bool(making.recognise(some, name))}"] += 1
+            making.open_again(odd)
 
     run()
     return outcomes

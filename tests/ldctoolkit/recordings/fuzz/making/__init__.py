@@ -5,7 +5,7 @@ from __future__ import annotations
 from recordings_fuzz_making.check import check, recognise
 from recordings_fuzz_making.damage import WORDS, damaged, files_changed
 from recordings_fuzz_making.sound import DEPARTURES, SOUND
-from recordings_fuzz_making.write import PATHS, PLACES, put_places, write
+from recordings_fuzz_making.write import PATHS, PLACES, open_again, put_places, write
 
 from ldctoolkit.recordings import extract_departures, open_recordings
 
@@ -19,6 +19,7 @@ __all__ = [
     "damaged",
     "extract_departures",
     "files_changed",
+    "open_again",
     "open_recordings",
     "put_places",
     "recognise",

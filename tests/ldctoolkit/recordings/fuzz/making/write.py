@@ -60,6 +60,13 @@ def put_places(root: Path, places: list[tuple[str, str]]) -> list[Path]:
     return made
 
 
+def open_again(made: list[Path]) -> None:
+    """Give back what was closed, so that it can be removed."""
+    for path in made:
+        if not path.is_symlink():
+            path.chmod(0o700)
+
+
 def _put(root: Path, kind: str, name: str) -> Path:
     path = root / name
     if kind == "loop":
