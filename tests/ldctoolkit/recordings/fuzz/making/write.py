@@ -80,6 +80,7 @@ def _put(root: Path, kind: str, name: str) -> Path:
     elif kind == "empty":
         path.touch(exist_ok=False)
     elif kind == "closed":
+        path.touch(exist_ok=False)  # a pipe that is there would be waited for
         path.write_bytes(b"Device,Trip,Time\n")
         path.chmod(0)
     elif kind == "closed_folder":
