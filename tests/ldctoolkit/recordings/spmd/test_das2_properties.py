@@ -115,7 +115,8 @@ def test_against_plain_python(das2: Any, lines: list[str], end: str, ended: bool
         t = [sample[0] for sample in samples]
         one = found[name]
         if t != sorted(t):
-            assert one.samples < len(t)
+            # whole pieces of a trip are put in order; single rows that are not go
+            assert one.samples < len(t) or np.allclose(one.t, sorted(t), rtol=1e-12, atol=1e-12)
             continue
         columns = (one.t, one.lane_offset, one.lane_width, one.speed, one.valid, one.yaw_rate, one.heading)
         for column, values in zip((*columns, one.turn_signal), zip(*samples, strict=True), strict=True):
