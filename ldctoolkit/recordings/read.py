@@ -40,7 +40,7 @@ class Recordings:
         return self._sources
 
     def __iter__(self) -> Iterator[RecordingTable]:
-        from ldctoolkit.recordings.frames import Meter, frames
+        from ldctoolkit.recordings.plain.frames import Meter, frames
 
         self._sources = ()
         done, total = 0, sum(_size(path) for path in self._paths)
@@ -168,7 +168,7 @@ def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
 
 
 def _table(source: str, frame: pl.DataFrame, owner: dict[str, str]) -> RecordingTable:
-    from ldctoolkit.recordings.table_values import ROW
+    from ldctoolkit.recordings.plain.table_values import ROW
 
     labels = frame["recording"]
     starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])

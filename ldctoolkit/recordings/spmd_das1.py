@@ -15,11 +15,11 @@ from typing import Final
 from ldctoolkit.errors import RecordingError, nearest
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.spmd_das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
-from ldctoolkit.recordings.table_files import find_tables, shown_names
-from ldctoolkit.recordings.table_header import Header, is_plain, read_header
-from ldctoolkit.recordings.trip_index import TripIndex, index_trips
-from ldctoolkit.recordings.trip_rows import TripTable, collect_trips
+from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
+from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
+from ldctoolkit.recordings.trips.table_header import Header, is_plain, read_header
+from ldctoolkit.recordings.trips.trip_index import TripIndex, index_trips
+from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips
 
 PART_BYTES: Final = 24 << 20
 """Text of both tables that is read in one go."""

@@ -12,16 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import spmd_das2_columns as names
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.spmd_das2_columns import Layout, layout_of
+from ldctoolkit.recordings.spmd import das2_columns as names
+from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
 from ldctoolkit.recordings.table import LARGEST
-from ldctoolkit.recordings.table_files import find_tables, shown_names
-from ldctoolkit.recordings.table_header import is_plain, read_header
-from ldctoolkit.recordings.table_text import Cells
-from ldctoolkit.recordings.trip_index import Stretch, TripIndex, index_trips
-from ldctoolkit.recordings.trip_rows import TripTable, collect_trips, read_trips
+from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
+from ldctoolkit.recordings.trips.table_header import is_plain, read_header
+from ldctoolkit.recordings.trips.table_text import Cells
+from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex, index_trips
+from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips, read_trips
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.plain.table_names import check_header, header_names, repeated_names
 from ldctoolkit.recordings.read import BLOCK_BYTES, SUFFIXES, check_file, columns_of, whole_recordings
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile, source_file
-from ldctoolkit.recordings.table_names import check_header, header_names, repeated_names
 
 if TYPE_CHECKING:
     import polars as pl
@@ -92,7 +92,7 @@ class TableReader:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found, if one of the files has a recording table's header; otherwise an empty text."""
-        from ldctoolkit.recordings.frames import REQUIRED
+        from ldctoolkit.recordings.plain.frames import REQUIRED
 
         found = sum(len(set(header_names(path)) & set(REQUIRED)) >= KNOWN_BY for path in _files(paths))
         return f"{found} recording table{'s' * (found > 1)}" if found else ""
@@ -156,7 +156,7 @@ def problem_of(error: RecordingError, path: Path) -> Problem:
 
 def _files(paths: Sequence[Path]) -> Iterator[Path]:
     """The files themselves; of a folder those with a recording table's suffix and columns, or else the folder."""
-    from ldctoolkit.recordings.frames import REQUIRED
+    from ldctoolkit.recordings.plain.frames import REQUIRED
 
     for path in map(Path, paths):
         inside: list[Path] = []
@@ -171,7 +171,7 @@ def _files(paths: Sequence[Path]) -> Iterator[Path]:
 
 def _recordings(path: Path, left_out: set[str]) -> Iterator[Recording | Problem]:
     """Recordings of a file and problems, as they come."""
-    from ldctoolkit.recordings.frames import Unmetered, frames
+    from ldctoolkit.recordings.plain.frames import Unmetered, frames
 
     faults: list[RecordingError] = []
     seen: dict[str, int] = {}
@@ -191,7 +191,7 @@ def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
     """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
     import polars as pl
 
-    from ldctoolkit.recordings.table_values import FAULT
+    from ldctoolkit.recordings.plain.table_values import FAULT
 
     for block in blocks:
         nameless = block["recording"].fill_null("") == ""
@@ -204,7 +204,7 @@ def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
 def _of_frame(
     path: Path, frame: pl.DataFrame, seen: dict[str, int], left_out: set[str]
 ) -> Iterator[Recording | Problem]:
-    from ldctoolkit.recordings.table_values import FAULT, ROW
+    from ldctoolkit.recordings.plain.table_values import FAULT, ROW
 
     word = "row" if path.name.lower().endswith(".parquet") else "line"
     labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()

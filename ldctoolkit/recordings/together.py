@@ -10,7 +10,7 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
-from ldctoolkit.recordings.table_files import find_tables, shown_names
+from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
 
 
 @dataclasses.dataclass(frozen=True)

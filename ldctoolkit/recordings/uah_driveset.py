@@ -11,8 +11,8 @@ from typing import Final
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Label, Problem
 from ldctoolkit.recordings.source_file import SourceFile, source_file
-from ldctoolkit.recordings.uah_tables import ACCELEROMETERS, GPS, LANE
-from ldctoolkit.recordings.uah_trip import TripFolder
+from ldctoolkit.recordings.uah.tables import ACCELEROMETERS, GPS, LANE
+from ldctoolkit.recordings.uah.trip import TripFolder
 
 DEPTH: Final = 3
 """Trips are looked for so many folders below a given one; the dataset's root has them at 2."""

@@ -13,8 +13,8 @@ import pytest
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.part_result import PartResult, joined_results
+from ldctoolkit.recordings.spmd.das1_part import ALONE
 from ldctoolkit.recordings.spmd_das1 import READER, Das1Source, SpmdDas1
-from ldctoolkit.recordings.spmd_das1_part import ALONE
 
 
 def extracted(source: Das1Source) -> PartResult:

@@ -16,8 +16,8 @@ from ldctoolkit.recordings.extract_part import extract_part
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.rising_times import rising_rows
+from ldctoolkit.recordings.uah.text import Column, number, read_number_text
 from ldctoolkit.recordings.uah_driveset import READER
-from ldctoolkit.recordings.uah_text import Column, number, read_number_text
 
 FILES = ("PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt")
 NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.table_values import FAULT, NUMBERS, ROW, Faults, typed
+from ldctoolkit.recordings.plain.table_values import FAULT, NUMBERS, ROW, Faults, typed
 
 REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
 COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")

@@ -11,7 +11,7 @@ import numpy as np
 
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.table import BoolArray, FloatArray
-from ldctoolkit.recordings.uah_text import Column, first_lines, number, read_number_text
+from ldctoolkit.recordings.uah.text import Column, first_lines, number, read_number_text
 
 DETECTED: Final = 2.0
 """State of the lane estimator in which offset and width can be used."""

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.table_text import Cells, read_cells
-from ldctoolkit.recordings.trip_index import Stretch, TripIndex
-from ldctoolkit.recordings.trip_order import forward_rows, pieces_in_time
+from ldctoolkit.recordings.trips.table_text import Cells, read_cells
+from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex
+from ldctoolkit.recordings.trips.trip_order import forward_rows, pieces_in_time
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

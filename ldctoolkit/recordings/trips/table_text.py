@@ -143,7 +143,7 @@ def read_cells(
     exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
     if exact and ascii_:
         if bytes_.size >= compiled_from:
-            from ldctoolkit.recordings._number_kernel import plain_numbers
+            from ldctoolkit.recordings.trips._number_kernel import plain_numbers
 
             numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], exact, lines)
             if numbers is not None:

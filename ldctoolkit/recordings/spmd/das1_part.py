@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.spmd_join import nearest_rows
-from ldctoolkit.recordings.table_text import Cells
-from ldctoolkit.recordings.trip_index import Stretch
-from ldctoolkit.recordings.trip_rows import TripTable, read_trips, told
+from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
+from ldctoolkit.recordings.trips.table_text import Cells
+from ldctoolkit.recordings.trips.trip_index import Stretch
+from ldctoolkit.recordings.trips.trip_rows import TripTable, read_trips, told
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

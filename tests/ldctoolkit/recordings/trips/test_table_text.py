@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ldctoolkit.recordings._number_kernel import plain_numbers
-from ldctoolkit.recordings.table_text import COMPILED_FROM, read_cells
+from ldctoolkit.recordings.trips._number_kernel import plain_numbers
+from ldctoolkit.recordings.trips.table_text import COMPILED_FROM, read_cells
 
 COLUMNS = ("a", "b", "c", "d")
 WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")

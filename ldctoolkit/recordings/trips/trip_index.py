@@ -254,7 +254,7 @@ class _Scan:
 
 
 def _compiled() -> Callable[..., int]:
-    from ldctoolkit.recordings._key_kernel import first_other_line
+    from ldctoolkit.recordings.trips._key_kernel import first_other_line
 
     def same(
         text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], i: int, key: bytes, _: npt.NDArray[np.bool_]

@@ -12,7 +12,7 @@ import numpy as np
 from ldctoolkit.recordings.recording import Label, Problem, Recording
 from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.table import LARGEST, BoolArray, FloatArray
-from ldctoolkit.recordings.uah_tables import ACCELEROMETERS, DETECTED, GPS, LANE, TableKind, is_course, read_table
+from ldctoolkit.recordings.uah.tables import ACCELEROMETERS, DETECTED, GPS, LANE, TableKind, is_course, read_table
 
 SPEED_STEP: Final = 2.5
 """Longest step [s] between two positions that speed and course are interpolated over; 1 s is usual."""

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ldctoolkit.recordings.spmd_join import nearest_rows
+from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
 
 Rows = list[tuple[int, float]]
 

@@ -62,7 +62,7 @@ def check_header(path: Path) -> None:
     OSError
         If it cannot be read.
     """
-    from ldctoolkit.recordings.frames import Unmetered, check_columns, csv_blocks, is_parquet
+    from ldctoolkit.recordings.plain.frames import Unmetered, check_columns, csv_blocks, is_parquet
 
     if is_parquet(path):
         check_columns(path, _parquet_names(path))
@@ -115,7 +115,7 @@ def _word(path: Path) -> str:
 def _parquet_names(path: Path) -> list[str]:
     import polars as pl
 
-    from ldctoolkit.recordings.frames import check_parquet_path
+    from ldctoolkit.recordings.plain.frames import check_parquet_path
 
     check_parquet_path(path)
     try:
@@ -151,7 +151,7 @@ def _csv_labels(path: Path) -> Iterator[tuple[pl.Series, pl.Series]]:
     """Lines and names, block by block. Only the one column is parsed, unless a line is at fault."""
     import polars as pl
 
-    from ldctoolkit.recordings.frames import Unmetered, csv_blocks
+    from ldctoolkit.recordings.plain.frames import Unmetered, csv_blocks
 
     for header, block, line in csv_blocks(path, BLOCK_BYTES, Unmetered()):
         index = header.index("recording")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.table_header import read_header
+from ldctoolkit.recordings.trips.table_header import read_header
 
 KEY: Final = ("DeviceID", "Trip")
 LEFT: Final = "LaneTrack_Distance_Left_Marker"

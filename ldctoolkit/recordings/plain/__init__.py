@@ -1,0 +1,1 @@
+"""Plain recording tables: text and Parquet as typed blocks, headers, faulty values named."""

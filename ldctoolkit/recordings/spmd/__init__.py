@@ -1,0 +1,1 @@
+"""Trips of the SPMD tables as recordings."""

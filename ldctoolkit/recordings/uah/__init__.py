@@ -1,0 +1,1 @@
+"""Trips of UAH-DriveSet as recordings."""
