@@ -186,10 +186,12 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, reader: str, shape: int) -> No
 def test_names_that_are_no_text(tmp_path: Path) -> None:
     """A name on the disk may hold any bytes; it is told, and stored, in a form that is text."""
     content = making.SOUND["table"][0]["drives.csv"]
-    for i, name in enumerate((b"\xff.csv", b"a\nb.csv")):
-        path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name))
-        path.write_bytes(content.replace(b"r", b"%d" % i) if i else content)
+    faulty = content.replace(b"3.6", b"wide", 1).replace(b"\nr", b"\np")
+    contents = {b"\xff.csv": content, b"a\nb.csv": faulty, b"c.csv": content.replace(b"\nr", b"\nq")}
+    for name, one in contents.items():
+        Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)).write_bytes(one)
     found = making.extract_departures(making.open_recordings([tmp_path], format="table"))
-    assert found.departures.n == making.DEPARTURES["table"]
-    assert [file.name for file in found.provenance.sources] == ["\\udcff.csv"]
-    assert [problem.file for problem in found.problems] == ["a\\nb.csv"]
+    assert sorted(file.name for file in found.provenance.sources) == ["\\udcff.csv", "a\\nb.csv", "c.csv"]
+    assert [problem.file for problem in found.problems] == ["a\\nb.csv"] * 2
+    assert {account.origin.source for account in found.accounts} == {"\\udcff.csv", "a\\nb.csv", "c.csv"}
+    assert making.check([tmp_path], "table", table=tmp_path / "d.parquet") == "damaged departures"
