@@ -124,8 +124,9 @@ def fuzz_recognise(reader: str, examples: int) -> Counter[str]:
         with tempfile.TemporaryDirectory() as folder:
             root = Path(folder, "in")
             root.mkdir()
+            written = making.write(root, files)  # first: a pipe in a file's place would wait for a reader
             odd = making.put_places(root, places)
-            paths = [*making.write(root, files), *odd, *(Path(f"{root}/{name}") for name in others)]
+            paths = [*written, *odd, *(Path(f"{root}/{name}") for name in others)]
             for name in READERS:
                 for some in (paths, [root], []):
                     outcomes[f"{name} {bool(making.recognise(some, name))}"] += 1
