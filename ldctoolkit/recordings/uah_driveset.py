@@ -60,7 +60,7 @@ class UahDriveset:
     ...     source = READER.open([Path(folder)])
     ...     recording = next(source.parts[0].read())
     >>> recording.lane_offset.tolist(), recording.speed.tolist(), [label.value for label in recording.labels]
-    ([-0.25, -0.5], [25.0, 25.0], ['D2', 'drowsy', 'motorway'])
+    ([-0.25, -0.5], [25.0, 25.0], ['D2', 'DROWSY', 'MOTORWAY'])
     """
 
     name: str = "uah-driveset"
@@ -185,7 +185,7 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, 
     source = folder.driver_folder or folder.name
     if match:
         driver = match["driver"].upper()
-        behaviour, road = match["behaviour"].lower(), match["road"].lower()
+        behaviour, road = match["behaviour"].upper(), match["road"].upper()
         labels = (Label("driver", driver), Label("behaviour", behaviour), Label("road", road))
         source = folder.driver_folder or driver
     else:

@@ -137,10 +137,10 @@ def test_groups(made, planted, tmp_path):
         assert departures.n == len(planted)
         assert set(departures.recording) == {part.key}
     assert found == {
-        DROWSY: {"source": {"D1"}, "driver": {"D1"}, "behaviour": {"drowsy"}, "road": {"secondary"}},
-        AGGRESSIVE: {"source": {"D2"}, "driver": {"D2"}, "behaviour": {"aggressive"}, "road": {"motorway"}},
+        DROWSY: {"source": {"D1"}, "driver": {"D1"}, "behaviour": {"DROWSY"}, "road": {"SECONDARY"}},
+        AGGRESSIVE: {"source": {"D2"}, "driver": {"D2"}, "behaviour": {"AGGRESSIVE"}, "road": {"MOTORWAY"}},
         "20151110175712-16km-D1-NORMAL1-SECONDARY": {
-            "source": {"D1"}, "driver": {"D1"}, "behaviour": {"normal"}, "road": {"secondary"},
+            "source": {"D1"}, "driver": {"D1"}, "behaviour": {"NORMAL"}, "road": {"SECONDARY"},
         },
     }  # fmt: skip
 
