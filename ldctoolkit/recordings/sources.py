@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib.metadata
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from ldctoolkit.errors import LdcError, RecordingError, UnknownNameError, nearest
 from ldctoolkit.recordings.recording import Problem, Recording
@@ -69,6 +70,28 @@ class RecordingSource(Protocol):
     @property
     def problems(self) -> Sequence[Problem]:
         """What was seen while looking."""
+
+
+P = TypeVar("P", bound=RecordingPart)
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundParts(Generic[P]):
+    """A `RecordingSource` as plain data.
+
+    Attributes
+    ----------
+    parts : tuple of RecordingPart
+        In a fixed order.
+    files : tuple of SourceFile
+        What was found, with digests.
+    problems : tuple of Problem
+        What was seen while looking.
+    """
+
+    parts: tuple[P, ...]
+    files: tuple[SourceFile, ...]
+    problems: tuple[Problem, ...]
 
 
 @runtime_checkable

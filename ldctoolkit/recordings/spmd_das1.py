@@ -15,6 +15,7 @@ from typing import Final
 from ldctoolkit.errors import RecordingError, nearest
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
 from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
 from ldctoolkit.recordings.trips.table_header import Header, is_plain, read_header
@@ -28,25 +29,6 @@ KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
 _TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
-
-
-@dataclasses.dataclass(frozen=True)
-class Das1Source:
-    """Tables that were looked through.
-
-    Attributes
-    ----------
-    parts : tuple of Das1Part
-        In the order of the lane tables.
-    files : tuple of SourceFile
-        Lane tables first.
-    problems : tuple of Problem
-        What cannot be used.
-    """
-
-    parts: tuple[Das1Part, ...]
-    files: tuple[SourceFile, ...]
-    problems: tuple[Problem, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +73,7 @@ class SpmdDas1:
                 kinds.append(f"{kind} by name alone")  # opening it tells what is wrong
         return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
 
-    def open(self, paths: Sequence[Path]) -> Das1Source:
+    def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
         """Look through the tables for where each trip lies.
 
         Raises
@@ -126,7 +108,7 @@ class SpmdDas1:
             SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
         )
         parts = self._parts(tables["DataLane"], tables["DataWsu"], problems)
-        return Das1Source(parts, files, tuple(problems))
+        return FoundParts(parts, files, tuple(problems))
 
     def _parts(
         self,

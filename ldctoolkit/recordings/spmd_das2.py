@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd import das2_columns as names
 from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
 from ldctoolkit.recordings.table import LARGEST
@@ -121,25 +122,6 @@ def signals_of(cells: Cells) -> dict[str, Any]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Das2Source:
-    """Tables that were looked through.
-
-    Attributes
-    ----------
-    parts : tuple of Das2Part
-        In the order of the tables.
-    files : tuple of SourceFile
-        The tables.
-    problems : tuple of Problem
-        What cannot be used.
-    """
-
-    parts: tuple[Das2Part, ...]
-    files: tuple[SourceFile, ...]
-    problems: tuple[Problem, ...]
-
-
-@dataclasses.dataclass(frozen=True)
 class SpmdDas2:
     """The reader ``spmd-das2``.
 
@@ -185,7 +167,7 @@ class SpmdDas2:
         words = [f"{len(found)} of HV_Primary{without}"] if found else []
         return ", ".join(words + [f"{named} of HV_Primary by name alone"] * (named > 0))
 
-    def open(self, paths: Sequence[Path]) -> Das2Source:
+    def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
         """Look through the tables for where each trip lies.
 
         Raises
@@ -228,7 +210,7 @@ class SpmdDas2:
         for number, ((table, _), layout) in enumerate(zip(tables, layouts, strict=True)):
             own = [stretches for where, stretches in trips.values() if where == number]
             parts += self._parts(table, layout, own)
-        return Das2Source(tuple(parts), files, tuple(problems))
+        return FoundParts(tuple(parts), files, tuple(problems))
 
     def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
         batch: list[tuple[Stretch, ...]] = []

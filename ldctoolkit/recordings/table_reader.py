@@ -15,6 +15,7 @@ from ldctoolkit.recordings.plain.table_names import check_header, header_names, 
 from ldctoolkit.recordings.read import BLOCK_BYTES, SUFFIXES, check_file, columns_of, whole_recordings
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.recordings.sources import FoundParts
 
 if TYPE_CHECKING:
     import polars as pl
@@ -73,15 +74,6 @@ class TablePart:
             )
 
 
-@dataclasses.dataclass(frozen=True)
-class TableSource:
-    """Files of recordings; see `RecordingSource`."""
-
-    parts: tuple[TablePart, ...]
-    files: tuple[SourceFile, ...]
-    problems: tuple[Problem, ...]
-
-
 class TableReader:
     """Reads plain recording tables; see `RecordingReader`."""
 
@@ -97,7 +89,7 @@ class TableReader:
         found = sum(len(set(header_names(path)) & set(REQUIRED)) >= KNOWN_BY for path in _files(paths))
         return f"{found} recording table{'s' * (found > 1)}" if found else ""
 
-    def open(self, paths: Sequence[Path]) -> TableSource:
+    def open(self, paths: Sequence[Path]) -> FoundParts[TablePart]:
         """Look through files, or folders that hold them.
 
         Raises
@@ -134,7 +126,7 @@ class TableReader:
             TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i] if left_out else ())
             for i, (path, file) in enumerate(found.items())
         )
-        return TableSource(parts, tuple(found.values()), (*problems, *repeated))
+        return FoundParts(parts, tuple(found.values()), (*problems, *repeated))
 
 
 READER: Final = TableReader()

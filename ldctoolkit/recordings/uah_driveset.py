@@ -11,6 +11,7 @@ from typing import Final
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Label, Problem
 from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.uah.tables import ACCELEROMETERS, GPS, LANE
 from ldctoolkit.recordings.uah.trip import TripFolder
 
@@ -24,25 +25,6 @@ _TRIP: Final = re.compile(
 _DRIVER: Final = re.compile(r"D\d+", re.IGNORECASE)
 _PATTERN: Final = "<date>-<km>-D<number>-<NORMAL|DROWSY|AGGRESSIVE>-<MOTORWAY|SECONDARY>"
 _WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
-
-
-@dataclasses.dataclass(frozen=True)
-class UahSource:
-    """Trips found in folders.
-
-    Attributes
-    ----------
-    parts : tuple of TripFolder
-        One a trip.
-    files : tuple of SourceFile
-        Files of these trips.
-    problems : tuple of Problem
-        Trips that cannot be used, and what is odd about folders.
-    """
-
-    parts: tuple[TripFolder, ...]
-    files: tuple[SourceFile, ...]
-    problems: tuple[Problem, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +70,7 @@ class UahDriveset:
         of = f" of {_count(len(drivers), 'driver')}" if drivers else ""
         return f"{_count(len(trips), 'trip')}{of}"
 
-    def open(self, paths: Sequence[Path]) -> UahSource:
+    def open(self, paths: Sequence[Path]) -> FoundParts[TripFolder]:
         """Look through folders for trips.
 
         Parameters
@@ -98,7 +80,7 @@ class UahDriveset:
 
         Returns
         -------
-        UahSource
+        FoundParts
             Trips in the order of `paths` and, inside each, of their names.
 
         Raises
@@ -139,7 +121,7 @@ class UahDriveset:
             first = f"; {problems[0]}" if problems else ""
             more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
             raise RecordingError(f"{shown}: no trip of UAH-DriveSet that can be used{first}{more}")
-        return UahSource(tuple(parts), tuple(files), tuple(problems))
+        return FoundParts(tuple(parts), tuple(files), tuple(problems))
 
 
 READER: Final = UahDriveset()

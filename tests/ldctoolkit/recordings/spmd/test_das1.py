@@ -13,16 +13,17 @@ import pytest
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.part_result import PartResult, joined_results
-from ldctoolkit.recordings.spmd.das1_part import ALONE
-from ldctoolkit.recordings.spmd_das1 import READER, Das1Source, SpmdDas1
+from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.spmd.das1_part import ALONE, Das1Part
+from ldctoolkit.recordings.spmd_das1 import READER, SpmdDas1
 
 
-def extracted(source: Das1Source) -> PartResult:
+def extracted(source: FoundParts[Das1Part]) -> PartResult:
     criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
     return joined_results(extract_part(part, criteria, preparation) for part in source.parts)
 
 
-def read_all(source: Das1Source) -> tuple[list[Recording], list[Problem]]:
+def read_all(source: FoundParts[Das1Part]) -> tuple[list[Recording], list[Problem]]:
     items = [item for part in source.parts for item in part.read()]
     return [one for one in items if isinstance(one, Recording)], [one for one in items if isinstance(one, Problem)]
 
