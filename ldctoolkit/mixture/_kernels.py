@@ -20,8 +20,9 @@ _ROWS: Final = 256
 _FLOOR: Final = -100.0
 """Logits this far below a row's largest are raised to it: smaller shares would be denormal numbers, which are slow."""
 
-# sums may be reassociated and contracted; NaN and infinity keep their meaning
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "fastmath": {"contract", "reassoc", "nsz"}}
+# sums may be reassociated and contracted; NaN and infinity keep their meaning. How depends on what is compiled
+# together: only the pass as a whole is kept on disk, no part of it, which could not be taken apart any more
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "fastmath": {"contract", "reassoc", "nsz"}}
 
 # the two parts of ln 2 must not be added up
 _EXP_OPTIONS: Final[dict[str, Any]] = _OPTIONS | {"fastmath": {"contract", "nsz"}}
@@ -165,7 +166,7 @@ def _add(shares: FloatArray, features: FloatArray, m: int, sums: FloatArray) -> 
             q += 1
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, **_OPTIONS)  # type: ignore[untyped-decorator]
 def _pass(
     x: FloatArray,
     weight: FloatArray,
@@ -210,6 +211,13 @@ def _pass(
     return log_likelihood
 
 
+def _rows(x: FloatArray) -> FloatArray:
+    """The same numbers, contiguous and read-only: all callers meet one version of the compiled pass."""
+    view = np.ascontiguousarray(x).view()
+    view.flags.writeable = False
+    return view
+
+
 def _paired(theta: FloatArray) -> FloatArray:
     """Coefficients (K, F) with a row of zeros added where K is odd."""
     return np.concatenate([theta, np.zeros((theta.shape[0] % 2, theta.shape[1]))])
@@ -243,9 +251,8 @@ def statistics_of_rows(
     K = theta.shape[0]
     padded = _paired(theta)
     sums = np.zeros(padded.shape)
-    x = np.ascontiguousarray(x)
-    weight = _NONE if weight is None else np.ascontiguousarray(weight)
-    total = _pass(x, weight, location, 1.0 / scale, padded, K, sums, _NONE)
+    weight = _rows(_NONE if weight is None else weight)
+    total = _pass(_rows(x), weight, _rows(location), 1.0 / scale, padded, K, sums, _NONE)
     return float(total), sums[:K]
 
 
@@ -253,5 +260,6 @@ def log_density_of_rows(x: FloatArray, location: FloatArray, scale: FloatArray, 
     """Logarithm of sum_k exp(theta_k . features) of each row, (m,)."""
     out = np.empty(x.shape[0])
     if out.size:
-        _pass(np.ascontiguousarray(x), _NONE, location, 1.0 / scale, _paired(theta), theta.shape[0], _NO_SUMS, out)
+        padded, K = _paired(theta), theta.shape[0]
+        _pass(_rows(x), _rows(_NONE), _rows(location), 1.0 / scale, padded, K, _NO_SUMS, out)
     return out

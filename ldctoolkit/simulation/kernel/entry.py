@@ -23,7 +23,18 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ldctoolkit.simulation import _philox
-from ldctoolkit.simulation.kernel import between, data, lane_cuts, lane_events, lane_table, lanes, plant, sample, senses
+from ldctoolkit.simulation.kernel import (
+    between,
+    data,
+    fused,
+    lane_cuts,
+    lane_events,
+    lane_table,
+    lanes,
+    plant,
+    sample,
+    senses,
+)
 from ldctoolkit.simulation.kernel.data import (
     A_BEFORE,
     ALIVE,
@@ -62,7 +73,7 @@ def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256()
     lane_modules = (lane_cuts, lane_events, lane_table, lanes)
-    for module in (data, *lane_modules, between, plant, sample, senses, _philox, _nonlinear_compiled):
+    for module in (data, *lane_modules, between, fused, plant, sample, senses, _philox, _nonlinear_compiled):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
 

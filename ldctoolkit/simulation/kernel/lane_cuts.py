@@ -29,6 +29,7 @@ from ldctoolkit.simulation.kernel.data import (
     W_AFTER,
     X,
 )
+from ldctoolkit.simulation.kernel.fused import fma
 from ldctoolkit.simulation.kernel.lane_table import (
     R_ALIVE,
     R_AT,
@@ -104,16 +105,15 @@ def _next_terms(k, w):
         h, p, psi, turn = w[R_PART * L + l], w[R_K * L + l], w[(R_K + 1) * L + l], w[(R_K + 2) * L + l]
         f_h = f * h
         y_k, psi_k = f_h * p, f_h * turn
-        p_k = f_h * (
-            w[R_Q * L + l] * p + w[(R_Q + 1) * L + l] * psi + w[(R_Q + 2) * L + l] * turn + lane * w[R_IN * L + l]
-        )
-        turn_k = w[R_W * L + l] * p + w[(R_W + 1) * L + l] * psi + w[(R_W + 2) * L + l] * turn
-        turn_k = f_h * (turn_k + lane * w[(R_IN + 1) * L + l])
+        p_k = fma(w[R_Q * L + l], p, fma(w[(R_Q + 1) * L + l], psi, w[(R_Q + 2) * L + l] * turn))
+        p_k = f_h * fma(lane, w[R_IN * L + l], p_k)
+        turn_k = fma(w[R_W * L + l], p, fma(w[(R_W + 1) * L + l], psi, w[(R_W + 2) * L + l] * turn))
+        turn_k = f_h * fma(lane, w[(R_IN + 1) * L + l], turn_k)
         w[R_M * L + l] += y_k
         w[(R_M + 1) * L + l] += p_k
         w[(R_M + 2) * L + l] += psi_k
         w[(R_M + 3) * L + l] += turn_k
-        w[(R_M + 4) * L + l] += y_k * (h * g)
+        w[(R_M + 4) * L + l] = fma(y_k, h * g, w[(R_M + 4) * L + l])
         going = abs(p_k) + abs(turn_k) + abs(psi_k) + abs(y_k) > w[R_SMALL * L + l]
         more |= going
         w[R_K * L + l] = p_k if going else 0.0

@@ -34,6 +34,7 @@ from ldctoolkit.simulation.kernel.data import (
     TRAVEL,
     WINDOW,
 )
+from ldctoolkit.simulation.kernel.fused import fma
 from ldctoolkit.simulation.kernel.lane_cuts import drive_cuts
 from ldctoolkit.simulation.kernel.lane_events import drive_alone, look_closer, past_of_last
 from ldctoolkit.simulation.kernel.lane_table import (
@@ -95,8 +96,9 @@ def _look_ahead(setting, times, design, k, w, g, width):
         for l in range(width):
             rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
             weight_rate, weight_turn = g[(2 * j) * L + l], g[(2 * j + 1) * L + l]
-            change = weight_rate * (w[R_C0 * L + l] + w[R_DC * L + l] * rate)
-            w[R_D * L + l] += change + weight_turn * (w[R_C0 * L + l] * ahead + w[R_DC * L + l] * turn)
+            c_0, dc = w[R_C0 * L + l], w[R_DC * L + l]
+            d = fma(weight_rate, fma(dc, rate, c_0), w[R_D * L + l])
+            w[R_D * L + l] = fma(weight_turn, fma(dc, turn, c_0 * ahead), d)
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -104,7 +106,14 @@ def _lane(T, per_T, t, ahead):
     """Shares of v dc in the lane's yaw rate at t + ahead, and in its turn until then."""
     t_1 = t + ahead
     in_0, in_1 = min(t, T), min(t_1, T)
-    return in_1 * per_T, 0.5 * (in_1 * in_1 - in_0 * in_0) * per_T + (t_1 - in_1) - (t - in_0)
+    within = 0.5 * (in_1 - in_0) * (in_1 + in_0)
+    return in_1 * per_T, fma(within, per_T, (t_1 - in_1) - (t - in_0))
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _three(a, x, b, y, c, z):
+    """Sum of three products."""
+    return fma(a, x, fma(b, y, c * z))
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -115,44 +124,46 @@ def _step(setting, k, ahead, w, full):
     rare = False
     for l in range(L):
         r_0 = w[R_R1 * L + l]
-        r_1 = w[R_C0 * L + l] + w[R_DC * L + l] * min((w[R_START * L + l] + t_next) * w[R_PER_T * L + l], 1.0)
+        c_0, dc = w[R_C0 * L + l], w[R_DC * L + l]
+        r_1 = fma(dc, min((w[R_START * L + l] + t_next) * w[R_PER_T * L + l], 1.0), c_0)
         w[R_R1 * L + l] = r_1
         x_0, x_1, x_2, x_3 = w[R_X * L + l], w[(R_X + 1) * L + l], w[(R_X + 2) * L + l], w[(R_X + 3) * L + l]
         u = w[R_U * L + l]
         rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
-        d = w[R_D * L + l] + w[R_GR * L + l] * (w[R_C0 * L + l] + w[R_DC * L + l] * rate)
-        d += w[R_GH * L + l] * (w[R_C0 * L + l] * ahead + w[R_DC * L + l] * turn)
-        d += (
-            w[R_FI * L + l] * w[R_Z * L + l] + w[R_FU * L + l] * u + (w[R_F * L + l] * x_0 + w[(R_F + 1) * L + l] * x_1)
-        )
-        d += w[(R_F + 2) * L + l] * x_2 + w[(R_F + 3) * L + l] * x_3
-        w[R_Z * L + l] += dt * x_0
+        d = fma(w[R_GR * L + l], fma(dc, rate, c_0), w[R_D * L + l])
+        d = fma(w[R_GH * L + l], fma(dc, turn, c_0 * ahead), d)
+        d_1 = fma(w[R_FU * L + l], u, w[R_FI * L + l] * w[R_Z * L + l])
+        d_2 = fma(w[(R_F + 1) * L + l], x_1, w[R_F * L + l] * x_0)
+        d_3 = fma(w[(R_F + 3) * L + l], x_3, w[(R_F + 2) * L + l] * x_2)
+        d = (d + d_1) + (d_2 + d_3)
+        w[R_Z * L + l] = fma(dt, x_0, w[R_Z * L + l])
         wrong = not abs(d) < math.inf
         d = u if wrong else d
         w[R_D * L + l] = d
         # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
-        n_0 = x_0 + w[R_P * L + l] * x_1 + w[(R_P + 1) * L + l] * x_2 + w[(R_P + 2) * L + l] * x_3
-        n_1 = w[(R_P + 3) * L + l] * x_1 + w[(R_P + 4) * L + l] * x_2 + w[(R_P + 5) * L + l] * x_3
-        n_2 = w[(R_P + 6) * L + l] * x_1 + w[(R_P + 7) * L + l] * x_2 + w[(R_P + 8) * L + l] * x_3
-        n_3 = w[(R_P + 9) * L + l] * x_1 + w[(R_P + 10) * L + l] * x_2 + w[(R_P + 11) * L + l] * x_3
-        n_0 += w[R_B * L + l] * d + w[R_E0 * L + l] * r_0 + w[R_E1 * L + l] * r_1
-        n_1 += w[(R_B + 1) * L + l] * d + w[(R_E0 + 1) * L + l] * r_0 + w[(R_E1 + 1) * L + l] * r_1
-        n_2 += w[(R_B + 2) * L + l] * d + w[(R_E0 + 2) * L + l] * r_0 + w[(R_E1 + 2) * L + l] * r_1
-        n_3 += w[(R_B + 3) * L + l] * d + w[(R_E0 + 3) * L + l] * r_0 + w[(R_E1 + 3) * L + l] * r_1
-        area = w[R_AX * L + l] * x_0 + w[(R_AX + 1) * L + l] * x_1 + w[(R_AX + 2) * L + l] * x_2
-        area += w[(R_AX + 3) * L + l] * x_3 + w[R_AD * L + l] * d + w[R_AR0 * L + l] * r_0 + w[R_AR1 * L + l] * r_1
+        n_0 = fma(w[R_P * L + l], x_1, fma(w[(R_P + 1) * L + l], x_2, fma(w[(R_P + 2) * L + l], x_3, x_0)))
+        n_1 = _three(w[(R_P + 3) * L + l], x_1, w[(R_P + 4) * L + l], x_2, w[(R_P + 5) * L + l], x_3)
+        n_2 = _three(w[(R_P + 6) * L + l], x_1, w[(R_P + 7) * L + l], x_2, w[(R_P + 8) * L + l], x_3)
+        n_3 = _three(w[(R_P + 9) * L + l], x_1, w[(R_P + 10) * L + l], x_2, w[(R_P + 11) * L + l], x_3)
+        n_0 += _three(w[R_B * L + l], d, w[R_E0 * L + l], r_0, w[R_E1 * L + l], r_1)
+        n_1 += _three(w[(R_B + 1) * L + l], d, w[(R_E0 + 1) * L + l], r_0, w[(R_E1 + 1) * L + l], r_1)
+        n_2 += _three(w[(R_B + 2) * L + l], d, w[(R_E0 + 2) * L + l], r_0, w[(R_E1 + 2) * L + l], r_1)
+        n_3 += _three(w[(R_B + 3) * L + l], d, w[(R_E0 + 3) * L + l], r_0, w[(R_E1 + 3) * L + l], r_1)
+        area = _three(w[R_AX * L + l], x_0, w[(R_AX + 1) * L + l], x_1, w[(R_AX + 2) * L + l], x_2)
+        area = fma(w[(R_AX + 3) * L + l], x_3, area)
+        area += _three(w[R_AD * L + l], d, w[R_AR0 * L + l], r_0, w[R_AR1 * L + l], r_1)
         back, deep, front, over = 0.0, math.inf, math.inf, math.inf
         if full:
             q_1, q_2, q_3 = w[R_Q * L + l], w[(R_Q + 1) * L + l], w[(R_Q + 2) * L + l]
             q_d, q_r = w[(R_Q + 3) * L + l] * d, w[(R_Q + 4) * L + l]
-            w[R_RIGHT * L + l] = q_1 * x_1 + q_2 * x_2 + q_3 * x_3 + q_d + q_r * r_0
-            w[R_LEFT * L + l] = q_1 * n_1 + q_2 * n_2 + q_3 * n_3 + q_d + q_r * r_1
+            w[R_RIGHT * L + l] = fma(q_r, r_0, _three(q_1, x_1, q_2, x_2, q_3, x_3) + q_d)
+            w[R_LEFT * L + l] = fma(q_r, r_1, _three(q_1, n_1, q_2, n_2, q_3, n_3) + q_d)
             back, deep = w[(R_S + BACK) * L + l], w[(R_S + DEEP) * L + l]
             front, over = w[(R_S + FRONT) * L + l], w[(R_S + OVER) * L + l]
         w[R_N * L + l], w[(R_N + 1) * L + l], w[(R_N + 2) * L + l], w[(R_N + 3) * L + l] = n_0, n_1, n_2, n_3
         w[R_SIGNED * L + l] = area
         event = _event(
-            x_0, x_1, x_1 + l_f * x_3, n_0, n_1, n_1 + l_f * n_3, l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
+            x_0, x_1, fma(l_f, x_3, x_1), n_0, n_1, fma(l_f, n_3, n_1), l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
             w[R_COUNTED * L + l] > 0.0, w[R_STIFF * L + l] > 0.0, back, deep, front, over,
         )  # fmt: skip
         w[R_FLAG * L + l] = WRONG if wrong else (1.0 if event else 0.0)
@@ -171,7 +182,7 @@ def _light_score(w):
     """S of a step in every lane."""
     for l in range(L):
         counted = w[R_COUNTED * L + l] * (1.0 - w[R_SINGLE * L + l])
-        w[(R_S + AREA) * L + l] += abs(w[R_SIGNED * L + l]) * counted
+        w[(R_S + AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + AREA) * L + l])
         w[R_U * L + l], w[R_D * L + l] = w[R_D * L + l], 0.0
         w[R_X * L + l], w[(R_X + 1) * L + l] = w[R_N * L + l], w[(R_N + 1) * L + l]
         w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = w[(R_N + 2) * L + l], w[(R_N + 3) * L + l]
@@ -188,9 +199,9 @@ def _event(
     event = not abs(n_0) <= bound  # also true for NaN
     event |= (back == math.inf) & ((n_0 < offset) | (stiff & (low - reach < offset)))
     # an extreme between the samples that may be a new one
-    event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (high + dt * (x_1 - n_1) > deep)
-    event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (max(x_0 + ahead_0, n_0 + ahead_1) + dt * (f_0 - f_1) > front)
-    event |= (x_1 < 0.0) & (n_1 > 0.0) & (dt * (n_1 - x_1) - low > max(over, offset))
+    event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(dt, x_1 - n_1, high) > deep)
+    event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(dt, f_0 - f_1, max(x_0 + ahead_0, n_0 + ahead_1)) > front)
+    event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(dt, n_1 - x_1, -low) > max(over, offset))
     # a change of sign; or both ends on one side, but so close that the path between them may reach over
     close = min(abs(x_0), abs(n_0)) < reach
     return event | (counted & ((x_0 * n_0 < 0.0) | (close & (stiff | (x_1 * n_1 < 0.0)))))
@@ -259,14 +270,14 @@ def _score(setting, w):
         n_0, n_2, d, u = w[R_N * L + l], w[(R_N + 2) * L + l], w[R_D * L + l], w[R_U * L + l]
         counted = w[R_COUNTED * L + l] * together
         alive = w[R_ALIVE * L + l] * together
-        w[(R_S + AREA) * L + l] += abs(w[R_SIGNED * L + l]) * counted
-        front = n_0 + l_f * n_2
+        w[(R_S + AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + AREA) * L + l])
+        front = fma(l_f, n_2, n_0)
         w[(R_S + DEEP) * L + l] = max(w[(R_S + DEEP) * L + l], n_0 if counted > 0.0 else -math.inf)
         w[(R_S + FRONT) * L + l] = max(w[(R_S + FRONT) * L + l], front if counted > 0.0 else -math.inf)
         w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], -n_0 if alive > 0.0 else -math.inf)
         change = abs(d - u)
-        w[(R_S + EFFORT) * L + l] += alive * (dt * (d * d))
-        w[(R_S + TRAVEL) * L + l] += alive * change
+        w[(R_S + EFFORT) * L + l] = fma(alive, dt * (d * d), w[(R_S + EFFORT) * L + l])
+        w[(R_S + TRAVEL) * L + l] = fma(alive, change, w[(R_S + TRAVEL) * L + l])
         right, left = w[R_RIGHT * L + l], w[R_LEFT * L + l]
         jerk = max(abs(right - w[R_PAST_RIGHT * L + l]), abs(left - w[R_PAST_LEFT * L + l]))
         w[(R_S + JERK) * L + l] = max(w[(R_S + JERK) * L + l], jerk * per_window)

@@ -55,9 +55,9 @@ from ldctoolkit.simulation.kernel.data import (
 )
 from ldctoolkit.vehicle._nonlinear_compiled import nonlinear_rhs
 
-# a product and a sum may be rounded once; nothing else may change, so that no number depends on its neighbours in a
-# vector; division by zero gives infinity as in NumPy
-OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
+# where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
 _STAGES: Final = 12
 _A: Final = np.ascontiguousarray(DOP853.A[:_STAGES, :_STAGES])
