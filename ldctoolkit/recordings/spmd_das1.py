@@ -17,9 +17,10 @@ from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
-from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
-from ldctoolkit.recordings.trips.table_header import Header, is_plain, read_header
-from ldctoolkit.recordings.trips.trip_index import TripIndex, index_trips
+from ldctoolkit.recordings.trips.look_through import look_through
+from ldctoolkit.recordings.trips.table_files import find_tables
+from ldctoolkit.recordings.trips.table_header import is_plain, read_header
+from ldctoolkit.recordings.trips.trip_index import TripIndex
 from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips
 
 PART_BYTES: Final = 24 << 20
@@ -29,6 +30,16 @@ KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
 _TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Layout:
+    """A table with a header; `kind` says which."""
+
+    columns: tuple[str, ...]
+    begin: int
+    kind: str
+    line: int = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,29 +92,8 @@ class SpmdDas1:
         RecordingError
             If there is no lane table or no other table. Trips of the lane table alone give recordings without a speed.
         """
-        found = find_tables(paths)
-        problems: list[Problem] = []
-        tables: dict[str, list[tuple[TripTable, TripIndex]]] = {kind: [] for kind in _COLUMNS}
-        for (path, named), shown in zip(found, shown_names([path for path, _ in found]), strict=True):
-            try:
-                header = read_header(path)
-                kind = _kind(header.columns)
-                if not kind:
-                    if named or _named(path):
-                        problems.append(Problem(shown, "line 1", _unknown(header)))
-                    continue
-                _check(header, kind)
-                if _named(path) not in ("", kind):
-                    words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-                    problems.append(Problem(shown, "", words))
-                index = index_trips(path, header.begin, 2)
-            except RecordingError as error:
-                if named or _named(path):
-                    problems.append(Problem(shown, "", f"{str(error).removeprefix(path.name + ': ')}; it is left out"))
-                continue
-            if not index.stretches:
-                problems.append(Problem(shown, "", "a header but no usable row; it is left out"))
-            tables[kind].append((TripTable(shown, str(path.absolute()), header.columns, index.bytes), index))
+        found, problems = look_through(paths, lambda path: _named(path) != "", _layout_of)
+        tables = {kind: [(one.table, one.index) for one in found if one.layout.kind == kind] for kind in _COLUMNS}
         files = tuple(
             SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
         )
@@ -161,18 +151,29 @@ def _named(path: Path) -> str:
     return "DataLane" if match[1].lower() == "lane" else "DataWsu"
 
 
-def _unknown(header: Header) -> str:
-    shown = ", ".join(header.columns[:8]) + (", ..." if len(header.columns) > 8 else "")
+def _unknown(columns: Sequence[str]) -> str:
+    shown = ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
     return f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
 
 
-def _check(header: Header, kind: str) -> None:
-    lower = [name.lower() for name in header.columns]
+def _layout_of(path: Path) -> tuple[_Layout | None, str]:
+    """Which table a file is, and what is odd about it."""
+    header = read_header(path)
+    kind = _kind(header.columns)
+    if not kind:
+        return None, _unknown(header.columns)
+    _check(header.columns, kind)
+    words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
+    return _Layout(header.columns, header.begin, kind), words if _named(path) not in ("", kind) else ""
+
+
+def _check(columns: Sequence[str], kind: str) -> None:
+    lower = [name.lower() for name in columns]
     if tuple(lower[:2]) != tuple(name.lower() for name in KEY):
-        raise RecordingError(f"the first columns are {', '.join(header.columns[:2])}; allowed: {', '.join(KEY)}")
+        raise RecordingError(f"the first columns are {', '.join(columns[:2])}; allowed: {', '.join(KEY)}")
     for name in _COLUMNS[kind]:
         if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {nearest(name, header.columns[:64])}")
+            raise RecordingError(f"column {name!r} is missing; {nearest(name, columns[:64])}")
         if lower.count(name.lower()) > 1:
             raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
 

@@ -18,10 +18,11 @@ from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd import das2_columns as names
 from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
 from ldctoolkit.recordings.table import LARGEST
-from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
+from ldctoolkit.recordings.trips.look_through import look_through
+from ldctoolkit.recordings.trips.table_files import find_tables
 from ldctoolkit.recordings.trips.table_header import is_plain, read_header
 from ldctoolkit.recordings.trips.table_text import Cells
-from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex, index_trips
+from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips, read_trips
 
 FloatArray = npt.NDArray[np.float64]
@@ -35,8 +36,6 @@ USABLE_PROBABILITY: Final = 500.0
 WIDTH_TOLERANCE: Final = 0.5
 """The markers must be as far apart as the tracker's lane width says, within this [m]: else one of them is not the
 lane's, and the width is an assumed one (12 feet)."""
-
-_NAMED: Final = re.compile(r"hv[ _-]?primary", re.IGNORECASE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,7 +159,7 @@ class SpmdDas2:
                 layout, known = None, False
             if layout is not None:
                 found.append(layout.header)
-            elif not known and _NAMED.search(path.name):
+            elif not known and _named(path):
                 named += 1  # opening it tells what is wrong
         some = "" if not any(found) else f"{found.count(False)} of them "
         without = f", {some}without a header" if False in found else ""
@@ -175,41 +174,17 @@ class SpmdDas2:
         RecordingError
             If there is no such table, or no trip in any.
         """
-        found = find_tables(paths)
-        problems: list[Problem] = []
-        tables: list[tuple[TripTable, TripIndex]] = []
-        layouts: list[Layout] = []
-        for (path, named), shown in zip(found, shown_names([path for path, _ in found]), strict=True):
-            meant = named or _NAMED.search(path.name) is not None
-            try:
-                layout = layout_of(path)
-                if layout is None:
-                    if meant:
-                        problems.append(Problem(shown, "line 1", _unknown()))
-                    continue
-                index = index_trips(path, layout.begin, layout.line)
-            except RecordingError as error:
-                if meant:
-                    problems.append(Problem(shown, "", f"{str(error).removeprefix(path.name + ': ')}; it is left out"))
-                continue
-            twin = next((table.name for table, other in tables if other.sha256 == index.sha256), "")
-            if twin:
-                problems.append(Problem(shown, "", f"holds the same as {twin}, byte by byte; it is left out"))
-                continue
-            if not index.stretches:
-                problems.append(Problem(shown, "", "no usable row"))
-            tables.append((TripTable(shown, str(path.resolve()), layout.columns, index.bytes), index))
-            layouts.append(layout)
-        trips, odd = collect_trips(tables)
+        found, problems = look_through(paths, _named, _layout_and_words)
+        trips, odd = collect_trips([(one.table, one.index) for one in found])
         problems += odd
         if not trips:
             told = "".join(f"; {problem}" for problem in problems[:5])
             raise RecordingError(f"spmd-das2: no trip of a table HV_Primary was found{told}")
-        files = tuple(SourceFile(table.name, index.bytes, index.sha256) for table, index in tables)
+        files = tuple(SourceFile(one.table.name, one.index.bytes, one.index.sha256) for one in found)
         parts: list[Das2Part] = []
-        for number, ((table, _), layout) in enumerate(zip(tables, layouts, strict=True)):
+        for number, one in enumerate(found):
             own = [stretches for where, stretches in trips.values() if where == number]
-            parts += self._parts(table, layout, own)
+            parts += self._parts(one.table, one.layout, own)
         return FoundParts(tuple(parts), files, tuple(problems))
 
     def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
@@ -224,9 +199,17 @@ class SpmdDas2:
                 batch, size = [], 0
 
 
-def _unknown() -> str:
+def _named(path: Path) -> bool:
+    """Whether the file's name speaks of this table."""
+    return re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) is not None
+
+
+def _layout_and_words(path: Path) -> tuple[Layout | None, str]:
+    """How a file's rows are laid out, or why it is no such table."""
+    layout = layout_of(path)
     cells = " or ".join(map(str, names.CELLS))
-    return f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
+    words = f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
+    return layout, "" if layout else words
 
 
 READER: Final = SpmdDas2()

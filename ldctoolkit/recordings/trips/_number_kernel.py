@@ -17,6 +17,10 @@ FloatArray = npt.NDArray[np.float64]
 _POWERS: Final[FloatArray] = np.array([10.0**power for power in range(23)])
 _LARGEST: Final = 2**53
 
+_COMMA, _LINE_END, _RETURN, _MINUS, _PLUS, _POINT, _SMALL_E, _LARGE_E, _ZERO = np.frombuffer(
+    b",\n\r-+.eE0", dtype=np.uint8
+)
+
 
 def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, lines: int) -> FloatArray | None:
     r"""Chosen cells of each line, (chosen, lines); an empty cell is NaN.
@@ -24,7 +28,7 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
     Parameters
     ----------
     text : (n,) uint8
-        ASCII.
+        Whole lines.
     places : list of int
         Which cells of a line are wanted.
     cells, lines : int
@@ -33,7 +37,8 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
     Returns
     -------
     (chosen, lines) float or None
-        None if any line has another number of cells, or any wanted cell is not a plain number.
+        None if the text is not ASCII or does not end with a line end, if any line has another number of cells, or if
+        any wanted cell is not a plain number.
 
     Examples
     --------
@@ -43,6 +48,8 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
     >>> plain_numbers(text, [1], 3, 2) is None
     True
     """
+    if not text.size or text[-1] != _LINE_END:
+        return None
     column = np.full(cells, -1, dtype=np.int64)
     column[places] = np.arange(len(places))
     numbers = np.empty((len(places), lines))
@@ -53,49 +60,63 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
 
 @numba.njit(cache=True, nogil=True)
 def _parse(text: npt.NDArray[np.uint8], column: npt.NDArray[np.int64], numbers: FloatArray, powers: FloatArray) -> int:
-    """Number of lines, or -1 where something is not plain."""
-    size, cells, lines = text.size, column.size, numbers.shape[1]
-    i = row = 0
+    """Number of lines, or -1 where something is not plain.
+
+    The text ends with a line end, where every inner loop stops, so that none has to ask for the end of the text. Places
+    are unsigned: a place that may be negative would be looked at twice.
+    """
+    size, one = np.uint64(text.size), np.uint64(1)
+    cells, lines = column.size, numbers.shape[1]
+    i, row, seen = np.uint64(0), 0, np.uint8(0)
     while i < size:
         if row == lines:
             return -1
         for c in range(cells):
             target = column[c]
             if target < 0:
-                while i < size and text[i] != 44 and text[i] != 10:
-                    i += 1
+                byte = text[i]
+                while byte != _COMMA and byte != _LINE_END:
+                    seen |= byte
+                    i += one
+                    byte = text[i]
             else:
                 first = i
-                negative = i < size and text[i] == 45
+                negative = text[i] == _MINUS
                 if negative:
-                    i += 1
+                    i += one
                 mantissa = np.int64(0)
                 begin = i
-                while i < size and 48 <= text[i] <= 57:
-                    mantissa = mantissa * 10 + (np.int64(text[i]) - 48)
-                    i += 1
-                digits = i - begin
+                digit = np.uint8(text[i] - _ZERO)
+                while digit < 10:
+                    mantissa = mantissa * 10 + np.int64(digit)
+                    i += one
+                    digit = np.uint8(text[i] - _ZERO)
+                digits = np.int64(i - begin)
                 exponent = np.int64(0)
-                if i < size and text[i] == 46:
-                    i += 1
+                if text[i] == _POINT:
+                    i += one
                     begin = i
-                    while i < size and 48 <= text[i] <= 57:
-                        mantissa = mantissa * 10 + (np.int64(text[i]) - 48)
-                        i += 1
-                    digits += i - begin
-                    exponent = np.int64(begin - i)
+                    digit = np.uint8(text[i] - _ZERO)
+                    while digit < 10:
+                        mantissa = mantissa * 10 + np.int64(digit)
+                        i += one
+                        digit = np.uint8(text[i] - _ZERO)
+                    exponent = -np.int64(i - begin)
+                    digits -= exponent
                 if digits > 18 or mantissa > _LARGEST:  # with more digits the product may have run over
                     return -1
-                if i < size and (text[i] == 69 or text[i] == 101):
-                    i += 1
-                    down = i < size and text[i] == 45
-                    if i < size and (text[i] == 45 or text[i] == 43):
-                        i += 1
+                if text[i] == _SMALL_E or text[i] == _LARGE_E:
+                    i += one
+                    down = text[i] == _MINUS
+                    if down or text[i] == _PLUS:
+                        i += one
                     begin = i
                     shift = np.int64(0)
-                    while i < size and i < begin + 4 and 48 <= text[i] <= 57:
-                        shift = shift * 10 + (np.int64(text[i]) - 48)
-                        i += 1
+                    digit = np.uint8(text[i] - _ZERO)
+                    while digit < 10 and i - begin < 4:
+                        shift = shift * 10 + np.int64(digit)
+                        i += one
+                        digit = np.uint8(text[i] - _ZERO)
                     if i == begin:
                         return -1
                     exponent += -shift if down else shift
@@ -108,15 +129,10 @@ def _parse(text: npt.NDArray[np.uint8], column: npt.NDArray[np.int64], numbers: 
                 else:
                     value = mantissa * powers[exponent]
                 numbers[target, row] = -value if negative else value
-                if c == cells - 1 and i < size and text[i] == 13:
-                    i += 1
-            if c < cells - 1:
-                if i >= size or text[i] != 44:
-                    return -1
-                i += 1
-            elif i < size:
-                if text[i] != 10:
-                    return -1
-                i += 1
+                if c == cells - 1 and text[i] == _RETURN:
+                    i += one
+            if text[i] != (_COMMA if c < cells - 1 else _LINE_END):
+                return -1
+            i += one
         row += 1
-    return row
+    return row if seen < 128 else -1

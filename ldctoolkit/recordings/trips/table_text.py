@@ -19,6 +19,7 @@ COMPILED_FROM: Final = 1 << 20
 """Loading a compiler's library is not worth it for less."""
 
 _PIECE: Final = 1 << 17
+_LINE_END: Final = 10
 _MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 _BLANKS: Final = " \t\r\"'"
 
@@ -139,15 +140,17 @@ def read_cells(
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
             return None
 
-    lines, commas, ascii_ = _counts(bytes_)
-    exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
-    if exact and ascii_:
-        if bytes_.size >= compiled_from:
-            from ldctoolkit.recordings.trips._number_kernel import plain_numbers
+    lines = _count(bytes_, b"\n") + int(bytes_[-1] != _LINE_END)
+    if bytes_.size >= compiled_from:
+        from ldctoolkit.recordings.trips._number_kernel import plain_numbers
 
-            numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], exact, lines)
+        for number in allowed:
+            numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], number, lines)
             if numbers is not None:
                 return Cells(tuple(wanted), tuple(numbers), np.arange(lines), lines)
+    commas = _count(bytes_, b",")
+    exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
+    if exact and bytes_.max() < 128:
         frame = parse(text, pl.Float64, exact)
         # the last cell is nowhere missing, so no line is short; the sum then says that none is long
         if frame is not None and frame.height == lines and frame[place[exact - 1]].null_count() == 0:
@@ -164,15 +167,10 @@ def read_cells(
     return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(faults))
 
 
-def _counts(bytes_: npt.NDArray[np.uint8]) -> tuple[int, int, bool]:
-    """Lines, commas, and whether all is ASCII; in pieces that stay in the cache."""
-    ends = commas = highest = 0
-    for begin in range(0, bytes_.size, _PIECE):
-        piece = bytes_[begin : begin + _PIECE]
-        ends += int(np.count_nonzero(piece == 10))
-        commas += int(np.count_nonzero(piece == 44))
-        highest = max(highest, int(piece.max()))
-    return ends + int(bytes_[-1] != 10), commas, highest < 128
+def _count(bytes_: npt.NDArray[np.uint8], one: bytes) -> int:
+    """How often a byte occurs; in pieces that stay in the cache."""
+    pieces = (bytes_[begin : begin + _PIECE] for begin in range(0, bytes_.size, _PIECE))
+    return sum(int(np.count_nonzero(piece == ord(one))) for piece in pieces)
 
 
 def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:

@@ -116,7 +116,7 @@ PLAIN = st.one_of(
 @settings(max_examples=300, deadline=None)
 @given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
 def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
-    text = end.join(f"7,{one},x y,{other}" for one, other in rows).encode()
+    text = "".join(f"7,{one},x y,{other}{end}" for one, other in rows).encode()
     bytes_ = np.frombuffer(text, dtype=np.uint8)
     numbers = plain_numbers(bytes_, [1, 3], 4, len(rows))
     expected = np.array([[float(cell or "nan") for cell in row] for row in rows]).T
