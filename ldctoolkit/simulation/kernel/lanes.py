@@ -132,10 +132,10 @@ def _step(setting, k, ahead, w, full):
         rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
         d = fma(w[R_GR * L + l], fma(dc, rate, c_0), w[R_D * L + l])
         d = fma(w[R_GH * L + l], fma(dc, turn, c_0 * ahead), d)
-        d_1 = fma(w[R_FU * L + l], u, w[R_FI * L + l] * w[R_Z * L + l])
-        d_2 = fma(w[(R_F + 1) * L + l], x_1, w[R_F * L + l] * x_0)
-        d_3 = fma(w[(R_F + 3) * L + l], x_3, w[(R_F + 2) * L + l] * x_2)
-        d = (d + d_1) + (d_2 + d_3)
+        d = fma(w[R_FI * L + l], w[R_Z * L + l], fma(w[R_FU * L + l], u, d))
+        d += fma(
+            w[R_F * L + l], x_0, _three(w[(R_F + 1) * L + l], x_1, w[(R_F + 2) * L + l], x_2, w[(R_F + 3) * L + l], x_3)
+        )
         w[R_Z * L + l] = fma(dt, x_0, w[R_Z * L + l])
         wrong = not abs(d) < math.inf
         d = u if wrong else d
@@ -145,13 +145,13 @@ def _step(setting, k, ahead, w, full):
         n_1 = _three(w[(R_P + 3) * L + l], x_1, w[(R_P + 4) * L + l], x_2, w[(R_P + 5) * L + l], x_3)
         n_2 = _three(w[(R_P + 6) * L + l], x_1, w[(R_P + 7) * L + l], x_2, w[(R_P + 8) * L + l], x_3)
         n_3 = _three(w[(R_P + 9) * L + l], x_1, w[(R_P + 10) * L + l], x_2, w[(R_P + 11) * L + l], x_3)
-        n_0 += _three(w[R_B * L + l], d, w[R_E0 * L + l], r_0, w[R_E1 * L + l], r_1)
-        n_1 += _three(w[(R_B + 1) * L + l], d, w[(R_E0 + 1) * L + l], r_0, w[(R_E1 + 1) * L + l], r_1)
-        n_2 += _three(w[(R_B + 2) * L + l], d, w[(R_E0 + 2) * L + l], r_0, w[(R_E1 + 2) * L + l], r_1)
-        n_3 += _three(w[(R_B + 3) * L + l], d, w[(R_E0 + 3) * L + l], r_0, w[(R_E1 + 3) * L + l], r_1)
+        n_0 = fma(w[R_B * L + l], d, fma(w[R_E0 * L + l], r_0, fma(w[R_E1 * L + l], r_1, n_0)))
+        n_1 = fma(w[(R_B + 1) * L + l], d, fma(w[(R_E0 + 1) * L + l], r_0, fma(w[(R_E1 + 1) * L + l], r_1, n_1)))
+        n_2 = fma(w[(R_B + 2) * L + l], d, fma(w[(R_E0 + 2) * L + l], r_0, fma(w[(R_E1 + 2) * L + l], r_1, n_2)))
+        n_3 = fma(w[(R_B + 3) * L + l], d, fma(w[(R_E0 + 3) * L + l], r_0, fma(w[(R_E1 + 3) * L + l], r_1, n_3)))
         area = _three(w[R_AX * L + l], x_0, w[(R_AX + 1) * L + l], x_1, w[(R_AX + 2) * L + l], x_2)
-        area = fma(w[(R_AX + 3) * L + l], x_3, area)
-        area += _three(w[R_AD * L + l], d, w[R_AR0 * L + l], r_0, w[R_AR1 * L + l], r_1)
+        area = fma(w[(R_AX + 3) * L + l], x_3, fma(w[R_AR0 * L + l], r_0, fma(w[R_AR1 * L + l], r_1, area)))
+        area = fma(w[R_AD * L + l], d, area)
         back, deep, front, over = 0.0, math.inf, math.inf, math.inf
         if full:
             q_1, q_2, q_3 = w[R_Q * L + l], w[(R_Q + 1) * L + l], w[(R_Q + 2) * L + l]
