@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final, TypeVar
 
-from ldctoolkit.departures import Departures, DepartureSignals
+from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
 from ldctoolkit.recordings.recording import FloatArray
 
+T = TypeVar("T")
+
 KEPT: Final = 12
-"""Departures of each kind that are kept of each source."""
+"""Departures of each kind that are kept of each source and side."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,9 +60,9 @@ class Drawn:
     Attributes
     ----------
     deepest : tuple of DrawnEvent
-        Up to 12 of each source, deepest first.
+        Up to 12 of each source and side, deepest first; left before right.
     by_lot : tuple of DrawnEvent
-        Up to 12 of each source, in the order of their lots.
+        Up to 12 of each source and side, in the order of their lots; left before right.
     """
 
     deepest: tuple[DrawnEvent, ...] = ()
@@ -82,7 +84,7 @@ def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[st
     Returns
     -------
     Drawn
-        Up to 12 of each kind and source.
+        Up to 12 of each kind, source and side.
     """
     found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
     lots = [_lot(name, time) for name, time in found]
@@ -104,12 +106,9 @@ def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[st
             lots[i],
         )
 
-    of_source: dict[str, list[int]] = {}
-    for i, source in enumerate(sources):
-        of_source.setdefault(source, []).append(i)
     deepest: list[DrawnEvent] = []
     by_lot: list[DrawnEvent] = []
-    for places in of_source.values():
+    for places in _grouped(list(range(len(sources))), sources, departures.side.tolist()):
         deepest += [event(i) for i in sorted(places, key=depths.__getitem__)[:KEPT]]
         by_lot += [event(i) for i in sorted(places, key=lambda i: (lots[i], depths[i]))[:KEPT]]
     return Drawn(tuple(deepest), tuple(by_lot))
@@ -124,11 +123,17 @@ def joined_drawn(parts: Iterable[Drawn]) -> Drawn:
     )
 
 
-def _best(events: list[DrawnEvent], key: object) -> tuple[DrawnEvent, ...]:
-    of_source: dict[str, list[DrawnEvent]] = {}
-    for event in events:
-        of_source.setdefault(event.source, []).append(event)
-    return tuple(event for found in of_source.values() for event in sorted(found, key=key)[:KEPT])  # type: ignore[call-overload]
+def _best(events: list[DrawnEvent], key: Callable[[DrawnEvent], tuple[object, ...]]) -> tuple[DrawnEvent, ...]:
+    groups = _grouped(events, [event.source for event in events], [event.side for event in events])
+    return tuple(event for found in groups for event in sorted(found, key=key)[:KEPT])
+
+
+def _grouped(items: Sequence[T], sources: Sequence[str], sides: Sequence[int]) -> list[list[T]]:
+    """Items by source and side: sources as they first come, left before right."""
+    groups: dict[str, dict[int, list[T]]] = {}
+    for item, source, side in zip(items, sources, sides, strict=True):
+        groups.setdefault(source, {LEFT: [], RIGHT: []})[side].append(item)
+    return [found for both in groups.values() for found in both.values() if found]
 
 
 def _lot(recording: str, start_time: float) -> int:

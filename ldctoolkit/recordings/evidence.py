@@ -130,8 +130,10 @@ def _turns(recording: Recording, step: float) -> FloatArray:
     if recording.samples <= lag:
         return np.zeros(4)
     t, yaw_rate = recording.t, recording.yaw_rate
-    # a window with an unusable number in it is not compared
+    # a window with an unusable number in it is not compared, nor one with a yaw rate that is the heading's own slope
     known = recording.valid & (np.abs(yaw_rate) < LARGEST)
+    if recording.yaw_rate_measured is not None:
+        known &= recording.yaw_rate_measured
     rate = np.where(known, yaw_rate, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         swept = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])

@@ -136,6 +136,7 @@ def merge_results(
         whole.evidence,
         criteria.vehicle_width,
         preparation.nominal_lane_width,
+        yaw_rate_factor=preparation.yaw_rate_factor,
         labelled=reader == "table",
     )
     provenance = Provenance(

@@ -19,7 +19,7 @@ from ldctoolkit.recordings.find_departures import find_departures
 from ldctoolkit.recordings.part_result import PartResult, joined_results
 from ldctoolkit.recordings.preparation import Preparation, prepare
 from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.sources import RecordingPart
+from ldctoolkit.recordings.sources import RecordingPart, part_name
 from ldctoolkit.recordings.table import RecordingTable
 from ldctoolkit.recordings.units import UnitCheck
 
@@ -65,7 +65,7 @@ def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
     try:
         yield from part.read()
     except LdcError as error:
-        yield Problem(part.key, "", f"the rest of this part is left out: {error}")
+        yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
 
 def extract_items(
@@ -107,7 +107,7 @@ def extract_items(
         elif isinstance(item, Recording):
             try:
                 _check_labels(item)
-                recording = prepare(item, preparation)
+                recording = prepare(item, preparation, criteria.max_jump)
             except RecordingError as error:
                 problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
                 continue
@@ -167,7 +167,7 @@ def recordings_of(table: RecordingTable) -> Iterator[Recording]:
     timed = np.isfinite(table.t)
     for i, name in enumerate(table.names.tolist()):
         rows = np.flatnonzero(timed[table.offsets[i] : table.offsets[i + 1]]) + table.offsets[i]
-        given = {column: getattr(table, column) for column in Recording.COLUMNS if column != "heading"}
+        given = {column: getattr(table, column, None) for column in Recording.COLUMNS}
         columns: dict[str, Any] = {column: None if values is None else values[rows] for column, values in given.items()}
         yield Recording(name=name, source=table.source, **columns)
 

@@ -200,7 +200,7 @@ def _judge(
     verdict[criteria.max_duration < T] = CODE["too_long"]
     verdict[criteria.min_duration > T] = CODE["too_short"]
     if table.lane is None:
-        # the tracker may hold on to the lane that was left: all of the vehicle is in the next one
+        # the tracker may hold on to the lane that was left: so far out, most of the vehicle is in the next one
         outside = np.abs(table.lane_offset[source]) >= LANE_JUMP[0] * table.lane_width[source]
         verdict[np.logical_or.reduceat(outside, starts)] = CODE["lane_change"]
     return verdict

@@ -46,7 +46,7 @@ class WindowMedians:
             self._place = low[self._window] + np.arange(self._window.size) - begin[self._window]
             self._below, self._above = (begin + (count - 1) // 2)[filled], (begin + count // 2)[filled]
 
-    def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None) -> FloatArray:
+    def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None, max_jump: float = MAX_JUMP) -> FloatArray:
         """Value of each window.
 
         Parameters
@@ -56,8 +56,10 @@ class WindowMedians:
         t : (m,) [s]
             Times of its samples.
         near : (k,), optional
-            Where the two middle values of a window are more than `MAX_JUMP` apart, the one nearer to this is taken
+            Where the two middle values of a window are more than `max_jump` apart, the one nearer to this is taken
             instead of their mean.
+        max_jump : float
+            In the unit of the values.
 
         Returns
         -------
@@ -75,7 +77,7 @@ class WindowMedians:
             middle = np.where(below == above, below, 0.5 * (below + above))
             if near is not None:
                 beside = np.where(np.abs(below - near[filled]) <= np.abs(above - near[filled]), below, above)
-                middle = np.where(above - below > MAX_JUMP, beside, middle)
+                middle = np.where(above - below > max_jump, beside, middle)
             result[filled] = middle
         if bridged.any():
             after = self._low[bridged]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.sources import AUTO, RecordingReader, RecordingSource, recognised_by, recording_reader, shown
 from ldctoolkit.recordings.together import ReadersTogether, agree
 
@@ -56,6 +57,8 @@ def open_recordings(
         For a reader that is not known.
     InputError
         If no path is given.
+    LdcError
+        If the reader fails over the paths, or two of its parts have the same key.
 
     Examples
     --------
@@ -79,7 +82,21 @@ def open_recordings(
             raise RecordingError(f"{path.name}: given twice")
         seen.add(path.resolve())
     reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
-    return OpenedRecordings(reader, reader.open(given), found or reader.title)
+    return OpenedRecordings(reader, _opened(reader, given), found or reader.title)
+
+
+def _opened(reader: RecordingReader, paths: list[Path]) -> RecordingSource:
+    try:
+        source = reader.open(paths)
+        keys = Counter(part.key for part in source.parts)
+    except LdcError:
+        raise
+    except Exception as error:  # the reader may be anybody's code
+        raise LdcError(f"format {reader.name!r}: open fails with {type(error).__name__}: {error}") from error
+    for key, count in keys.items():
+        if count > 1:
+            raise LdcError(f"format {reader.name!r}: {count} parts have the key {key!r}; allowed: a key for each part")
+    return source
 
 
 def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:

@@ -8,8 +8,10 @@ import math
 import numpy as np
 
 from ldctoolkit.errors import InputError
+from ldctoolkit.recordings.medians import MAX_JUMP
 from ldctoolkit.recordings.recording import Recording
-from ldctoolkit.recordings.resample import MAX_GAP, resample, usable_samples
+from ldctoolkit.recordings.resample import MAX_GAP, resample
+from ldctoolkit.recordings.table import usable_samples
 from ldctoolkit.recordings.yaw_from_heading import with_yaw_rate
 
 LONGEST_GAP = 10.0
@@ -60,7 +62,7 @@ class Preparation:
         return self.step is None and self.nominal_lane_width is None and self.yaw_rate_factor == 1.0
 
 
-def prepare(recording: Recording, preparation: Preparation) -> Recording:
+def prepare(recording: Recording, preparation: Preparation, max_jump: float = MAX_JUMP) -> Recording:
     """One recording in the common form.
 
     Parameters
@@ -69,6 +71,8 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
         As its reader gave it.
     preparation : Preparation
         What to do.
+    max_jump : float [m]
+        Offsets further apart are a jump, which resampling leaves one; a criterion of the search.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def prepare(recording: Recording, preparation: Preparation) -> Recording:
     if preparation.nominal_lane_width is not None:
         recording = scaled(recording, preparation.nominal_lane_width)
     if preparation.step is not None:
-        recording = resample(recording, preparation.step, preparation.max_gap)
+        recording = resample(recording, preparation.step, preparation.max_gap, max_jump)
     return recording
 
 

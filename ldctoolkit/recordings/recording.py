@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,19 +17,35 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 
+def _text(value: object, what: str) -> str:
+    """A text in a form that can be printed."""
+    if not isinstance(value, str):
+        raise RecordingError(f"{what} is of type {type(value).__name__}; allowed: str")
+    return printable(value)
+
+
 @dataclasses.dataclass(frozen=True)
 class Label:
-    """A property of a recording that departures can be grouped by.
+    """A property of a recording that departures can be grouped by. Its texts are made printable.
 
     Attributes
     ----------
     name : str
         Becomes a column of the departures table: ``driver``, ``behaviour``, ``road``.
     value : str
+
+    Raises
+    ------
+    RecordingError
+        For what is no text.
     """
 
     name: str
     value: str
+
+    def __post_init__(self) -> None:
+        for attribute in ("name", "value"):
+            object.__setattr__(self, attribute, _text(getattr(self, attribute), f"a label's {attribute}"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,12 +83,13 @@ class Problem:
 class Recording:
     """m samples of one drive, in SI units and with the signs of ISO 8855.
 
-    What every reader gives. Numbers of samples that cannot be used may be NaN.
+    What every reader gives. Numbers of samples that cannot be used may be NaN. Texts are made printable.
 
     Attributes
     ----------
     name : str
-        Identifier, unique among the recordings of a source.
+        Identifier, unique among the recordings of a source. One that had to be made printable ends in a digest, so
+        that two stay two.
     t : (m,) [s]
         Time on the recording's own clock, finite; repeated times are allowed, falling ones are not.
     lane_offset : (m,) [m]
@@ -100,11 +118,13 @@ class Recording:
         Factor that offset and width were multiplied with; 1 for none.
     notes : tuple of str
         What the recording lacks, in words.
+    yaw_rate_measured : (m,) bool or None
+        False where `yaw_rate` was worked out from the heading, which it cannot be checked against; None for nowhere.
 
     Raises
     ------
     RecordingError
-        For columns of different lengths, times that fall or are not finite, or an empty name.
+        For columns of different lengths, times that fall or are not finite, an empty name, or what is no text.
 
     Examples
     --------
@@ -129,14 +149,15 @@ class Recording:
     source: str = ""
     lane_scale: float = 1.0
     notes: tuple[str, ...] = ()
+    yaw_rate_measured: BoolArray | None = None
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal", "heading",
+        "yaw_rate_measured",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise RecordingError("a recording's name is empty")
+        self._check_texts()
         for column in self.COLUMNS:
             values = getattr(self, column)
             if values is not None and values.shape != (self.samples,):
@@ -151,6 +172,29 @@ class Recording:
                 f"recording {self.name!r}: t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s; "
                 "allowed: times that do not fall"
             )
+
+    def _check_texts(self) -> None:
+        name = _text(self.name, "a recording's name")
+        if not name:
+            raise RecordingError("a recording's name is empty")
+        if name != self.name:  # names that differ in what cannot be printed alone still have to differ
+            digest = hashlib.blake2b(self.name.encode("utf-8", "surrogatepass"), digest_size=4).hexdigest()
+            object.__setattr__(self, "name", f"{name} ({digest})")
+        whose = f"recording {self.name!r}:"
+        object.__setattr__(self, "source", _text(self.source, f"{whose} source"))
+        for attribute, kind in (("notes", str), ("labels", Label)):
+            values = getattr(self, attribute)
+            if not isinstance(values, tuple | list):
+                raise RecordingError(
+                    f"{whose} {attribute} is of type {type(values).__name__}; allowed: a tuple of {kind.__name__}"
+                )
+            for i, value in enumerate(values):
+                if not isinstance(value, kind):
+                    raise RecordingError(
+                        f"{whose} {attribute}[{i}] is of type {type(value).__name__}; allowed: {kind.__name__}"
+                    )
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
+        object.__setattr__(self, "labels", tuple(self.labels))
 
     @property
     def samples(self) -> int:

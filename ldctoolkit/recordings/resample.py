@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings.medians import MAX_JUMP, WindowMedians
-from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
-from ldctoolkit.recordings.table import LARGEST
+from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
+from ldctoolkit.recordings.table import usable_samples
 
 MAX_GAP: Final = 0.25
 """Longest time [s] between two usable samples that is bridged."""
@@ -23,11 +23,11 @@ _MOST_STEPS: Final = 2**52
 """Multiples of the step up to here are told apart by floating point numbers."""
 
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
-_NAMES: Final = ("lane", "turn_signal", "heading")
+_NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
 """Columns of which no mean or median is taken: the nearest usable sample's value counts, of two the earlier one's."""
 
 
-def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Recording:
+def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_jump: float = MAX_JUMP) -> Recording:
     """The same recording at multiples of a time step after its first sample.
 
     Parameters
@@ -38,6 +38,8 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
         New time step.
     max_gap : float [s]
         Longest time between two usable samples that values are interpolated across.
+    max_jump : float [m]
+        Offsets further apart are a jump.
 
     Returns
     -------
@@ -102,7 +104,7 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
     inside = np.flatnonzero(~filled & (low > 0) & (low < tu.size))
     after = low[inside]
     same = (tu[after] - tu[after - 1] <= max_gap * (1.0 + _SLACK)) & (
-        np.abs(offset[after] - offset[after - 1]) <= MAX_JUMP
+        np.abs(offset[after] - offset[after - 1]) <= max_jump
     )
     if stretch is not None:
         same &= stretch[after] == stretch[after - 1]
@@ -116,21 +118,11 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP) -> Rec
     for name in _NUMBERS:
         values = getattr(recording, name)
         near = offset[nearest] if name == "lane_offset" and tu.size else None
-        columns[name] = None if values is None else medians.of(values[usable], tu, near)
+        columns[name] = None if values is None else medians.of(values[usable], tu, near, max_jump)
     for name in _NAMES:
         values = getattr(recording, name)
         columns[name] = None if values is None else _taken(values[usable], nearest)
     return dataclasses.replace(recording, t=times[kept], valid=good, **columns)
-
-
-def usable_samples(recording: Recording) -> BoolArray:
-    """Samples that the source allows and whose numbers that take part are there: those that a table calls usable."""
-    usable: BoolArray = recording.valid & (recording.lane_width > 0.0)
-    bend = recording.curvature if recording.curvature is not None else recording.yaw_rate
-    for column in (recording.lane_offset, recording.lane_width, recording.speed, bend):
-        if column is not None:
-            usable &= np.abs(column) < LARGEST  # False for NaN
-    return usable
 
 
 def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:

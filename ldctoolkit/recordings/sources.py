@@ -24,6 +24,7 @@ class RecordingPart(Protocol):
     """A share of a source that is read in one go: whole recordings, which fit into memory together.
 
     It is sent to worker processes, so it is plain data. Which recordings lie in which part depends on the source alone.
+    Problems of a whole part are told under its attribute `shown`, if it has one, or else under its key.
 
     Attributes
     ----------
@@ -43,6 +44,12 @@ class RecordingPart(Protocol):
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in a fixed order, and what could not be used; raises `LdcError` if nothing of it can."""
+
+
+def part_name(part: RecordingPart) -> str:
+    """What a part is called in messages: its `shown`, if it has one, or else its key."""
+    name = getattr(part, "shown", "")
+    return name if isinstance(name, str) and name else part.key
 
 
 @runtime_checkable

@@ -12,16 +12,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, TripPlace, trip_bytes
+from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, trip_bytes
 from ldctoolkit.recordings.trips.look_through import look_through
 from ldctoolkit.recordings.trips.table_files import find_tables
-from ldctoolkit.recordings.trips.table_header import is_plain, read_header
+from ldctoolkit.recordings.trips.table_header import check_columns, is_plain, read_header
 from ldctoolkit.recordings.trips.trip_index import TripIndex
-from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips
+from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips
 
 PART_BYTES: Final = 24 << 20
 """Text of both tables that is read in one go."""
@@ -90,7 +90,8 @@ class SpmdDas1:
         Raises
         ------
         RecordingError
-            If there is no lane table or no other table. Trips of the lane table alone give recordings without a speed.
+            If there is no lane table or no other table, or no trip in the lane tables. Trips of these alone give
+            recordings without a speed.
         """
         found, problems = look_through(paths, lambda path: _named(path) != "", _layout_of)
         tables = {kind: [(one.table, one.index) for one in found if one.layout.kind == kind] for kind in _COLUMNS}
@@ -121,16 +122,15 @@ class SpmdDas1:
             together.append((number, other, stretches[0].begin, stretches, there))
         together.sort(key=lambda trip: trip[:3])
         parts: list[Das1Part] = []
-        batch: list[TripPlace] = []
-        size = 0
-        for i, (number, other, _, stretches, there) in enumerate(together):
-            batch.append((stretches, there))
-            size += trip_bytes(batch[-1])
-            if i + 1 == len(together) or size >= self.part_bytes or together[i + 1][:2] != (number, other):
-                first = batch[0][0][0]
-                key_ = f"{lane[number][0].name}:{first.device}/{first.trip}"
-                parts.append(Das1Part(key_, lane[number][0], wsu[other][0], tuple(batch)))
-                batch, size = [], 0
+        for batch in batches(
+            together, lambda trip: trip_bytes(trip[3:]), self.part_bytes, lambda one, after: one[:2] != after[:2]
+        ):
+            number, other, _, stretches, _ = batch[0]
+            key_ = f"{lane[number][0].name}:{stretches[0].device}/{stretches[0].trip}"
+            parts.append(Das1Part(key_, lane[number][0], wsu[other][0], tuple(trip[3:] for trip in batch)))
+        if not parts:
+            told = "".join(f"; {problem}" for problem in problems[:5])
+            raise RecordingError(f"spmd-das1: no trip of a table DataLane was found{told}")
         return tuple(parts)
 
 
@@ -162,20 +162,9 @@ def _layout_of(path: Path) -> tuple[_Layout | None, str]:
     kind = _kind(header.columns)
     if not kind:
         return None, _unknown(header.columns)
-    _check(header.columns, kind)
+    check_columns(header.columns, KEY, _COLUMNS[kind])
     words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
     return _Layout(header.columns, header.begin, kind), words if _named(path) not in ("", kind) else ""
-
-
-def _check(columns: Sequence[str], kind: str) -> None:
-    lower = [name.lower() for name in columns]
-    if tuple(lower[:2]) != tuple(name.lower() for name in KEY):
-        raise RecordingError(f"the first columns are {', '.join(columns[:2])}; allowed: {', '.join(KEY)}")
-    for name in _COLUMNS[kind]:
-        if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {nearest(name, columns[:64])}")
-        if lower.count(name.lower()) > 1:
-            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
 
 
 READER: Final = SpmdDas1()

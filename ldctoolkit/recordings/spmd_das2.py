@@ -17,13 +17,13 @@ from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd import das2_columns as names
 from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
-from ldctoolkit.recordings.table import LARGEST
+from ldctoolkit.recordings.table import measured
 from ldctoolkit.recordings.trips.look_through import look_through
 from ldctoolkit.recordings.trips.table_files import find_tables
 from ldctoolkit.recordings.trips.table_header import is_plain, read_header
 from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
-from ldctoolkit.recordings.trips.trip_rows import TripTable, collect_trips, read_trips
+from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -66,8 +66,7 @@ class Das2Part:
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the order of the table; problems come first."""
-        known = {name.lower(): name for name in self.table.columns}
-        wanted = {name: known[name.lower()] for name in (*names.REQUIRED, *names.OPTIONAL) if name.lower() in known}
+        wanted = self.table.spelled((*names.REQUIRED, *names.OPTIONAL))
         rows = read_trips(self.table, self.trips, wanted, time="Time", cells=self.cells)
         yield from rows.problems
         columns = signals_of(rows.cells)
@@ -98,8 +97,7 @@ def signals_of(cells: Cells) -> dict[str, Any]:
     def column(name: str) -> FloatArray:
         if name not in cells.names:
             return np.full(cells.row.size, np.nan)
-        values: FloatArray = np.where(np.abs(cells[name]) < LARGEST, cells[name], np.nan)
-        return values
+        return measured(cells[name])
 
     left, right, told = column(names.LEFT) / 1000.0, column(names.RIGHT) / 1000.0, column(names.WIDTH) / 1000.0
     width = right - left
@@ -188,15 +186,9 @@ class SpmdDas2:
         return FoundParts(tuple(parts), files, tuple(problems))
 
     def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
-        batch: list[tuple[Stretch, ...]] = []
-        size = 0
-        for i, stretches in enumerate(trips):
-            batch.append(stretches)
-            size += _bytes(stretches)
-            if i + 1 == len(trips) or size >= self.part_bytes:
-                first = batch[0][0]
-                yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, tuple(batch))
-                batch, size = [], 0
+        for batch in batches(trips, _bytes, self.part_bytes):
+            first = batch[0][0]
+            yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, batch)
 
 
 def _named(path: Path) -> bool:

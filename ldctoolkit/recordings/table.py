@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,50 @@ BoolArray = npt.NDArray[np.bool_]
 
 LARGEST: Final = 1e9
 """A number of this size or more is not a measurement in any unit; its sample is invalid."""
+
+
+def measured(values: FloatArray) -> FloatArray:
+    """NaN for numbers of absurd size, which are none; sums of such would overflow."""
+    kept: FloatArray = np.where(np.abs(values) < LARGEST, values, np.nan)
+    return kept
+
+
+class Samples(Protocol):
+    """Columns that decide which samples can be used: those of a `RecordingTable` or a `Recording`."""
+
+    @property
+    def lane_offset(self) -> FloatArray:
+        """In m."""
+
+    @property
+    def lane_width(self) -> FloatArray:
+        """In m."""
+
+    @property
+    def speed(self) -> FloatArray:
+        """In m/s."""
+
+    @property
+    def valid(self) -> BoolArray:
+        """What the source says."""
+
+    @property
+    def curvature(self) -> FloatArray | None:
+        """In 1/m."""
+
+    @property
+    def yaw_rate(self) -> FloatArray | None:
+        """In rad/s; takes part only where there is no curvature."""
+
+
+def usable_samples(samples: Samples) -> BoolArray:
+    """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
+    usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
+    bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
+    for column in (samples.lane_offset, samples.lane_width, samples.speed, bend):
+        if column is not None:
+            usable &= np.abs(column) < LARGEST  # False for NaN
+    return usable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,11 +118,7 @@ class RecordingTable:
     @property
     def usable(self) -> BoolArray:
         """Samples that can be used, (m,): valid, every number that takes part finite, lane width positive."""
-        usable: BoolArray = self.valid & np.isfinite(self.t) & (self.lane_width > 0.0)
-        bend = self.curvature if self.curvature is not None else self.yaw_rate
-        for column in (self.lane_offset, self.lane_width, self.speed, bend):
-            if column is not None:
-                usable &= np.abs(column) < LARGEST  # False for NaN
+        usable: BoolArray = usable_samples(self) & np.isfinite(self.t)
         return usable
 
     def blanked(self, usable: BoolArray) -> RecordingTable:

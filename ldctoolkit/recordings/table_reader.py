@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from ldctoolkit.recordings.read import BLOCK_BYTES, SUFFIXES, check_file, column
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile, source_file
 from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.trips.table_files import shown_names
 
 if TYPE_CHECKING:
     import polars as pl
@@ -46,19 +48,24 @@ class TablePart:
         Its size.
     left_out : tuple of str
         Recordings that another file holds, too.
+    shown : str
+        Its name in messages: with as few folders as tell it apart from the others; by default its own name.
     """
 
     path: str
     key: str
     bytes: int
     left_out: tuple[str, ...] = ()
+    shown: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shown", self.shown or Path(self.path).name)
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the file's order; one with a fault in any of its rows is left out, and told."""
-        path = Path(self.path)
         told = 0
         more: Problem | None = None
-        for one in _recordings(path, set(self.left_out)):
+        for one in _recordings(Path(self.path), self.shown, set(self.left_out)):
             if isinstance(one, Recording):
                 yield one
                 continue
@@ -70,7 +77,7 @@ class TablePart:
         if more is not None:
             count = told - MOST_TOLD
             yield Problem(
-                path.name, "", f"{count} more problem{'s' * (count > 1)}; the last: {more.place}: {more.what}"
+                self.shown, "", f"{count} more problem{'s' * (count > 1)}; the last: {more.place}: {more.what}"
             )
 
 
@@ -100,7 +107,8 @@ class TableReader:
         problems: list[Problem] = []
         found: dict[Path, SourceFile] = {}
         twins: dict[str, str] = {}
-        for path in _files(paths):
+        files = list(_files(paths))
+        for path, shown in zip(files, _shown(files), strict=True):
             try:
                 if not path.name.lower().endswith(SUFFIXES) and not path.is_dir():
                     raise RecordingError(f"{path.name}: the suffix is not known; allowed: {', '.join(SUFFIXES)}")
@@ -108,22 +116,23 @@ class TableReader:
                 if path.resolve() in found:
                     raise RecordingError(f"{path.name}: given twice")
                 check_header(path)
-                file = source_file(path)
+                file = source_file(path, shown)
                 if file.sha256 in twins:
                     twin = twins[file.sha256]
                     raise RecordingError(f"{path.name}: holds the same as {twin}, byte by byte; it is left out")
                 found[path.resolve()] = file
-                twins[file.sha256] = path.name
+                twins[file.sha256] = shown
             except RecordingError as error:
-                problems.append(problem_of(error, path))
+                problems.append(problem_of(error, path, shown))
             except OSError as error:
-                problems.append(Problem(path.name, "", f"cannot be read: {error.strerror or error}"))
+                problems.append(Problem(shown, "", f"cannot be read: {error.strerror or error}"))
         if not found:
             others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
             raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
-        left_out, repeated = repeated_names(list(found)) if len(found) > 1 else ((), ())
+        names = [file.name for file in found.values()]
+        left_out, repeated = repeated_names(list(found), names) if len(found) > 1 else ((), ())
         parts = tuple(
-            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i] if left_out else ())
+            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i] if left_out else (), file.name)
             for i, (path, file) in enumerate(found.items())
         )
         return FoundParts(parts, tuple(found.values()), (*problems, *repeated))
@@ -132,8 +141,8 @@ class TableReader:
 READER: Final = TableReader()
 
 
-def problem_of(error: RecordingError, path: Path) -> Problem:
-    """An error that names file, place and fault, as a `Problem`.
+def problem_of(error: RecordingError, path: Path, shown: str = "") -> Problem:
+    """An error that names file, place and fault, as a `Problem` of the file under the name that is shown.
 
     Examples
     --------
@@ -143,7 +152,23 @@ def problem_of(error: RecordingError, path: Path) -> Problem:
     text = str(error)
     rest = text.removeprefix(str(path)) if text.startswith(str(path)) else text.removeprefix(path.name)
     split = _PLACE.fullmatch(rest) if rest != text else None
-    return Problem(path.name, "", text) if split is None else Problem(path.name, split[1] or "", split[2])
+    shown = shown or path.name
+    return Problem(shown, "", text) if split is None else Problem(shown, split[1] or "", split[2])
+
+
+def _shown(files: Sequence[Path]) -> list[str]:
+    """Names to tell files apart by; the same for a file that is given twice."""
+    places = [_place(path) for path in files]
+    first = dict(zip(reversed(places), reversed(files), strict=True))
+    names = dict(zip(first, shown_names(list(first.values())), strict=True))
+    return [names[place] or str(path) for place, path in zip(places, files, strict=True)]
+
+
+def _place(path: Path) -> str:
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # a NUL in the name; opening it tells
+        return str(path)
 
 
 def _files(paths: Sequence[Path]) -> Iterator[Path]:
@@ -161,7 +186,7 @@ def _files(paths: Sequence[Path]) -> Iterator[Path]:
         yield from tables or [path]
 
 
-def _recordings(path: Path, left_out: set[str]) -> Iterator[Recording | Problem]:
+def _recordings(path: Path, shown: str, left_out: set[str]) -> Iterator[Recording | Problem]:
     """Recordings of a file and problems, as they come."""
     from ldctoolkit.recordings.plain.frames import Unmetered, frames
 
@@ -169,14 +194,14 @@ def _recordings(path: Path, left_out: set[str]) -> Iterator[Recording | Problem]
     seen: dict[str, int] = {}
     try:
         for frame in whole_recordings(_labelled(frames(path, BLOCK_BYTES, Unmetered(), faults))):
-            yield from (problem_of(fault, path) for fault in faults)
+            yield from (problem_of(fault, path, shown) for fault in faults)
             faults.clear()
-            yield from _of_frame(path, frame, seen, left_out)
+            yield from _of_frame(path, shown, frame, seen, left_out)
     except RecordingError as error:
         faults.append(error)
     except OSError as error:
         faults.append(RecordingError(f"{path.name}: cannot be read: {error.strerror or error}"))
-    yield from (problem_of(fault, path) for fault in faults)
+    yield from (problem_of(fault, path, shown) for fault in faults)
 
 
 def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
@@ -194,7 +219,7 @@ def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
 
 
 def _of_frame(
-    path: Path, frame: pl.DataFrame, seen: dict[str, int], left_out: set[str]
+    path: Path, shown: str, frame: pl.DataFrame, seen: dict[str, int], left_out: set[str]
 ) -> Iterator[Recording | Problem]:
     from ldctoolkit.recordings.plain.table_values import FAULT, ROW
 
@@ -208,14 +233,14 @@ def _of_frame(
     ):
         if name in seen:
             what = f"comes in separate pieces, the first from {word} {seen[name]}; this one is left out"
-            yield Problem(path.name, f"{word} {rows[start]}", f"recording {name!r} {what}")
+            yield Problem(shown, f"{word} {rows[start]}", f"recording {name!r} {what}")
             continue
         seen[name] = int(rows[start])
         if name in left_out:
             continue
         if fault[start:end].any():
             i = start + int(np.argmax(fault[start:end]))
-            yield Problem(path.name, f"{word} {rows[i]}", f"recording {name!r} has a fault here; it is left out")
+            yield Problem(shown, f"{word} {rows[i]}", f"recording {name!r} has a fault here; it is left out")
             continue
         place = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
         if place.size == 0:
@@ -227,7 +252,7 @@ def _of_frame(
             what = "is repeated" if t[i] == t[i - 1] else f"comes after t = {float(t[i - 1])!r} s: times are not sorted"
             more = f" ({falls.size} places in all)" if falls.size > 1 else ""
             yield Problem(
-                path.name,
+                shown,
                 f"{word} {rows[place[i]]}",
                 f"column 't', recording {name!r}: t = {float(t[i])!r} s {what}; "
                 f"allowed: times that increase inside a recording{more}; it is left out",
@@ -235,4 +260,4 @@ def _of_frame(
             continue
         here = slice(start, end) if place.size == end - start else place
         values: dict[str, Any] = {column: None if found is None else found[here] for column, found in columns.items()}
-        yield Recording(name=name, source=path.name, **values)
+        yield Recording(name=name, source=shown, **values)

@@ -56,8 +56,7 @@ class UnitCheck:
             counts["curvature > 0.2"] = _count(np.abs(table.curvature[usable]) > 0.2)
         elif table.yaw_rate is not None:
             counts["yaw rate > 1.5"] = _count(np.abs(table.yaw_rate[usable]) > 1.5)
-        for name, count in counts.items():
-            self._count[name] = self._count.get(name, 0) + count
+        self.take(counts.items())
 
     @property
     def counts(self) -> tuple[tuple[str, int], ...]:

@@ -34,7 +34,12 @@ EDGE: Final = 0.05
 
 
 def warnings_in_words(
-    evidence: Evidence, vehicle_width: float, nominal_lane_width: float | None, *, labelled: bool = True
+    evidence: Evidence,
+    vehicle_width: float,
+    nominal_lane_width: float | None,
+    *,
+    yaw_rate_factor: float = 1.0,
+    labelled: bool = True,
 ) -> tuple[str, ...]:
     """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible.
 
@@ -46,6 +51,8 @@ def warnings_in_words(
         Width that was taken.
     nominal_lane_width : float [m] or None
         Lane width that recordings were scaled to.
+    yaw_rate_factor : float
+        Factor that yaw rates were multiplied with.
     labelled : bool
         The format has a place for the label of the lane, so that it can be missed.
 
@@ -62,7 +69,7 @@ def warnings_in_words(
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if labelled and not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
-    found += _turning(evidence)
+    found += _turning(evidence, yaw_rate_factor)
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     told = any("lane_width" in words or "vehicle width" in words for words in found)
@@ -84,7 +91,8 @@ def few_usable(samples: int, usable: int) -> tuple[str, ...]:
     )
 
 
-def _turning(evidence: Evidence) -> list[str]:
+def _turning(evidence: Evidence, factor: float) -> list[str]:
+    """Yaw rate against heading; the evidence is of yaw rates that were multiplied with `factor`."""
     windows, hh, hr, rr = evidence.turns
     if windows < FEWEST_TURNS:
         return []
@@ -98,15 +106,19 @@ def _turning(evidence: Evidence) -> list[str]:
     low, high = abs(hr) / hh, rr / abs(hr)
     scale = 1.0 if low < 1.25 and high > 0.8 else float(np.sqrt(rr / hh))
     times = "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
+    rate, recorded = "the yaw rate", "it"
+    if factor != 1.0:
+        rate, recorded = f"the yaw rate times {factor:.3g}, as given,", "without the factor it"
     if likeness < 0.0:
         return [
-            f"the yaw rate turns against the GPS heading (correlation {likeness:.2f}){times}; it is positive to the "
-            f"right: give --yaw-rate-factor {-1.0 / scale:.3g}, or all curvatures have the wrong sign"
+            f"{rate} turns against the GPS heading (correlation {likeness:.2f}){times}; {recorded} is positive to the "
+            f"{'right' if factor > 0.0 else 'left'}: give --yaw-rate-factor {-factor / scale:.3g}, or all curvatures "
+            "have the wrong sign"
         ]
     if scale != 1.0:
         return [
-            f"the yaw rate is {scale:.3g} times what the GPS heading turns: another unit? "
-            f"(--yaw-rate-factor {1.0 / scale:.3g} would make them agree)"
+            f"{rate} is {scale:.3g} times what the GPS heading turns: another unit? "
+            f"(--yaw-rate-factor {factor / scale:.3g} would make them agree)"
         ]
     return []
 

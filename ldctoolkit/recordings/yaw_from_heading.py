@@ -35,7 +35,8 @@ def with_yaw_rate(recording: Recording) -> Recording:
     Returns
     -------
     Recording
-        With a note if anything was filled in. Without a single yaw rate in the end it has none, and says so.
+        With a note if anything was filled in, and `yaw_rate_measured` False there. Without a single yaw rate in the end
+        it has none, and says so.
 
     Examples
     --------
@@ -50,7 +51,7 @@ def with_yaw_rate(recording: Recording) -> Recording:
     missing = ~(np.abs(rate) < LARGEST)
     if not missing.any():
         return recording
-    notes = recording.notes
+    notes, measured = recording.notes, recording.yaw_rate_measured
     if recording.heading is not None:
         known = np.abs(recording.heading) < LARGEST
         t, heading = merge_repeated(recording.t[known], np.unwrap(recording.heading[known]))
@@ -59,11 +60,12 @@ def with_yaw_rate(recording: Recording) -> Recording:
         found = values_at(recording.t[missing], t[sure], slope[sure], longest=LONGEST, beyond=HALF_WINDOW)
         rate = rate.copy()
         rate[missing] = found
+        measured = ~missing if measured is None else measured & ~missing
         filled = np.isfinite(found) & recording.valid[missing]
         told_already = any("yaw rate" in note for note in notes)  # by the reader
         if not told_already and np.count_nonzero(filled) > WORTH_TELLING * np.count_nonzero(recording.valid):
             notes = (*notes, FILLED)
     # where the lane or the speed is not known either, the recording is of no use anyway
     if not (np.abs(rate) < LARGEST).any() and (recording.valid & np.isfinite(recording.speed)).any():
-        return dataclasses.replace(recording, yaw_rate=None, notes=(*notes, NONE))
-    return dataclasses.replace(recording, yaw_rate=rate, notes=notes)
+        return dataclasses.replace(recording, yaw_rate=None, yaw_rate_measured=None, notes=(*notes, NONE))
+    return dataclasses.replace(recording, yaw_rate=rate, yaw_rate_measured=measured, notes=notes)

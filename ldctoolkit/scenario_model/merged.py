@@ -19,7 +19,7 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
     Raises
     ------
     RecordingError
-        As `read_departures`; for tables of different criteria, or of the same recordings.
+        As `read_departures`; for tables of different criteria or preparations, or of the same recordings.
     """
     given = [Path(path).absolute() for path in paths]
     for path in given:
@@ -39,21 +39,24 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
     Raises
     ------
     RecordingError
-        If the criteria differ, or a recording is in two tables.
+        If the criteria or the preparations differ, or a recording is in two tables.
     """
     first = found[0]
     if len(found) == 1:
         return first
     seen: dict[str, str] = {}
     for name, one in zip(names, found, strict=True):
-        for key, value in dataclasses.asdict(one.criteria).items():
-            if value != getattr(first.criteria, key):
-                raise RecordingError(
-                    f"{name}: extracted with {key} = {value!r}, {names[0]} with {getattr(first.criteria, key)!r}; "
-                    "allowed: tables of the same criteria"
-                )
+        for kind in ("criteria", "preparation"):
+            theirs = dataclasses.asdict(getattr(first, kind))
+            for key, value in dataclasses.asdict(getattr(one, kind)).items():
+                if value != theirs[key]:
+                    raise RecordingError(
+                        f"{name}: extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}; "
+                        f"allowed: tables of the same {kind}"
+                    )
         for source in one.sources:
-            if seen.setdefault(source.sha256, name) != name:
+            # empty files are all alike
+            if source.bytes and seen.setdefault(source.sha256, name) != name:
                 raise RecordingError(
                     f"{name}: holds departures of {source.name}, as does {seen[source.sha256]}; "
                     "allowed: every recording once"

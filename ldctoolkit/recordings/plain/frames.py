@@ -24,6 +24,11 @@ COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_sig
 LONGEST_LINE: Final = 1 << 20
 """A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
 
+PACKED_PIECE: Final = 1 << 16
+"""Packed files are unpacked in pieces of so many bytes: what lies before a cut is not lost with it."""
+
+_BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
+
 
 class Meter:
     """Counts the bytes read from a file and hashes them."""
@@ -146,11 +151,15 @@ def csv_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None
 
 
 def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[list[str], bytes, int]]:
-    """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first."""
+    """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first.
+
+    Of a packed file that is cut short the lines before the cut come first, then the error.
+    """
     zipped = path.name.lower().endswith(".gz")
     with path.open("rb") as raw:
         metered = io.BufferedReader(_Metered(raw, meter), 1 << 18)
         stream = gzip.GzipFile(fileobj=metered) if zipped else metered
+        line = 0
         try:
             first = stream.readline(LONGEST_LINE)
             if first[:2] == b"\x1f\x8b":
@@ -160,7 +169,11 @@ def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[lis
             header = _csv_header(path, first)
             line = 2
             rest = b""
-            while block := stream.read(block_bytes):
+            broken: Exception | None = None
+            while broken is None:
+                block, broken = _next_bytes(stream, block_bytes)
+                if not block:
+                    break
                 block = rest + block
                 cut = block.rfind(b"\n") + 1
                 block, rest = block[:cut], block[cut:]
@@ -169,10 +182,32 @@ def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[lis
                 if block:
                     yield header, block, line
                     line += block.count(b"\n")
+            if broken is not None:
+                raise broken  # the line that it cuts is lost
             if rest:
                 yield header, rest, line
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise RecordingError(f"{path.name}: broken gzip ({error}); is the file cut short or not gzip?") from None
+        except _BROKEN as error:
+            where = f" after line {line - 1}" if line else ""
+            fault = f"broken gzip{where} ({error}); is the file cut short or not gzip?"
+            raise RecordingError(f"{path.name}: {fault}") from None
+
+
+def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
+    """The next bytes of a file, about so many, and what ended those of a packed one before their time.
+
+    What a cut leaves is sound. Of bytes that cannot be unpacked nobody knows where they went wrong: none is given.
+    """
+    if not isinstance(stream, gzip.GzipFile):
+        return stream.read(size), None
+    pieces: list[bytes] = []
+    count = 0
+    try:
+        while count < size and (piece := stream.read1(PACKED_PIECE)):
+            pieces.append(piece)
+            count += len(piece)
+    except EOFError as error:
+        return b"".join(pieces), error
+    return b"".join(pieces), None
 
 
 def _csv_header(path: Path, first: bytes) -> list[str]:

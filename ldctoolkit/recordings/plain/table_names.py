@@ -70,13 +70,17 @@ def check_header(path: Path) -> None:
         raise RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
 
 
-def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
+def repeated_names(
+    paths: Sequence[Path], shown: Sequence[str]
+) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
     """Recordings that more than one file holds: the first file's rows are taken.
 
     Parameters
     ----------
     paths : (n,) Path
         Recording tables.
+    shown : (n,) str
+        Their names in messages.
 
     Returns
     -------
@@ -99,11 +103,11 @@ def repeated_names(paths: Sequence[Path]) -> tuple[tuple[tuple[str, ...], ...], 
             if len(problems) == MOST_TOLD:
                 more += 1
                 continue
-            what = f"recording {name!r} is also in {paths[j].name}, {_word(paths[j])} {other}; these rows are left out"
-            problems.append(Problem(path.name, f"{word} {row}", what))
+            what = f"recording {name!r} is also in {shown[j]}, {_word(paths[j])} {other}; these rows are left out"
+            problems.append(Problem(shown[i], f"{word} {row}", what))
     if more:
         problems.append(
-            Problem(paths[-1].name, "", f"{more} more recordings are in an earlier file, too; they are left out")
+            Problem(shown[-1], "", f"{more} more recordings are in an earlier file, too; they are left out")
         )
     return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
 

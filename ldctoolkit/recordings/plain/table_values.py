@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.missing_words import MISSING
 
 NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 
@@ -21,7 +22,6 @@ collected instead of raised."""
 
 Faults = list[RecordingError]
 
-_MISSING: Final = ("", "nan", "na", "n/a", "null", "none")
 _VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 _SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
 _SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
@@ -53,7 +53,7 @@ def typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = No
             if values.dtype == pl.String:
                 words = values.str.strip_chars()
                 values = words.cast(pl.Float64, strict=False)
-                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(_MISSING).fill_null(True), "numbers")
+                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
             elif not values.dtype.is_numeric() and values.dtype != pl.Null:
                 raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: numbers")
             columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
@@ -68,10 +68,10 @@ def typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = No
         elif name == "lane":
             # "3" and "3.0" are one lane whatever the rest of the column holds
             label = words.str.replace(r"^(-?\d+)\.0+$", "$1")
-            columns.append(pl.select(pl.when(~lower.is_in(_MISSING)).then(label)).to_series().alias(name))
+            columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
         elif name == "valid":
             known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
-            refuse(name, known.is_null() & ~lower.is_in(_MISSING).fill_null(True), "0, 1, false, true")
+            refuse(name, known.is_null() & ~lower.is_in(MISSING).fill_null(True), "0, 1, false, true")
             columns.append(known.fill_null(False))
         else:
             known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)

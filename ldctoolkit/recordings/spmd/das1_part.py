@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
+from ldctoolkit.recordings.table import LARGEST, measured
 from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, read_trips, told
@@ -68,8 +69,8 @@ class Das1Part:
         RecordingError
             If a table cannot be read or has changed since it was looked through.
         """
-        lane = read_trips(self.lane, [one for one, _ in self.trips], _names(self.lane, LANE), time="Time")
-        wsu = read_trips(self.wsu, [one for _, one in self.trips], _names(self.wsu, WSU), time="Time")
+        lane = read_trips(self.lane, [one for one, _ in self.trips], self.lane.spelled(LANE), time="Time")
+        wsu = read_trips(self.wsu, [one for _, one in self.trips], self.wsu.spelled(WSU), time="Time")
         yield from lane.problems
         yield from wsu.problems
         match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
@@ -126,8 +127,11 @@ class _Signals:
 
 
 def _signals(lane: Cells, wsu: Cells, match: IntArray) -> _Signals:
-    """Cells in the toolkit's units and signs; rows without a partner have no speed."""
-    left, right = lane["LaneDistanceLeft"], lane["LaneDistanceRight"]
+    """Cells in the toolkit's units and signs; rows without a partner have no speed.
+
+    Numbers of 1e9 or more in size count as missing.
+    """
+    left, right = measured(lane["LaneDistanceLeft"]), measured(lane["LaneDistanceRight"])
     placeholder = (left == PLACEHOLDER[0]) & (right == PLACEHOLDER[1])
     quality = np.isin(lane["LaneQualityLeft"], USABLE_QUALITY) & np.isin(lane["LaneQualityRight"], USABLE_QUALITY)
     found = match >= 0
@@ -138,8 +142,8 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> _Signals:
         return taken
 
     can, gps = wsu["ValidCanWsu"] == 1.0, wsu["GpsValidWsu"] == 1.0
-    gps_speed = np.where(gps, wsu["GpsSpeedWsu"], np.nan)
-    speed = np.where(can & np.isfinite(wsu["SpeedWsu"]), wsu["SpeedWsu"] / 3.6, gps_speed)
+    gps_speed = np.where(gps, measured(wsu["GpsSpeedWsu"]), np.nan)
+    speed = np.where(can & (np.abs(wsu["SpeedWsu"]) < LARGEST), wsu["SpeedWsu"] / 3.6, gps_speed)
     signal = (wsu["TurnSngLWsu"] > 0.0).astype(np.float64) - (wsu["TurnSngRWsu"] > 0.0)  # both: a hazard light
     return _Signals(
         t=lane["Time"] / 100.0,
@@ -147,13 +151,7 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> _Signals:
         lane_width=right - left,
         speed=partner(speed),
         valid=quality & ~placeholder & (right > left),
-        yaw_rate=partner(np.where(can, np.radians(wsu["YawRateWsu"]), np.nan)),
+        yaw_rate=partner(np.where(can, np.radians(measured(wsu["YawRateWsu"])), np.nan)),
         turn_signal=np.nan_to_num(partner(signal)).astype(np.int64),
-        heading=partner(np.where(gps, -np.radians(wsu["GpsHeadingWsu"]), np.nan)),
+        heading=partner(np.where(gps, -np.radians(measured(wsu["GpsHeadingWsu"])), np.nan)),
     )
-
-
-def _names(table: TripTable, wanted: Sequence[str]) -> dict[str, str]:
-    """Names as the table spells them."""
-    known = {name.lower(): name for name in table.columns}
-    return {name: known[name.lower()] for name in wanted}

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.trips.table_header import read_header
+from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.trips.table_header import check_columns, read_header
 
 KEY: Final = ("DeviceID", "Trip")
 LEFT: Final = "LaneTrack_Distance_Left_Marker"
@@ -87,7 +87,7 @@ def layout_of(path: Path) -> Layout | None:
     header = read_header(path)
     lower = {name.lower() for name in header.columns}
     if {LEFT.lower(), RIGHT.lower()} & lower:
-        _check(header.columns)
+        check_columns(header.columns, KEY, REQUIRED, OPTIONAL)
         usual = [name.lower() for name in header.columns] == [name.lower() for name in POSITIONS[: len(header.columns)]]
         cells = tuple(sorted({*CELLS, len(header.columns)})) if usual else (len(header.columns),)
         return Layout(_padded(header.columns, cells), cells, header.begin, 2, True)
@@ -122,15 +122,3 @@ def _has_key(line: bytes) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _check(columns: Sequence[str]) -> None:
-    lower = [name.lower() for name in columns]
-    if tuple(lower[:2]) != tuple(name.lower() for name in KEY):
-        raise RecordingError(f"the first columns are {', '.join(columns[:2])}; allowed: {', '.join(KEY)}")
-    for name in REQUIRED:
-        if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {nearest(name, columns)}")
-    for name in (*REQUIRED, *OPTIONAL):
-        if lower.count(name.lower()) > 1:
-            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, nearest
 
 LONGEST_HEADER: Final = 1 << 16
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
@@ -69,6 +69,36 @@ def read_header(path: Path) -> Header:
             if text.strip().count(mark) > 1:
                 raise RecordingError(f"the columns are separated by {words}; allowed: commas")
     return Header(names, len(first))
+
+
+def check_columns(
+    columns: Sequence[str], key: Sequence[str], required: Sequence[str], optional: Sequence[str] = ()
+) -> None:
+    """Refuse a table of trips whose header lacks a column or repeats one; letters may be of either case.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        The header.
+    key : sequence of str
+        Columns that tell the trip; they come first.
+    required, optional : sequence of str
+        Columns that must, and may, be there, once.
+
+    Raises
+    ------
+    RecordingError
+        Naming the column.
+    """
+    lower = [name.lower() for name in columns]
+    if lower[: len(key)] != [name.lower() for name in key]:
+        raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
+    for name in required:
+        if name.lower() not in lower:
+            raise RecordingError(f"column {name!r} is missing; {nearest(name, columns[:64])}")
+    for name in (*required, *optional):
+        if lower.count(name.lower()) > 1:
+            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
 
 
 def is_plain(columns: Sequence[str]) -> bool:

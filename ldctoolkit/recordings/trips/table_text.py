@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.recordings.missing_words import MISSING
+
 if TYPE_CHECKING:
     import polars as pl
 
@@ -20,7 +22,6 @@ COMPILED_FROM: Final = 1 << 20
 
 _PIECE: Final = 1 << 17
 _LINE_END: Final = 10
-_MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 _BLANKS: Final = " \t\r\"'"
 
 
@@ -219,7 +220,7 @@ def _numbers(
     bad = np.zeros(row.size, dtype=bool)
     faults: list[RowFault] = []
     for column, name in zip(frame.columns, wanted, strict=True):
-        wrong = values[column].is_null() & ~words[column].str.to_lowercase().is_in(_MISSING).fill_null(True)
+        wrong = values[column].is_null() & ~words[column].str.to_lowercase().is_in(MISSING).fill_null(True)
         new = np.flatnonzero(wrong.to_numpy() & ~bad)
         texts = words[column].gather(new).to_list()
         faults += [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Key = tuple[int, int]
+T = TypeVar("T")
 
 MOST_PROBLEMS: Final = 20
 """Problems of one kind that are told one by one; the others are counted."""
@@ -51,6 +52,11 @@ class TripTable:
     path: str
     columns: tuple[str, ...]
     bytes: int
+
+    def spelled(self, wanted: Iterable[str]) -> dict[str, str]:
+        """Those of the wanted columns that the table has, and their names as it spells them."""
+        known = {name.lower(): name for name in self.columns}
+        return {name: known[name.lower()] for name in wanted if name.lower() in known}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +142,37 @@ def collect_trips(
 
 def _shown(key: Key) -> str:
     return f"{key[0]}/{key[1]}"
+
+
+def batches(
+    trips: Sequence[T], size_of: Callable[[T], int], most: int, apart: Callable[[T, T], bool] | None = None
+) -> Iterator[tuple[T, ...]]:
+    """Neighbouring trips that are read in one go.
+
+    Parameters
+    ----------
+    trips : sequence
+        In their order.
+    size_of : callable
+        Bytes of text of a trip.
+    most : int
+        A batch ends with the trip that reaches so many bytes.
+    apart : callable, optional
+        Whether a trip and the next one may not be in one batch.
+
+    Examples
+    --------
+    >>> list(batches([3, 4, 5, 1], lambda trip: trip, 6))
+    [(3, 4), (5, 1)]
+    """
+    batch: list[T] = []
+    size = 0
+    for i, trip in enumerate(trips):
+        batch.append(trip)
+        size += size_of(trip)
+        if i + 1 == len(trips) or size >= most or (apart is not None and apart(trip, trips[i + 1])):
+            yield tuple(batch)
+            batch, size = [], 0
 
 
 def told(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:

@@ -110,21 +110,29 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> Numbe
 
 
 def wrong_delimiter(text: str) -> str:
-    r"""What parts the values of the first lines, in words, if it is not blanks; otherwise an empty text.
+    r"""What parts the values of most of the first lines, in words, if it is not blanks; otherwise an empty text.
 
     Examples
     --------
     >>> wrong_delimiter("0.1;80;40.5\n")
     'the values are parted by semicolons; allowed: blanks'
+    >>> wrong_delimiter("0.1 80 40.5\n1.1;80;40.5\n")
+    ''
     """
-    for line in first_lines(text, 20):
-        tokens = line.split()
-        if len(tokens) > 1 and sum(map(bool, map(_DECIMAL_COMMA.fullmatch, tokens))) * 2 > len(tokens):
-            return f"{tokens[0]!r} has a decimal comma; allowed: points"
-        for mark, words in _DELIMITERS.items():
-            parts = [part.strip() for part in line.split(mark)]
-            if len(parts) > 2 and sum(number(part) is not None for part in parts) * 2 > len(parts):
-                return f"the values are parted by {words}; allowed: blanks"
+    lines = first_lines(text, 20)
+    odd = [words for words in map(_oddly_parted, lines) if words]
+    return odd[0] if 2 * len(odd) > len(lines) else ""
+
+
+def _oddly_parted(line: str) -> str:
+    """What parts the values of a line, if it is not blanks."""
+    tokens = line.split()
+    if len(tokens) > 1 and sum(map(bool, map(_DECIMAL_COMMA.fullmatch, tokens))) * 2 > len(tokens):
+        return f"{tokens[0]!r} has a decimal comma; allowed: points"
+    for mark, words in _DELIMITERS.items():
+        parts = [part.strip() for part in line.split(mark)]
+        if len(parts) > 2 and sum(number(part) is not None for part in parts) * 2 > len(parts):
+            return f"the values are parted by {words}; allowed: blanks"
     return ""
 
 

@@ -92,7 +92,7 @@ class TripFolder:
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST)
         speed = _speed(gps, t)
         course_t, course = _course(gps)
-        yaw_rate, notes = _yaw_rate(t, valid, angles, course_t, course)
+        yaw_rate, measured, notes = _yaw_rate(t, valid, angles, course_t, course)
         return Recording(
             name=self.key,
             t=t,
@@ -101,6 +101,7 @@ class TripFolder:
             speed=speed,
             valid=valid,
             yaw_rate=yaw_rate,
+            yaw_rate_measured=measured,
             heading=values_at(t, course_t, course, longest=SPEED_STEP, beyond=SPEED_HELD),
             labels=self.labels,
             source=self.source,
@@ -142,8 +143,11 @@ def _course(gps: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _yaw_rate(
     t: FloatArray, valid: BoolArray, angles: FloatArray | None, course_t: FloatArray, course: FloatArray
-) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Yaw rate at the times `t` [rad/s], or None; from yaw angles, and from the course where these are missing."""
+) -> tuple[FloatArray | None, BoolArray | None, tuple[str, ...]]:
+    """Yaw rate at the times `t` [rad/s], where it is not from the course, and what to note; or None.
+
+    It comes from yaw angles, and from the course where these are missing.
+    """
     notes = []
     by_angle = np.full(t.size, np.nan)
     if angles is not None:
@@ -161,7 +165,9 @@ def _yaw_rate(
         if not np.isfinite(yaw_rate[valid]).any():
             instead = f"{GPS.file} holds no course instead; without a yaw rate the lane counts as straight"
         notes.append(f"{ACCELEROMETERS.file} is {state}; {instead}")
-    return yaw_rate if np.isfinite(yaw_rate[valid]).any() else None, tuple(notes)
+    if not np.isfinite(yaw_rate[valid]).any():
+        return None, None, tuple(notes)
+    return yaw_rate, measured, tuple(notes)
 
 
 def _rate_of_angles(t: FloatArray, angles: FloatArray) -> tuple[FloatArray, bool]:

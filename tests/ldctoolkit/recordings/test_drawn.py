@@ -48,18 +48,38 @@ def signatures(drawn: Drawn) -> list[list[tuple[Any, ...]]]:
 
 @pytest.mark.parametrize("sources", [1, 3])
 def test_the_deepest_are_the_deepest(sources):
-    result = extract_items(drives(40, sources), CRITERIA, Preparation())
+    result = extract_items(drives(40 * sources, sources), CRITERIA, Preparation())
     d = result.departures
     assert d.n > 60
     of = next(column.values for column in d.extra if column.name == "source")
-    for source in (f"s{i}" for i in range(sources)):
-        kept = [one for one in result.drawn.deepest if one.source == source]
+    groups = [(f"s{i}", side) for i in range(sources) for side in (LEFT, RIGHT)]
+    for source, side in groups:
+        mine = (of == source) & (d.side == side)
+        assert mine.sum() > KEPT
+        kept = [one for one in result.drawn.deepest if (one.source, one.side) == (source, side)]
         depths = [float(one.parameters[1]) for one in kept]
-        assert depths == sorted(d.d_y[of == source].tolist(), reverse=True)[:KEPT]
-        lots = [one for one in result.drawn.by_lot if one.source == source]
-        assert len(lots) == min(KEPT, int((of == source).sum()))
+        assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:KEPT]
+        lots = [one for one in result.drawn.by_lot if (one.source, one.side) == (source, side)]
+        assert len(lots) == KEPT
         assert [one.lot for one in lots] == sorted(one.lot for one in lots)
         assert {(one.recording, one.start_time) for one in lots} != {(one.recording, one.start_time) for one in kept}
+    for events in (result.drawn.deepest, result.drawn.by_lot):
+        assert list(dict.fromkeys((one.source, one.side) for one in events)) == groups
+        assert len(events) == KEPT * len(groups)
+
+
+def test_a_side_with_few_keeps_all_and_takes_nothing_from_the_other():
+    """Left departures are far deeper and many; the five to the right are all kept."""
+    recordings = drives(30, 1)
+    for i, one in enumerate(recordings):
+        offset = np.where(one.lane_offset > 0.0, one.lane_offset + 0.2, one.lane_offset * (i < 5))
+        recordings[i] = dataclasses.replace(one, lane_offset=offset)
+    result = extract_items(recordings, CRITERIA, Preparation())
+    right = result.departures.d_y[result.departures.side == RIGHT]
+    assert 0 < right.size <= 5
+    for events in (result.drawn.deepest, result.drawn.by_lot):
+        assert [one.side for one in events] == [LEFT] * KEPT + [RIGHT] * right.size
+        assert sorted(float(one.parameters[1]) for one in events if one.side == RIGHT) == sorted(right.tolist())
 
 
 def test_signals_are_the_departures_own():
@@ -86,17 +106,24 @@ def test_any_split_keeps_the_same(cuts):
     ends = zip([0, *cuts], [*cuts, 40], strict=True)
     parts = [extract_items(recordings[a:b], CRITERIA, Preparation()) for a, b in ends]
     assert signatures(joined_results(parts).drawn) == signatures(whole)
+    # in any order: the same ones, but for the order of the sources
+    turned = signatures(joined_results(parts[::-1]).drawn)
+    assert [sorted(one) for one in turned] == [sorted(one) for one in signatures(whole)]
 
 
 def test_the_lot_is_blind():
-    """The share of left departures among the drawn is that of all, about; a lot is not sorted by time or name."""
-    result = extract_items(drives(300, 25, seed=5), CRITERIA, Preparation())
+    """A lot is sorted neither by name nor by depth; 600 departures, drawn of 25 sources and two sides."""
+    result = extract_items(drives(600, 25, seed=5), CRITERIA, Preparation())
     lots = result.drawn.by_lot
-    assert len(lots) == 25 * KEPT
-    left = np.mean([one.side == LEFT for one in lots])
-    assert abs(left - np.mean(result.departures.side == LEFT)) < 3.0 * 0.5 / np.sqrt(len(lots))
-    names = [int(one.recording[1:]) for one in lots]
-    assert abs(np.corrcoef(names, range(len(names)))[0, 1]) < 0.3
+    assert len(lots) == 2 * 25 * KEPT
+    order = np.tile(np.arange(KEPT), 2 * 25)
+    limit = 4.0 / np.sqrt(len(lots))  # four standard deviations of the correlation of unrelated numbers
+    for values in ([int(one.recording[1:]) for one in lots], [float(one.parameters[1]) for one in lots]):
+        assert abs(np.corrcoef(values, order)[0, 1]) < limit
+    # the drawn ones are about as deep as all
+    d_y = result.departures.d_y
+    mean = np.mean([one.parameters[1] for one in lots])
+    assert abs(mean - d_y.mean()) < 4.0 * d_y.std() / np.sqrt(len(lots))
 
 
 def test_equal_depths_are_told_apart_by_name_and_time():
@@ -105,7 +132,7 @@ def test_equal_depths_are_told_apart_by_name_and_time():
     forward = extract_items(recordings, CRITERIA, Preparation()).drawn
     backward = extract_items(recordings[::-1], CRITERIA, Preparation()).drawn
     assert signatures(forward) == signatures(backward)
-    assert [event.recording for event in forward.deepest] == [f"twin{i:02d}" for i in range(KEPT)]
+    assert [event.recording for event in forward.deepest] == 2 * [f"twin{i:02d}" for i in range(KEPT)]
 
 
 def test_none():

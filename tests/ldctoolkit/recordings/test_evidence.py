@@ -93,6 +93,48 @@ def test_sign_and_scale(factor, words, advice):
     assert warnings(wrong, yaw_rate_factor=1.0 / factor) == ()
 
 
+@pytest.mark.parametrize(
+    ("true", "given", "words", "advice"),
+    [
+        # what the user gave was wrong: the sign, the unit, both
+        (1.0, -1.0, "the yaw rate times -1, as given, turns against the GPS heading", "1"),
+        (1.0, -1.0, "without the factor it is positive to the left: give", "1"),
+        (-1.0, 1.0, "the yaw rate turns against the GPS heading", "-1"),
+        (-1.0, 2.0, "the yaw rate times 2, as given, turns against", "-1"),
+        (-1.0, 2.0, "without the factor it is positive to the right: give", "-1"),
+        (0.5, 4.0, "the yaw rate times 4, as given, is 2 times what the GPS heading turns", "2"),
+        (-180.0 / math.pi, -1.0, "the yaw rate times -1, as given, is 57.3 times", "-0.0175"),
+        (0.25, -2.0, "the yaw rate times -2, as given, turns against", "4"),
+    ],
+)
+def test_the_advice_is_for_the_recorded_yaw_rate(true, given, words, advice):
+    """A factor that was given already is in what was compared."""
+    wrong = drive(yaw_rate=true * bends())
+    (found,) = (text for text in warnings(wrong, yaw_rate_factor=given) if "GPS" in text)
+    assert words in found
+    told = re.search(r"--yaw-rate-factor (-?[\d.]+)[ ,)]", found)[1]
+    assert told == advice
+    assert warnings(wrong, yaw_rate_factor=float(told)) == ()
+
+
+@pytest.mark.parametrize("step", [None, 0.1, 0.5])
+def test_a_yaw_rate_from_the_heading_is_not_compared_with_it(step):
+    """A third of the yaw rates is recorded, with the wrong sign; the others come from the heading."""
+    recorded = (np.arange(N) // 200) % 3 == 0
+    one = drive(yaw_rate=np.where(recorded, -bends(), np.nan))
+    found = [words for words in warnings(one, step=step) if "GPS heading (correlation" in words]
+    assert [re.sub(r"\).*", ")", words) for words in found] == [
+        "the yaw rate turns against the GPS heading (correlation -1.00)"
+    ]
+    # nothing recorded at all: nothing to check, not a good word either
+    assert warnings(drive(yaw_rate=np.full(N, np.nan)), step=step) == (f"{FILLED}: 1 of 1 recordings",)
+    # nor where a reader has done the same
+    whole = np.where(recorded, -bends(), bends())
+    marked = drive(yaw_rate=whole, yaw_rate_measured=recorded)
+    assert any("turns against the GPS heading (correlation -1.00)" in words for words in warnings(marked, step=step))
+    assert not any("GPS" in words for words in warnings(dataclasses.replace(marked, yaw_rate_measured=~recorded)))
+
+
 def test_noise_on_the_heading_is_not_taken_for_a_wrong_scale():
     """It makes the heading turn more than the yaw rate does."""
     one = drive(true_rate=bends(largest=0.03))

@@ -77,7 +77,7 @@ def test_a_jump_of_another_size_is_only_a_jump(side, step, share):
 @any_step
 @pytest.mark.parametrize(("reach", "changed"), [(0.66, False), (0.74, True), (1.0, True)])
 def test_a_tracker_that_keeps_the_old_lane(side, step, reach, changed):
-    """Out and back without any jump: beyond 0.7 widths all of the vehicle is in the next lane."""
+    """Out and back without any jump: beyond 0.7 widths most of the vehicle is in the next lane."""
     way = crossing(side, reach=reach * WIDTH) - crossing(side, start=15.0, reach=reach * WIDTH)
     found = extract(drive(way, way), step)
     if changed:

@@ -178,6 +178,49 @@ def test_paths_that_cannot_be_opened(tmp_path):
         open_recordings(path, format="tabel")
 
 
+def test_a_reader_that_fails_is_named(made, monkeypatch, tmp_path):
+    path = tmp_path / "x.made"
+    path.write_text("a")
+
+    def failing(error: Exception):
+        def open(self: Reader, paths: Sequence[Path]) -> Source:
+            raise error
+
+        return open
+
+    for error, words in ((KeyError("x"), "KeyError: 'x'"), (OSError(5, "no disk"), r"OSError: \[Errno 5\] no disk")):
+        monkeypatch.setattr(Reader, "open", failing(error))
+        with pytest.raises(LdcError, match=f"^format 'made': open fails with {words}$"):
+            open_recordings(path)
+    monkeypatch.setattr(Reader, "open", failing(RecordingError("x.made: nothing in it")))
+    with pytest.raises(RecordingError, match=r"^x\.made: nothing in it$"):
+        open_recordings(path)
+    monkeypatch.setattr(Reader, "open", lambda self, paths: None)
+    with pytest.raises(LdcError, match=r"^format 'made': open fails with AttributeError: "):
+        open_recordings(path)
+
+
+def test_two_parts_with_the_same_key(made, monkeypatch, tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.made").write_text(folder)
+    with pytest.raises(
+        LdcError, match=r"^format 'made': 2 parts have the key 'x\.made'; allowed: a key for each part$"
+    ):
+        open_recordings([tmp_path / "a" / "x.made", tmp_path / "b" / "x.made"])
+
+
+@dataclasses.dataclass(frozen=True)
+class Shown(Part):
+    shown: Any = ""
+
+
+@pytest.mark.parametrize(("shown", "told"), [("april/x.made", "april/x.made"), ("", "0-x.made"), (None, "0-x.made")])
+def test_a_part_is_told_under_the_name_that_it_shows(shown, told):
+    result = extract_part(Shown("0-x.made", ("!",), shown=shown), Criteria(1.8), Preparation(0.1))
+    assert [problem.file for problem in result.problems] == [told]
+
+
 def test_several_readers_may_not_know_the_same(made, monkeypatch, tmp_path):
     path = tmp_path / "x.made"
     path.write_text("a")

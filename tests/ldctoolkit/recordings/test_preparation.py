@@ -39,6 +39,34 @@ def scale_of(found: Any) -> list[float]:
     return next((column.values.tolist() for column in found.departures.extra if column.name == "lane_scale"), [])
 
 
+@pytest.mark.parametrize(("jump", "max_jump", "bridged"), [
+    (0.5, 0.6, True), (0.7, 0.6, False), (0.7, 0.8, True), (0.5, 0.4, False), (0.3, 0.4, True),
+])  # fmt: skip
+def test_the_criterions_jump_is_the_preparations(jump, max_jump, bridged):
+    """A sample is missing where the offset steps up, beyond the line."""
+    offset = np.interp(T, [3.0, 4.9, 5.1, 8.0], [0.2, 1.2, 1.2 + jump, 0.2])
+    one = drive(lane_offset=offset).take(np.arange(100) != 50)
+    prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
+    assert prepared.samples == 99 + bridged
+    if bridged:
+        assert prepared.lane_offset[50] == pytest.approx(1.2 + 0.5 * jump)
+    found = extract_departures([one], vehicle_width=1.8, max_jump=max_jump, preparation=Preparation(step=0.1))
+    assert found.departures.n == bridged
+    assert found.refused.gap + found.refused.jump == found.refused.total == (not bridged)
+
+
+@pytest.mark.parametrize("max_jump", [0.6, 2.0])
+def test_two_middle_offsets_a_jump_apart(max_jump):
+    """Their mean lies where the vehicle never was; it is taken only if the criterion sees no jump between them."""
+    t = np.array([0.0, 0.06, 0.1, 0.14, 0.2])
+    full = np.full(5, 25.0)
+    one = Recording("a", t, np.array([0.0, 0.0, 0.0, 1.0, 1.0]), full - 21.4, full, full > 0.0).take(
+        np.array([0, 1, 3, 4])
+    )
+    prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
+    assert prepared.lane_offset.tolist() == [0.0, 0.5 if max_jump == 2.0 else 0.0, 1.0]
+
+
 @pytest.mark.parametrize("seen", [2.5, 3.5, 4.2])
 def test_the_nominal_width(seen, tmp_path):
     """A camera that sees everything `seen`/3.5 times as large as it is."""

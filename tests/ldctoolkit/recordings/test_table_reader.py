@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import pickle
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from ldctoolkit.recordings.extract_part import extract_part
 from ldctoolkit.recordings.opened import open_recordings
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.sources import part_name
 from ldctoolkit.recordings.table_reader import READER, TablePart
 
 Save = Callable[..., Path]
@@ -208,9 +210,60 @@ def test_a_file_that_cannot_be_used(fault: str, save: Save, tmp_path: Path) -> N
 def test_a_gzip_file_that_is_cut_short(save: Save) -> None:
     rows = "".join(f"r{i},{t / 10},{i % 7 / 10 + t / 1000},3.6,25\n" for i in range(2000) for t in range(5))
     packed = gzip.compress((HEADER + rows).encode())
-    recordings, problems = read(save(packed[: len(packed) // 2], "drive.csv.gz"))
+    path = save(packed[: len(packed) // 2], "drive.csv.gz")
+    recordings, problems = read(path)
+    assert len(recordings) > 500
+    assert list(recordings) == [f"r{i}" for i in range(len(recordings))]
     assert [one.samples for one in recordings.values()] == [5] * len(recordings)
-    assert "cut short" in problems[-1].what
+    (problem,) = problems
+    assert "cut short" in problem.what
+    last = int(re.search(r"broken gzip after line (\d+)", problem.what)[1])  # type: ignore[index]
+    # the recording that the cut goes through is left out
+    assert 0 <= (last - 1) - 5 * len(recordings) <= 5
+    with pytest.raises(RecordingError, match=rf"^drive\.csv\.gz: broken gzip after line {last} "):
+        list(read_recordings(path))
+
+
+def test_a_gzip_file_with_a_broken_piece(save: Save) -> None:
+    """Values behind it may be anything, so they are not taken."""
+    rows = "".join(f"r{i},{t / 10},{i % 7 / 10 + t / 1000},3.6,25\n" for i in range(20000) for t in range(5))
+    packed = bytearray(gzip.compress((HEADER + rows).encode()))
+    packed[len(packed) // 2] ^= 255
+    recordings, problems = read(save(bytes(packed), "drive.csv.gz"), save(HEADER + A, "sound.csv"))
+    assert list(recordings) == ["a"]
+    assert "broken gzip after line 1 " in problems[-1].what
+
+
+def test_files_of_the_same_name_are_told_apart(save: Save) -> None:
+    april = save(HEADER + A.replace("0.2,3.6", "far,3.6") + B, "april/drive.csv")
+    june = save(HEADER + B + C, "june/drive.csv")
+    copy = save(HEADER + B + C, "copy/drive.csv")
+    other = save(HEADER + "d,0,0.1,3.6,25\n", "june/other.csv")
+    source = READER.open([april, june, copy, other, april])
+    assert [file.name for file in source.files] == ["april/drive.csv", "june/drive.csv", "other.csv"]
+    assert [part.shown for part in source.parts] == ["april/drive.csv", "june/drive.csv", "other.csv"]
+    assert [part_name(part) for part in source.parts] == [part.shown for part in source.parts]
+    assert [str(problem) for problem in source.problems] == [
+        "copy/drive.csv: holds the same as june/drive.csv, byte by byte; it is left out",
+        "april/drive.csv: given twice",
+        "june/drive.csv, line 2: recording 'b' is also in april/drive.csv, line 4; these rows are left out",
+    ]
+    recordings, problems = read(april, june, copy, other)
+    assert {name: one.source for name, one in recordings.items()} == {
+        "b": "april/drive.csv", "c": "june/drive.csv", "d": "other.csv",
+    }  # fmt: skip
+    assert [(one.file, one.place) for one in problems[2:]] == [("april/drive.csv", "line 3")] * 2
+    june.unlink()
+    found = extract_part(source.parts[1], Criteria(vehicle_width=1.8), Preparation())
+    assert [problem.file for problem in found.problems] == ["june/drive.csv"]
+
+
+@pytest.mark.parametrize("word", ["-nan", "#N/A", "null"])
+def test_words_for_a_missing_number(word: str, save: Save) -> None:
+    """The same as in any other table of text."""
+    recordings, problems = read(save(HEADER + A.replace("0.2,3.6", f"{word},3.6")))
+    assert problems == []
+    assert np.isnan(recordings["a"].lane_offset[1])
 
 
 def test_many_problems_are_counted(save: Save) -> None:

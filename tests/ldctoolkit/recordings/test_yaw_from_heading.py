@@ -38,6 +38,10 @@ def test_a_hole_is_filled_through_a_turn_of_the_heading() -> None:
     assert (filled.yaw_rate[:40] == 0.03).all()
     assert (filled.yaw_rate[160:] == 0.03).all()
     np.testing.assert_allclose(filled.yaw_rate[40:160], 0.025, atol=1e-9)  # rounding of the slope
+    assert np.flatnonzero(~filled.yaw_rate_measured).tolist() == list(range(40, 160))
+    # what a reader has marked stays marked
+    own = with_yaw_rate(bend(yaw_rate=rate, yaw_rate_measured=T > 1.0))
+    assert np.flatnonzero(~own.yaw_rate_measured).tolist() == [*range(11), *range(40, 160)]
     assert filled.notes == (FILLED,)
 
 
@@ -55,6 +59,7 @@ def test_without_both_the_lane_counts_as_straight() -> None:
     nothing = np.full(N, np.nan)
     one = with_yaw_rate(bend(yaw_rate=nothing, heading=nothing))
     assert one.yaw_rate is None
+    assert one.yaw_rate_measured is None
     assert one.notes == (NONE,)
     # nor is the speed known: the yaw rate is the least of its troubles
     lost = with_yaw_rate(bend(yaw_rate=nothing, heading=None, speed=nothing))

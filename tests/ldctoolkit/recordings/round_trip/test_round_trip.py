@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from ldctoolkit import extract_departures, fit_scenario_model, load_model, open_recordings
 from ldctoolkit.departures import PARAMETER_NAMES
+
+PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
 
 LARGEST = 0.03
 """Kolmogorov distance that is allowed to every parameter on each side."""
@@ -79,11 +84,63 @@ def test_what_the_vehicle_turns_itself_is_in_the_curvature(making, tmp_path):
     assert np.median(middle / expected) == pytest.approx(0.9, abs=0.1)  # the window takes some of the way back in
 
 
+N = 20_000
+"""Departures of the page; drawn, driven and measured with the seeds of the tool that prints its tables."""
+
+
+@pytest.fixture(scope="module")
+def page_drive(making):
+    return making.drive(load_model("reference").sample(N // 2, N // 2, seed=11), 5)
+
+
+def section_of_page(title):
+    (section,) = re.findall(rf"^## {title}\n(.*?)(?=^## |\Z)", PAGE, flags=re.M | re.S)
+    return section
+
+
+def check_page(making, title, found, drive):
+    """What the page says of a measurement, within what other random numbers would change."""
+    section = section_of_page(title)
+    pairs = making.compare(found.departures, drive)
+    for said in re.findall(r"Found again ([\d,]+), lost (\d+), not planted (\d+)", section):
+        counts = [int(number.replace(",", "")) for number in said]
+        assert counts[0] + counts[1] == N
+        for measured, written in zip((pairs.lost, pairs.surplus), counts[1:], strict=True):
+            # rare and independent: four standard deviations of the difference of two counts
+            assert abs(measured - written) <= 4.0 * np.sqrt(2.0 * written), (title, measured, written)
+    # a distance of two samples of 10,000 scatters by sqrt(0.5/10,000) = 0.007 at most: twice that
+    rows = re.findall(r"^\| (\w+) \[.*\| (0\.\d+), (0\.\d+) \|$", section, flags=re.M)
+    distances = making.kolmogorov(found.departures, drive.planted.parameters)
+    for name, *written in rows:
+        k = PARAMETER_NAMES.index(name)
+        measured = [distances[side][k] for side in ("left", "right")]
+        assert measured == pytest.approx([float(one) for one in written], abs=0.015), (title, name)
+    return len(rows)
+
+
 @pytest.mark.slow
-def test_a_model_comes_back(making, tmp_path):
+@pytest.mark.parametrize(
+    ("title", "factor", "own_turning", "rows"),
+    [
+        ("Sampling alone", 0.0, False, 8),
+        ("With three times the noise", 3.0, False, 8),
+        ("The vehicle's own turning", 1.0, True, 2),
+    ],
+)
+def test_the_page_says_what_is_measured(making, page_drive, tmp_path, title, factor, own_turning, rows):
+    noise = making.Noise().times(factor) if factor else making.Noise.none()
+    found = extracted(making, tmp_path, page_drive, noise, own_turning=own_turning)
+    assert check_page(making, title, found, page_drive) == rows
+
+
+@pytest.mark.slow
+def test_a_model_comes_back(making, page_drive, tmp_path):
     model = load_model("reference")
-    drive = making.drive(model.sample(10_000, 10_000, seed=11), 5)
-    found = extracted(making, tmp_path, drive, making.Noise())
-    check(making.kolmogorov(found.departures, drive.planted.parameters))
+    found = extracted(making, tmp_path, page_drive, making.Noise())
+    pairs = making.compare(found.departures, page_drive)
+    # a share of departures too few or too many moves no distribution by more than itself: the two leave half for errors
+    assert pairs.lost + pairs.surplus < 0.5 * LARGEST * N
+    assert check_page(making, "With noise", found, page_drive) == 8
+    check(making.kolmogorov(found.departures, page_drive.planted.parameters))
     again = fit_scenario_model(found.departures, components=10, seed=1, n_init=2)
     check(making.kolmogorov(again.sample(100_000, 100_000, seed=3), model.sample(100_000, 100_000, seed=4)))

@@ -96,16 +96,38 @@ def test_units_signs_and_validity(das1: ModuleType, tmp_path: Path) -> None:
 
 
 def test_rows_are_joined_within_half_a_step(das1: ModuleType, tmp_path: Path) -> None:
-    drive = das1.planted_drive(7, 1, rows=100)
-    for lag, near in ((5, True), (-5, True), (4, True)):
-        das1.write_tables(tmp_path, [drive], lag=lag)
-        (one,), _ = read_all(READER.open([tmp_path]))
-        assert np.isfinite(one.speed).all() == near
-    shifted = dataclasses.replace(drive, time=drive.time * 3)  # every third row has a partner, and no other
+    """Lane rows every 10 cs; each row of DataWsu lies up to 6 cs off, before or after, with a speed of its own."""
+    rows = 120
+    drive = das1.planted_drive(7, 1, rows=rows, first=1000)
+    off = np.tile([-6, -5, -4, 0, 4, 5, 6], rows)[: rows // 2]
+    speed = np.arange(20.0, 20.0 + rows // 2)  # no two are alike, so that each value tells its row
+    other = dataclasses.replace(drive, time=drive.time[::2] + off, speed=speed, yaw_rate=0.0, heading=0.0)
     (tmp_path / "DataLane.csv").write_bytes(das1.text_of(das1.lane_frame([drive])))
-    (tmp_path / "DataWsu.csv").write_bytes(das1.text_of(das1.wsu_frame([shifted])))
+    (tmp_path / "DataWsu.csv").write_bytes(das1.text_of(das1.wsu_frame([other])))
+    (one,), problems = read_all(READER.open([tmp_path]))
+    assert problems == []
+    # by hand: the nearest row, if within half a step; where two are as near, either may be it
+    gap = np.abs(drive.time[:, None] - other.time)
+    nearest = gap == gap.min(axis=1, keepdims=True)
+    near = gap.min(axis=1) <= 5
+    assert not near[::2][np.abs(off) == 6].any()
+    assert near[::2][np.abs(off) <= 5].all()
+    np.testing.assert_array_equal(np.isnan(one.speed), ~near)
+    chosen = np.abs(one.speed[:, None] - speed).argmin(axis=1)
+    assert nearest[np.arange(rows), chosen][near].all()
+    np.testing.assert_allclose(one.speed[near], speed[chosen[near]], rtol=1e-4)  # km/h in four decimals
+
+
+@pytest.mark.parametrize(("lag", "near"), [(4, True), (-4, True), (5, True), (-5, True), (6, False), (-6, False)])
+def test_a_lag_of_more_than_half_a_step_joins_nothing(das1: ModuleType, tmp_path: Path, lag: int, near: bool) -> None:
+    """Every second lane row is left out, so that the next row of DataWsu is no nearer."""
+    drive = das1.planted_drive(7, 1, rows=100, speed=20.0 + np.arange(100) / 8)
+    das1.write_tables(tmp_path, [drive], lag=lag)
+    wsu = das1.wsu_frame([drive], lag=lag)[::2]
+    (tmp_path / "DataWsu.csv").write_bytes(das1.text_of(wsu))
     (one,), _ = read_all(READER.open([tmp_path]))
-    np.testing.assert_array_equal(np.isfinite(one.speed), np.arange(100) % 3 == 0)
+    expected = wsu["SpeedWsu"].to_numpy() / 3.6
+    np.testing.assert_allclose(one.speed[::2], expected if near else np.full(50, np.nan), rtol=1e-12)
 
 
 def fleet(das1: ModuleType) -> list[object]:
@@ -128,11 +150,15 @@ def test_parts_of_any_size_give_the_same(das1: ModuleType, tmp_path: Path) -> No
     assert whole.problems == ()
     found = extracted(whole).departures
     assert found.n > 50
+    largest = [part.bytes for part in SpmdDas1(part_bytes=1).open([tmp_path]).parts]  # one trip each
+    assert len(largest) == len(drives)
     for part_bytes in (1, 50_000, 200_000):
         source = SpmdDas1(part_bytes=part_bytes).open([tmp_path])
         assert len(source.parts) > 2
         assert len({part.key for part in source.parts}) == len(source.parts)
         assert sum(part.bytes for part in source.parts) == sum(part.bytes for part in whole.parts)
+        # what bounds the memory: a part ends with the trip that fills it
+        assert max(part.bytes for part in source.parts) < part_bytes + max(largest)
         assert_same(read_all(source)[0], recordings)
         other = extracted(source).departures
         np.testing.assert_array_equal(other.matrix(), found.matrix())

@@ -55,6 +55,32 @@ def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
     return change
 
 
+ABSURD = ("1e308", "-1e308", "inf", "-inf", "1e9", "nan")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("one", ABSURD)
+@pytest.mark.parametrize("other", ABSURD)
+def test_absurd_numbers_count_as_missing(tables: tuple[Path, Path], one: str, other: str) -> None:
+    clean, _ = read(*tables)
+    edit(tables[0], put(171, f"7,2,490,{one},{other},0,3,3".encode()))
+    edit(tables[0], put(172, f"7,2,500,-1.8,{other},0,3,3".encode()))
+    # device, trip, time, GPS: valid, ..., heading, speed, ..., CAN: valid, yaw rate, speed
+    edit(tables[1], put(181, f"7,2,590,1,0,42,-83,183,{one},{other},1,1,1,0,1,{one},{other},0,0".encode() + b",0" * 8))
+    edit(tables[1], put(182, f"7,2,600,1,0,42,-83,183,0,25,1,1,1,0,1,0,{other},0,0".encode() + b",0" * 8))
+    recordings, problems = read(*tables)
+    assert problems == []
+    found, sound = recordings["7/2"], clean["7/2"]
+    np.testing.assert_array_equal(found.t, sound.t)
+    for rows, column in (
+        ([49, 50], "lane_offset"), ([49, 50], "lane_width"), ([59], "speed"), ([59], "yaw_rate"), ([59], "heading"),
+    ):  # fmt: skip
+        values = getattr(found, column)
+        assert np.flatnonzero(np.isnan(values)).tolist() == rows, column
+    assert found.speed[60] == 25.0  # that of the GPS
+    assert not found.valid[[49, 50]].any()
+
+
 LINE_FAULTS = [
     (b"7,2,500,-1.5,1.5,0,3", "7 cells; the header has 8 columns"),
     (b"7,2,500,-1.5,1.5,0,3,3,9", "9 cells; the header has 8 columns"),
@@ -326,11 +352,13 @@ def test_a_file_that_cannot_be_used(
     assert words in str(error.value)
 
 
-def test_a_header_without_rows(tables: tuple[Path, Path]) -> None:
-    tables[0].write_bytes(tables[0].read_bytes().split(b"\n")[0] + b"\n")
-    recordings, problems = read(*tables)
-    assert recordings == {}
-    assert problems == ["DataLane.csv: no usable row"]
+@pytest.mark.parametrize("both", [False, True])
+def test_a_header_without_rows(tables: tuple[Path, Path], both: bool) -> None:
+    for path in tables[: 1 + both]:
+        path.write_bytes(path.read_bytes().split(b"\n")[0] + b"\n")
+    told = r"DataLane\.csv: no usable row" + r"; DataWsu\.csv: no usable row" * both
+    with pytest.raises(RecordingError, match=rf"^spmd-das1: no trip of a table DataLane was found; {told}$"):
+        READER.open(tables)
 
 
 def test_old_line_ends_and_endless_lines(tables: tuple[Path, Path]) -> None:

@@ -179,9 +179,14 @@ def test_speed_signals_and_heading(das1: Any, das2: Any, write: Write) -> None:
 def test_parts_do_not_change_recordings(das1: Any, das2: Any, write: Write) -> None:
     path = write([line for trip in range(1, 8) for line in lines_of(das1, das2, trip, rows=9 * trip)])
     whole, _ = read(path)
+    trips = [part.bytes for part in SpmdDas2(part_bytes=1).open([path]).parts]
+    assert len(trips) == 7
     for part_bytes in (1, 5000, 20000):
         parts = SpmdDas2(part_bytes=part_bytes).open([path]).parts
         assert len({part.key for part in parts}) == len(parts) > 1
+        assert sum(part.bytes for part in parts) == sum(trips)
+        # what bounds the memory: a part ends with the trip that fills it
+        assert max(part.bytes for part in parts) < part_bytes + max(trips)
         split, _ = read(path, part_bytes=part_bytes)
         assert list(split) == list(whole)
         for name, one in whole.items():

@@ -1,22 +1,16 @@
-"""HV_Primary: against plain Python, and whatever bytes the file holds."""
+"""HV_Primary against plain Python."""
 
 from __future__ import annotations
 
-import functools
 import math
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ldctoolkit.errors import LdcError
-from ldctoolkit.recordings.criteria import Criteria
-from ldctoolkit.recordings.extract_part import extract_part
-from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.spmd_das2 import SpmdDas2
 
@@ -121,87 +115,3 @@ def test_against_plain_python(das2: Any, lines: list[str], end: str, ended: bool
         columns = (one.t, one.lane_offset, one.lane_width, one.speed, one.valid, one.yaw_rate, one.heading)
         for column, values in zip((*columns, one.turn_signal), zip(*samples, strict=True), strict=True):
             np.testing.assert_allclose(np.asarray(column, float), np.array(values, float), rtol=1e-12, atol=1e-12)
-
-
-ODD = (
-    b"", b"\n", b"\r", b" ", b"\0", b'"', b"-", b"e", b"nan", b"-inf", b"1e308", b",", b",,,,", b";", b"99999999999999",
-    b"\xff\xfe", b"\xef\xbb\xbf", b"\x80", b"\n10,1,5,", b"NULL", b"10,2,0,",
-)  # fmt: skip
-
-
-@functools.cache
-def sound(das1: Any, das2: Any) -> bytes:
-    moved = das1.Planted(1, 2.0, 2.0, 0.3)
-    drives = [das1.planted_drive(10, trip, [moved], rows=60) for trip in (1, 2)]
-    lines = [line for one in drives for line in das2.lines_of(das2.rows_of(one), 45)]
-    return "".join(line + "\n" for line in lines).encode()
-
-
-@st.composite
-def damage(draw: st.DrawFn) -> list[tuple[float, float, bytes, int]]:
-    """Where pieces are cut out of a file, as shares of its length, and what is put there."""
-    share = st.floats(0, 1)
-    return [
-        (
-            draw(share),
-            draw(share),
-            draw(st.sampled_from(ODD) | st.binary(max_size=30)),
-            draw(st.sampled_from([0, 1, 9])),
-        )
-        for _ in range(draw(st.integers(0, 5)))
-    ]
-
-
-def check(content: bytes) -> int:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "HV_Primary.csv")
-        path.write_bytes(content)
-        reader = SpmdDas2()
-        reader.recognise([path])
-        try:
-            source = reader.open([path])
-        except LdcError:
-            return 0
-        departures = 0
-        for part in source.parts:
-            items = list(part.read())
-            assert all(isinstance(item, Recording | Problem) for item in items)
-            assert all(folder not in str(item) for item in items if isinstance(item, Problem))
-            found = extract_part(part, Criteria(vehicle_width=1.82), Preparation(step=0.1)).departures
-            assert np.isfinite(found.matrix()).all()
-            departures += found.n
-        return departures
-
-
-def damaged(content: bytes, pieces: list[tuple[float, float, bytes, int]], header: bytes) -> bytes:
-    content = header + content
-    for at, other, piece, cut in pieces:
-        a = int(at * len(content))
-        b = a + cut if cut else max(a, int(other * len(content)))
-        content = content[:a] + piece + content[b:]
-    return content
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(damage(), st.booleans())
-def test_any_content(das1: Any, das2: Any, pieces: list[tuple[float, float, bytes, int]], header: bool) -> None:
-    check(damaged(sound(das1, das2), pieces, das2.HEADER.encode() + b"\n" if header else b""))
-
-
-@pytest.mark.slow
-@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
-@given(damage(), st.booleans())
-def test_any_content_at_length(
-    das1: Any, das2: Any, pieces: list[tuple[float, float, bytes, int]], header: bool
-) -> None:
-    check(damaged(sound(das1, das2), pieces, das2.HEADER.encode() + b"\n" if header else b""))
-
-
-def test_the_sound_file_holds_departures(das1: Any, das2: Any) -> None:
-    assert check(sound(das1, das2)) == 2
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=300))
-def test_any_bytes(content: bytes) -> None:
-    check(content)

@@ -67,8 +67,19 @@ def test_scale_of_a_single_camera(made, planted, truth, tmp_path, width):
     check(result.departures, planted, truth)
     extra = {column.name: column.values for column in result.departures.extra}
     np.testing.assert_allclose(extra["lane_scale"], 3.5 / width, rtol=1e-3)
-    # without it, the departures are others
-    assert extract(tmp_path).departures.d_y.tolist() != pytest.approx([one.d_y for one in planted], abs=0.01)
+    # without it the vehicle's edge lies elsewhere: offset and width keep the factor, the vehicle's width does not
+    plain = extract(tmp_path).departures
+    factor, moved = width / 3.5, 0.5 * CRITERIA.vehicle_width * (1.0 - width / 3.5)
+    expected = [factor * one.d_y + moved for one in planted]
+    pairs = [
+        (float(plain.d_y[k]), depth)
+        for one, depth in zip(planted, expected, strict=True)
+        for k in np.flatnonzero(plain.side == one.side)
+        if plain.start_time[k] < one.start + 0.5 * one.T < plain.start_time[k] + plain.T[k]
+    ]
+    assert len(pairs) == sum(depth > 0.02 for depth in expected) == len(planted)
+    for found, depth in pairs:
+        assert found == pytest.approx(depth, abs=0.01)
 
 
 def test_yaw_rate_from_the_course(made, planted, truth, tmp_path):

@@ -116,6 +116,43 @@ def test_decimal_commas(folder):
     assert "has a decimal comma; allowed: points" in problems[0]
 
 
+def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
+    """It is the heading's own slope, and says nothing about the yaw angle."""
+    assert sound.yaw_rate_measured[sound.valid].all()
+    lines = (folder / YAW).read_text().splitlines(keepends=True)
+    (folder / YAW).write_text("".join(lines[: len(lines) // 2]))
+    _, found = read(folder)
+    late = found.t > float(lines[len(lines) // 2].split()[0]) + 1.0
+    assert not found.yaw_rate_measured[late].any()
+    assert np.isfinite(found.yaw_rate[late & found.valid]).mean() > 0.9
+    np.testing.assert_array_equal(found.yaw_rate_measured[found.t < 50.0], sound.yaw_rate_measured[sound.t < 50.0])
+    (folder / YAW).unlink()
+    _, found = read(folder)
+    assert not found.yaw_rate_measured.any()
+
+
+@pytest.mark.parametrize("line", ["9.5,0.2,0.0,3.5,2\n", "9,5 0,2 0,0 3,5 2\n", "9.5;0.2;0.0;3.5;2\n"])
+@pytest.mark.parametrize("number", [1, 3, 20])
+def test_a_single_line_that_is_parted_otherwise(folder, sound, line, number):
+    change(folder / LANE, number, line)
+    problems, found = read(folder)
+    assert found.samples == sound.samples - 1
+    (problem,) = problems
+    assert problem.startswith(f"/{LANE}, line {number}: ")
+    assert problem.endswith("is needed; the line is left out") or problem.endswith("are needed; the line is left out")
+    np.testing.assert_array_equal(found.t, np.delete(sound.t, number - 1))
+
+
+@pytest.mark.parametrize(("odd", "refused"), [(10, False), (11, True)])
+def test_most_of_the_first_lines_decide(folder, odd, refused):
+    lines = (folder / LANE).read_text().splitlines()
+    lines[:odd] = [",".join(line.split()) for line in lines[:odd]]
+    (folder / LANE).write_text("\n".join(lines))
+    problems, found = read(folder)
+    assert (found is None) == refused
+    assert ("the values are parted by commas" in problems[0]) == refused
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32"])
 def test_utf_16(folder, encoding):
     (folder / LANE).write_bytes((folder / LANE).read_text().encode(encoding))

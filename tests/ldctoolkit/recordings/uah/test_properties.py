@@ -1,4 +1,4 @@
-"""Whatever bytes the files hold: recordings, problems or an `LdcError`, nothing else."""
+"""Text of numbers against plain Python."""
 
 from __future__ import annotations
 
@@ -6,98 +6,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ldctoolkit.errors import LdcError
-from ldctoolkit.recordings.criteria import Criteria
-from ldctoolkit.recordings.extract_part import extract_part
-from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.rising_times import rising_rows
 from ldctoolkit.recordings.uah.text import Column, number, read_number_text
-from ldctoolkit.recordings.uah_driveset import READER
-
-FILES = ("PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt")
-NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"
-CRITERIA = Criteria(vehicle_width=1.8)
-PREPARATION = Preparation(step=0.1, nominal_lane_width=3.5)
-
-
-def sound_files() -> tuple[bytes, ...]:
-    """A few seconds with one departure, in as few lines as will do."""
-    t = np.arange(1.0, 7.0, 0.1)
-    x = -np.clip(1.15 - 0.4 * (t - 4.0) ** 2, 0.0, None)
-    lane = "".join(f"{a:.2f} {b:.3f} 0 3.5 2\n" for a, b in zip(t, x, strict=True))
-    gps = "".join(f"{a:.1f} 90 40.5 -3.4 600 6 10 {5 * a:.0f} 0 0\n" for a in np.arange(0.5, 8.0))
-    yaw = "".join(f"{a:.1f} 1 0 0 0 0 0 0 0 0 {np.angle(np.exp(1j * (3.0 + 0.1 * a))):.4f}\n" for a in t)
-    return lane.encode(), gps.encode(), yaw.encode()
-
-
-SOUND = sound_files()
-ODD = (
-    b"", b"\n", b"\r", b" ", b"\t", b"\0", b"-", b".", b"e", b"nan", b"-inf", b"1e308", b"-1e308", b"1e-320", b",",
-    b";", b"-9", b"2", b"99999999", b"\xff\xfe", b"\xef\xbb\xbf", b"\x80", b"1_0", b"\n1 1 1 1 2\n", b"1e999",
-    b"0x1", b"\x0b",
-)  # fmt: skip
-
-
-@st.composite
-def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
-    """A sound file with pieces cut, doubled, moved or replaced."""
-    data = sound
-    for _ in range(draw(st.integers(0, 4))):
-        a, b = sorted(draw(st.tuples(st.integers(0, len(data)), st.integers(0, len(data)))))
-        piece = draw(st.sampled_from([*ODD, data[a:b], data[a:b][::-1]]) | st.binary(max_size=30))
-        short = min(b, a + draw(st.sampled_from([0, 1, 5, 10_000])))
-        data = (data[:a] + piece + data[short:])[:20_000]
-    return data
-
-
-CONTENT = [st.binary(max_size=200) | damaged(SOUND[i]) | st.sampled_from(SOUND) for i in range(3)]
-
-
-def check(contents: tuple[bytes, ...]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        trip = Path(folder, NAME)
-        trip.mkdir()
-        for name, content in zip(FILES, contents, strict=True):
-            (trip / name).write_bytes(content)
-        try:
-            source = READER.open([trip])
-            items = [item for part in source.parts for item in part.read()]
-            result = extract_part(source.parts[0], CRITERIA, PREPARATION)
-        except LdcError:
-            return
-    assert all(isinstance(item, Recording | Problem) for item in items)
-    assert items
-    assert all(folder not in str(item) for item in items if isinstance(item, Problem))
-    assert np.isfinite(result.departures.matrix()).all()
-    assert (result.departures.T > 0.0).all()
-
-
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.tuples(*CONTENT))
-def test_any_content(contents):
-    check(contents)
-
-
-@pytest.mark.slow
-@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.tuples(*CONTENT))
-def test_any_content_at_length(contents):
-    check(contents)
-
-
-def test_the_sound_files_hold_a_departure(tmp_path):
-    folder = tmp_path / NAME
-    folder.mkdir()
-    for name, content in zip(FILES, SOUND, strict=True):
-        (folder / name).write_bytes(content)
-    (part,) = READER.open([folder]).parts
-    assert extract_part(part, CRITERIA, PREPARATION).departures.side.tolist() == [1]
-
 
 COLUMNS = (Column(0, "time"), Column(1, "offset"), Column(3, "lane width"))
 TOKENS = st.sampled_from(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import signal
 import threading
 import warnings
@@ -23,6 +24,9 @@ from ldctoolkit.recordings import (
 )
 from ldctoolkit.recordings.sources import recording_reader
 
+MOST_LETTERS = 600
+"""Of a problem in words: a file's name of up to 255 bytes, and a sentence with a cell cut short."""
+
 PATIENCE = 60
 """Seconds after which an example counts as hanging; the slowest takes well under one."""
 
@@ -32,22 +36,31 @@ class HangError(BaseException):
 
 
 def check(
-    paths: Sequence[Path], format_: str, nominal_lane_width: float | None = None, table: Path | None = None
+    paths: Sequence[Path],
+    format_: str,
+    nominal_lane_width: float | None = None,
+    table: Path | None = None,
+    small_parts: bool = False,
 ) -> str:
-    """Extract, and check what came; tells in a word what it was. With a `table` the departures are written, too."""
+    """Extract, and check what came; tells in a word what it was.
+
+    With a `table` the departures are written, too; with `small_parts` a reader that puts trips together reads each by
+    itself.
+    """
     with warnings.catch_warnings(), _limited():
         warnings.simplefilter("error")
         try:
             opened = open_recordings(paths, format=format_)
+            if small_parts and hasattr(opened.reader, "part_bytes"):
+                reader = dataclasses.replace(opened.reader, part_bytes=1)  # type: ignore[type-var]
+                opened = dataclasses.replace(opened, reader=reader, source=reader.open(paths))
             preparation = Preparation(step=opened.reader.step, nominal_lane_width=nominal_lane_width)
             found = extract_departures(opened, preparation=preparation)
         except LdcError as error:
             return "refused" if str(error) else "refused without a word"
         _check_departures(found)
         _check_account(found)
-        for problem in found.problems:
-            assert problem.file
-            assert problem.what
+        _check_problems(found, paths)
         if table is not None:
             write_departures(table, found.departures, found.provenance)
             back, provenance = read_departures(table)
@@ -80,6 +93,17 @@ def _check_departures(found: Extraction) -> None:
     assert (np.abs(departures.a_mean) <= 9.81).all()
     assert (departures.samples >= 3).all()
     assert all(departures.recording.tolist())
+
+
+def _check_problems(found: Extraction, paths: Sequence[Path]) -> None:
+    """They name files without the folder they lie in, in one line that can be read."""
+    for problem in found.problems:
+        assert problem.file
+        assert problem.what
+        # a table's columns are its maker's: a problem with one gives its whole name
+        assert len(str(problem)) < MOST_LETTERS or found.provenance.reader == "table"
+        assert str(problem).isprintable()
+        assert not any(str(path.parent) in str(problem) for path in paths)
 
 
 def _check_account(found: Extraction) -> None:
