@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, DepartureParameters, curvature, lateral, speed
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, curvature, lateral, speed
 from ldctoolkit.recordings.drawn import KEPT, DrawnEvent
 from studies.extraction_page.axis_ticks import Axis
+from studies.extraction_page.counts import SIDES
 from studies.extraction_page.quantities import CURVATURE_SCALE, CURVATURE_UNIT
 from studies.extraction_page.svg_plot import Frame, picture
 from studies.report.words.text import number, shorten
@@ -21,10 +22,14 @@ FloatArray = npt.NDArray[np.float64]
 MOST_DOTS = 80
 """Samples drawn of one departure; of more, every k-th is drawn, the first and the last among them."""
 
-MOST_EVENTS = 144
-"""Departures drawn source by source, of both kinds together; with many sources there are fewer of each."""
+MOST_EVENTS = 288
+"""Departures drawn source by source, of both kinds and sides together; with many sources there are fewer of each."""
+
+MOST_DOTS_OF_SOURCE = 40
+"""As `MOST_DOTS`, source by source, where there are many drawings."""
 
 _PARABOLA_POINTS = 33
+_SIDES = tuple(zip(SIDES, (LEFT, RIGHT), strict=True))
 _LEFT, _WIDTH = 46.0, 262.0
 
 
@@ -51,7 +56,7 @@ class EventPanel:
     svg: Markup
 
 
-def event_panel(event: DrawnEvent) -> EventPanel:
+def event_panel(event: DrawnEvent, most_dots: int = MOST_DOTS) -> EventPanel:
     """Draw a departure and say which one it is."""
     values = dict(zip(PARAMETER_NAMES, event.parameters.tolist(), strict=True))
     side = "left" if event.side == LEFT else "right"
@@ -61,14 +66,14 @@ def event_panel(event: DrawnEvent) -> EventPanel:
         f"Departure to the {side}, {said}, recording {place}: samples and fit of lateral position, speed "
         f"{number(values['v_mean'], 1)} m/s on average, and curvature."
     )
-    return EventPanel(side, said, place, event.source, _picture(event, alt))
+    return EventPanel(side, said, place, event.source, _picture(event, alt, most_dots))
 
 
-def _picture(event: DrawnEvent, alt: str) -> Markup:
+def _picture(event: DrawnEvent, alt: str, most_dots: int) -> Markup:
     side = np.array([event.side])
     fit = DepartureParameters(side, *(event.parameters[i : i + 1] for i in range(len(PARAMETER_NAMES))))
     finite = np.isfinite(event.t) & np.isfinite(event.y) & np.isfinite(event.v) & np.isfinite(event.c)
-    rows = np.flatnonzero(finite)[_thinned(int(finite.sum()))]
+    rows = np.flatnonzero(finite)[_thinned(int(finite.sum()), most_dots)]
     t, duration = event.t[rows], float(fit.T[0])
     ends, fine = np.array([0.0, duration]), np.linspace(0.0, duration, _PARABOLA_POINTS)
     c, fitted_c = CURVATURE_SCALE * event.c[rows], CURVATURE_SCALE * curvature(fit, ends)
@@ -91,34 +96,53 @@ def _picture(event: DrawnEvent, alt: str) -> Markup:
     return picture(320, 342, alt, *parts)
 
 
-def _thinned(count: int) -> npt.NDArray[np.int64]:
-    """At most `MOST_DOTS` rows of `count`, evenly spread, ends included."""
-    return np.linspace(0, count - 1, min(count, MOST_DOTS)).round().astype(np.int64)
+def _thinned(count: int, most: int) -> npt.NDArray[np.int64]:
+    """At most `most` rows of `count`, evenly spread, ends included."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
+
+
+@dataclasses.dataclass(frozen=True)
+class SideEvents:
+    """Departures to one side, drawn; ``side`` is ``left`` or ``right``."""
+
+    side: str
+    panels: tuple[EventPanel, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class SourceEvents:
-    """Departures of one source, drawn."""
+    """Departures of one source, drawn; sides without any are left out."""
 
     source: str
-    deepest: tuple[EventPanel, ...]
-    by_lot: tuple[EventPanel, ...]
+    deepest: tuple[SideEvents, ...]
+    by_lot: tuple[SideEvents, ...]
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Drawings of the deepest, and of those by lot."""
+        deepest, by_lot = (sum(len(one.panels) for one in kind) for kind in (self.deepest, self.by_lot))
+        return deepest, by_lot
 
 
-def deepest_of_all(events: Sequence[DrawnEvent]) -> tuple[EventPanel, ...]:
-    """The deepest ones of all sources together, deepest first."""
-    return tuple(map(event_panel, sorted(events, key=lambda event: event.depth)[:KEPT]))
+def deepest_of_all(events: Sequence[DrawnEvent]) -> tuple[SideEvents, ...]:
+    """The deepest ones of all sources together, side by side, deepest first."""
+    return _by_side(sorted(events, key=lambda event: event.depth), KEPT)
 
 
-def by_lot_of_all(events: Sequence[DrawnEvent]) -> tuple[EventPanel, ...]:
-    """Those of all sources together that the lot falls on first: every departure has the same chance."""
-    return tuple(map(event_panel, sorted(events, key=lambda event: (event.lot, *event.depth))[:KEPT]))
+def by_lot_of_all(events: Sequence[DrawnEvent]) -> tuple[SideEvents, ...]:
+    """Those of all sources together that the lot falls on first: every departure of a side has the same chance."""
+    return _by_side(sorted(events, key=lambda event: (event.lot, *event.depth)), KEPT)
+
+
+def most_of_source(sources: int) -> int:
+    """Departures of each kind and side that are drawn of each of so many sources: as many as keep the page light."""
+    return min(KEPT, max(1, MOST_EVENTS // (4 * max(sources, 1))))
 
 
 def by_source(
     deepest: Sequence[DrawnEvent], by_lot: Sequence[DrawnEvent], sources: Sequence[str]
 ) -> tuple[SourceEvents, ...]:
-    """Both kinds, source by source; of each as many as keep the page light.
+    """Both kinds, source by source and side by side; of each as many as `most_of_source` says.
 
     Parameters
     ----------
@@ -127,11 +151,17 @@ def by_source(
     sources : sequence of str
         Those to draw, in this order; one without departures is left out.
     """
-    most = min(KEPT, max(1, MOST_EVENTS // (2 * max(len(sources), 1))))
+    most = most_of_source(len(sources))
     found = []
     for source in sources:
-        kinds = ([event for event in kind if event.source == source][:most] for kind in (deepest, by_lot))
-        panels = [tuple(map(event_panel, events)) for events in kinds]
+        kinds = ([event for event in kind if event.source == source] for kind in (deepest, by_lot))
+        panels = [_by_side(events, most, MOST_DOTS_OF_SOURCE) for events in kinds]
         if any(panels):
             found.append(SourceEvents(source, *panels))
     return tuple(found)
+
+
+def _by_side(events: Sequence[DrawnEvent], most: int, most_dots: int = MOST_DOTS) -> tuple[SideEvents, ...]:
+    """The first `most` of each side, left before right."""
+    sides = [(name, [event for event in events if event.side == side][:most]) for name, side in _SIDES]
+    return tuple(SideEvents(name, tuple(event_panel(one, most_dots) for one in some)) for name, some in sides if some)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from markupsafe import Markup
 
 from ldctoolkit.recordings import Extraction
+from ldctoolkit.recordings.drawn import KEPT
 from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.version import __version__
 from studies.extraction_page import amounts, counts, event_plots, panels, reading, tiles
@@ -81,7 +82,7 @@ def make_page(extraction: Extraction) -> str:
             small_heads=heads,
             small=small,
             widths=widths,
-            widths_left_out=len(rows) if len(widths) == 1 and len(rows) > 1 and small else 0,
+            widths_elsewhere=_widths_elsewhere(rows) if len(widths) == 1 and small else "",
             nominal=origin.preparation.nominal_lane_width is not None,
             hours=amounts.hours,
             rate=amounts.rate,
@@ -105,13 +106,26 @@ def _reasons(whole: Row | None) -> list[str]:
     return [reason for reason in REASONS if whole.refusals(0)[reason] or whole.refusals(1)[reason]]
 
 
+def _widths_elsewhere(rows: tuple[Row, ...]) -> str:
+    """Where the lane widths of many sources are."""
+    named = sum(len(row.sources) == 1 for row in rows)
+    gathered = sum(len(row.sources) for row in rows) - named
+    together = f", and those of {gathered:,} more together," if gathered else ""
+    return f"Those of {plural(named, 'source')}{together} are in the table above."
+
+
 def _drawn(extraction: Extraction, rows: tuple[Row, ...]) -> dict[str, object]:
     """Departures with their signals: of all sources, and source by source where there are several."""
     drawn = extraction.drawn
     names = [row.sources[0] for row in rows if len(row.sources) == 1]
+    sizes = [event.t.size for event in (*drawn.deepest, *drawn.by_lot)]
     return {
         "deepest": event_plots.deepest_of_all(drawn.deepest),
         "by_lot": event_plots.by_lot_of_all(drawn.by_lot),
         "by_source": event_plots.by_source(drawn.deepest, drawn.by_lot, names) if len(rows) > 1 else (),
-        "thinned": any(event.t.size > event_plots.MOST_DOTS for event in (*drawn.deepest, *drawn.by_lot)),
+        "kept": KEPT,
+        "most_of_source": event_plots.most_of_source(len(names)),
+        "sources_not_drawn": sum(len(row.sources) for row in rows) - len(names),
+        "thinned": any(size > event_plots.MOST_DOTS for size in sizes),
+        "thinned_of_source": any(size > event_plots.MOST_DOTS_OF_SOURCE for size in sizes),
     }

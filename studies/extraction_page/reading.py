@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, RecordingReader, recording_reader
-from ldctoolkit.recordings.extract_part import SOURCE
+from ldctoolkit.recordings.extract_part import SCALE, SOURCE
 from ldctoolkit.recordings.together import ReadersTogether
 from studies.report.words.text import compact, plural
 
@@ -72,7 +72,7 @@ def _nominal(extraction: Extraction) -> str:
     if nominal is None:
         return "none: lanes as recorded"
     said = f"{compact(nominal)} m: offset and width of each recording scaled to it"
-    scales = next((one.values for one in extraction.departures.extra if one.name == "lane_scale"), np.empty(0))
+    scales = next((one.values for one in extraction.departures.extra if one.name == SCALE), np.empty(0))
     if scales.size and scales.dtype.kind == "f":
         low, high = float(scales.min()), float(scales.max())
         said += f", by factors of {low:.3f} to {high:.3f} where there are departures"

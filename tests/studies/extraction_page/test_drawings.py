@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.recordings.drawn import KEPT
 from studies.extraction_page import event_plots
 from studies.extraction_page.axis_ticks import Axis
@@ -98,19 +99,34 @@ def test_a_long_departure_is_thinned(make: ModuleType) -> None:
 
 def test_the_deepest_of_all_sources(make: ModuleType) -> None:
     extraction = make.make_extraction(3, (20, 20))
-    panels = event_plots.deepest_of_all(extraction.drawn.deepest)
-    deepest = sorted(extraction.departures.d_y.tolist(), reverse=True)[:KEPT]
-    assert [one.values.split(",")[0] for one in panels] == [f"d_y = {value:.2f} m" for value in deepest]
+    found = event_plots.deepest_of_all(extraction.drawn.deepest)
+    assert [one.side for one in found] == ["left", "right"]
+    for one, side in zip(found, (LEFT, RIGHT), strict=True):
+        depths = extraction.departures.d_y[extraction.departures.side == side]
+        deepest = sorted(depths.tolist(), reverse=True)[:KEPT]
+        assert [panel.values.split(",")[0] for panel in one.panels] == [f"d_y = {value:.2f} m" for value in deepest]
+        assert {panel.side for panel in one.panels} == {one.side}
 
 
 def test_source_by_source_as_many_as_keep_the_page_light(make: ModuleType) -> None:
-    for sources, expected in ((2, 12), (6, 12), (12, 6), (50, 1), (100, 1)):
-        drawn = make.make_extraction(sources, (10, 10)).drawn
+    for sources, expected in ((1, 12), (2, 12), (6, 12), (12, 6), (50, 1), (100, 1)):
+        drawn = make.make_extraction(sources, (15, 15)).drawn
         names = [f"D{i + 1}" for i in range(sources)]
         found = event_plots.by_source(drawn.deepest, drawn.by_lot, names)
         assert [one.source for one in found] == names
-        assert {len(one.deepest) for one in found} == {len(one.by_lot) for one in found} == {expected}
-    assert all(panel.source == one.source for one in found for panel in (*one.deepest, *one.by_lot))
+        assert event_plots.most_of_source(sources) == expected
+        for one in found:
+            assert one.counts == (2 * expected, 2 * expected)
+            for kind in (one.deepest, one.by_lot):
+                assert [(side.side, len(side.panels)) for side in kind] == [("left", expected), ("right", expected)]
+                assert all((p.source, p.side) == (one.source, side.side) for side in kind for p in side.panels)
+
+
+def test_a_side_without_departures_has_no_heading(make: ModuleType) -> None:
+    drawn = make.make_extraction(2, (3, 0)).drawn
+    (found, _) = event_plots.by_source(drawn.deepest, drawn.by_lot, ["D1", "D2"])
+    assert [one.side for one in (*found.deepest, *found.by_lot)] == ["left", "left"]
+    assert [one.side for one in event_plots.by_lot_of_all(drawn.by_lot)] == ["left"]
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-6, 1e9), st.integers(2, 40))

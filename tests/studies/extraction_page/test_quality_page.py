@@ -108,8 +108,8 @@ def test_self_contained_and_well_formed(make: ModuleType) -> None:
     assert all(address.startswith("#") and address[1:] in found.ids for address in found.addresses)
     assert "<script" not in page
     assert not re.search(r"https?:|@import|url\(", page)
-    # 8 parameters and lane width of 3 sources, twice 12 departures of all and of each source
-    assert len(found.images) == 8 + 1 + 3 + 3 * 9 + 24 + 3 * 24
+    # 8 parameters and lane width of 3 sources; of all and of each source 12 departures of each kind and side
+    assert len(found.images) == 8 + 1 + 3 + 3 * 9 + 48 + 3 * 48
     assert all(len(words.split()) > 3 for words in found.images)
 
 
@@ -326,6 +326,41 @@ def test_many_sources_stay_light(make: ModuleType, sources: int) -> None:
     assert sum(plain(row[9]) for row in rows[:-1]) == plain(rows[-1][9])
     if sources > 60:
         assert rows[-2][0] == "341 more"
+
+
+@pytest.mark.parametrize(
+    ("sources", "said"),
+    [
+        (12, ""),
+        (13, "Those of 13 sources are in the table above."),
+        (60, "Those of 60 sources are in the table above."),
+        (500, "Those of 59 sources, and those of 441 more together, are in the table above."),
+    ],
+)
+def test_where_the_lane_widths_of_many_sources_are(make: ModuleType, sources: int, said: str) -> None:
+    found = parsed(make.make_extraction(sources, (2, 2)))
+    words = found.text["widths"]
+    assert said in words
+    assert ("in the table above" in words) == bool(said)
+    (caption,) = (one for one in found.tables if one.startswith("Each column has one axis"))
+    rows = [row[0] for row in found.tables[caption][1:]]
+    assert len(rows) == min(sources, 60)
+    assert (rows[-1] == "441 more") == (sources == 500)
+
+
+def test_departures_are_drawn_by_source_and_side(make: ModuleType) -> None:
+    """As many of each as fit, and the page says how many and who is not there."""
+    few = parsed(make.make_extraction(3, (20, 5)))
+    assert few.text["random"].count("D1: 17 deepest, 17 by lot") == 1
+    assert "up to 12 of each kind and side." in few.text["random"]
+    many = parsed(make.make_extraction(70, (5, 5)))
+    assert "up to 1 of each kind and side: with more" in many.text["random"]
+    assert "The 11 sources with the fewest hours are not drawn one by one." in many.text["random"]
+    one = parsed(make.make_extraction(1, (30, 7)))
+    for section in ("deepest", "random"):
+        assert one.text[section].count("Left, dy = ") == 12
+        assert one.text[section].count("Right, dy = ") == 7
+    assert "Source by source" not in one.text["random"]
 
 
 def test_same_extraction_same_bytes(make: ModuleType, tmp_path: Path) -> None:
