@@ -46,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 2 for wrong input, with one message on stderr; 3 where a command is done but says that a design is at fault;
-        130 after an interrupt.
+        0; 2 for wrong input, with one message on stderr; 3 where a command is done but says that a design is at fault,
+        or that some of the input was left out; 130 after an interrupt.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))

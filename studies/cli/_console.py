@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -43,15 +44,21 @@ def output_file(path: str, *suffixes: str, option: str = "-o") -> Path:
     Raises
     ------
     InputError
-        For another suffix, a folder, or a folder that does not exist.
+        For another suffix, a folder, or a folder that does not exist or that nothing can be written into, or a name
+        that the system refuses.
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
         raise InputError(f"{option} {path}: the name must end in {' or '.join(suffixes)}")
-    if target.is_dir():
-        raise InputError(f"{option} {path}: is a folder")
-    if not target.parent.is_dir():
-        raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
+    try:
+        if target.is_dir():
+            raise InputError(f"{option} {path}: is a folder")
+        if not target.parent.is_dir():
+            raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
+    except OSError as error:
+        raise InputError(f"{option} {path}: cannot be used: {error.strerror or error}") from None
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{option} {path}: no permission to write into the folder {target.parent}")
     return target
 
 

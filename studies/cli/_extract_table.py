@@ -14,13 +14,17 @@ if TYPE_CHECKING:
 PROBLEMS_TOLD: Final = 20
 
 
-def tell_problems(problems: Sequence[Problem]) -> None:
-    """What could not be used: the first twenty, one line each, and how many more there are."""
+def tell_problems(problems: Sequence[Problem], *, written: bool) -> None:
+    """What could not be used: the first twenty, one line each, and how many more there are.
+
+    `written`: whether there is a departures table, which holds them.
+    """
     for problem in problems[:PROBLEMS_TOLD]:
         warn(str(problem))
     if len(problems) > PROBLEMS_TOLD:
         more = len(problems) - PROBLEMS_TOLD
-        warn(f"and {more:,} more problems, {len(problems):,} in all; the departures table holds them all")
+        where = "; the departures table holds them all" if written else ""
+        warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
 
 
 def print_extraction(found: Extraction) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from ldctoolkit.recordings.criteria import Criteria
     from ldctoolkit.recordings.opened import OpenedRecordings
     from ldctoolkit.recordings.preparation import Preparation
+    from ldctoolkit.recordings.result import Extraction
 
 SOME_LEFT_OUT = 3
 """Exit code where departures were written, but not all of the input could be used."""
@@ -70,15 +72,19 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.recordings.opened import open_recordings
+    from studies.cli._extract_files import refuse_input
     from studies.cli._extract_table import print_extraction, tell_problems
-    from studies.extraction import NothingReadError, run_extraction
-    from studies.extraction.runner import FOLDER_SUFFIX, MOST_SAID
+    from studies.extraction import NothingReadError, parts_folder, run_extraction
+    from studies.extraction.runner import MOST_SAID
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
     recordings = open_recordings(paths, format=chosen.format)
+    refuse_input("-o", target, paths, recordings.source.files)
+    if page is not None:
+        refuse_input("--report", page, paths, recordings.source.files)
     try:
         with progress_bar(f"reading {recordings.reader.name}") as progress:
             found = run_extraction(
@@ -89,19 +95,20 @@ def run(chosen: argparse.Namespace) -> int:
                 workers=chosen.workers,
                 dask=chosen.dask,
                 progress=progress,
+                before_removal=None if page is None else _page_writer(page, target),
             )
     except NothingReadError as error:
         if len(error.problems) > MOST_SAID:
-            tell_problems(error.problems)
+            tell_problems(error.problems, written=False)
         raise
     except KeyboardInterrupt:
-        folder = target.with_name(f"{target.name}{FOLDER_SUFFIX}")
+        folder = parts_folder(target)
         if folder.is_dir():
             warn(f"what was finished is kept in {folder}; the same command goes on with the rest")
         raise
 
     print(f"format: {recordings.reader.name} ({recordings.found})")
-    tell_problems(found.problems)
+    tell_problems(found.problems, written=True)
     for warning in found.warnings:
         warn(warning)
     print_extraction(found)
@@ -109,11 +116,23 @@ def run(chosen: argparse.Namespace) -> int:
         warn("no departures were found")
     print(f"{len(found.departures)} departures written to {target}")
     if page is not None:
-        from studies.extraction_page import write_extraction_page
-
-        write_extraction_page(page, found)
         print(f"page about the extraction written to {page}")
     return SOME_LEFT_OUT if found.problems else 0
+
+
+def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
+    """Writes the page while the finished parts are still there: the same command then goes on with it."""
+
+    def write(found: Extraction) -> None:
+        from ldctoolkit.errors import StoreError
+        from studies.extraction_page import write_extraction_page
+
+        try:
+            write_extraction_page(page, found)
+        except StoreError as error:
+            raise StoreError(f"{error}; the departures are written to {target}") from None
+
+    return write
 
 
 def _criteria(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Criteria:

@@ -6,13 +6,17 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
+import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 import ldctoolkit
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.sources import GROUP, RecordingSource
+from ldctoolkit.recordings.sources import GROUP, RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.together import ReadersTogether
 from studies.extraction.part_work import PACKAGES
 from studies.running.executors.checked_task import versions
 
@@ -29,13 +33,13 @@ Plan = dict[str, Any]
 """Content of a work folder's manifest, as JSON reads it back."""
 
 
-def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
+def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
     """What decides the numbers of all parts.
 
     Parameters
     ----------
-    reader : str
-        Name of the source's reader.
+    reader : RecordingReader
+        What opened the source.
     source : RecordingSource
         Its files are told by their digests, its parts by their keys.
     criteria : Criteria
@@ -43,12 +47,13 @@ def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparatio
     preparation : Preparation
         How recordings are brought to a common form.
     """
+    home = Path(ldctoolkit.__file__).parent
     keys = json.dumps([part.key for part in source.parts])
     plan = {
         "format_version": FORMAT_VERSION,
-        "reader": reader,
-        "program": _program(),
-        "versions": dict(versions(("ldctoolkit", *PACKAGES))) | _offered_by(reader),
+        "reader": reader.name,
+        "program": _program(home, _others(home, reader, source.parts)),
+        "versions": dict(versions(("ldctoolkit", *PACKAGES))) | _offered_by(reader.name),
         "criteria": dataclasses.asdict(criteria),
         "preparation": dataclasses.asdict(preparation),
         "files": [[file.name, file.bytes, file.sha256] for file in source.files],
@@ -58,14 +63,28 @@ def plan_of(reader: str, source: RecordingSource, criteria: Criteria, preparatio
     return content
 
 
-def _program() -> str:
-    """Digest of the code that decides the numbers: a checkout changes without another version."""
+def _program(home: Path, others: Iterable[tuple[str, Path]] = ()) -> str:
+    """Digest of the code that decides the numbers: a checkout changes without another version.
+
+    `home` is the toolkit's folder, `others` are names and files of modules outside it.
+    """
+    own = [*(home / "recordings").rglob("*.py"), home / "departures.py", home / "departure_columns.py"]
+    named = sorted((path.relative_to(home).as_posix(), path) for path in own)
     digest = hashlib.sha256()
-    home = Path(ldctoolkit.__file__).parent
-    for path in [*sorted((home / "recordings").glob("*.py")), home / "departures.py"]:
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes() if path.exists() else b"")
+    for name, path in [*named, *others]:
+        content = path.read_bytes() if path.is_file() else b""
+        digest.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
     return digest.hexdigest()
+
+
+def _others(home: Path, reader: RecordingReader, parts: Iterable[RecordingPart]) -> Iterator[tuple[str, Path]]:
+    """Names and files of the modules outside the toolkit that a reader and its parts come from, where they have one."""
+    readers = reader.readers if isinstance(reader, ReadersTogether) else (reader,)
+    modules = {one.__name__ if isinstance(one, ModuleType) else type(one).__module__ for one in readers}
+    for name in sorted(modules | {kind.__module__ for kind in {type(part) for part in parts}}):
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is not None and not Path(file).is_relative_to(home):
+            yield name, Path(file)
 
 
 def _offered_by(reader: str) -> dict[str, str]:

@@ -20,14 +20,13 @@ from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.result import Extraction
+from ldctoolkit.recordings.sources import part_name
 from studies.extraction.part_work import PACKAGES, PartWork, Unread
 from studies.extraction.plan import plan_of
 from studies.extraction.send_parts import send_parts
-from studies.extraction.work_folder import work_folder
+from studies.extraction.work_folder import holds_parts, parts_folder, work_folder
 from studies.running.executors import Executor, make_executor
-
-FOLDER_SUFFIX: Final = ".parts"
-"""Of the work folder's name, after the name of the output."""
+from studies.storage.folder_lock import remove_unfinished
 
 SMALL: Final = 16 << 20
 """Bytes that this process has read before others would have started."""
@@ -63,6 +62,7 @@ def run_extraction(
     workers: int | None = None,
     dask: str | None = None,
     progress: Progress | None = None,
+    before_removal: Callable[[Extraction], None] | None = None,
 ) -> Extraction:
     r"""Find the lane departures in recordings of any size; goes on where an earlier run was stopped.
 
@@ -76,13 +76,17 @@ def run_extraction(
         How recordings are brought to a common form; the reader's time step by default.
     output : path, optional
         Departures table to write. Finished parts wait in a folder of this name with ``.parts`` behind it until all are
-        there; then it is removed. Without an output, or with one part alone, nothing is kept.
+        there; then it is removed. Without an output, or with one part alone, nothing is kept; a folder that another
+        extraction has left there is removed all the same.
     workers : int, optional
         Processes; 1 runs in this process. By default all cores, or 1 where less than 16 MiB have to be read.
     dask : str, optional
         Address of a Dask scheduler, or ``"local"``. Its workers open the same paths.
     progress : callable, optional
         Called as ``progress(bytes_done, bytes_total)``.
+    before_removal : callable, optional
+        Called with the result when the table is written and the finished parts are still there. If it fails or is
+        stopped, the next run begins with it.
 
     Returns
     -------
@@ -119,9 +123,10 @@ def run_extraction(
     works = tuple(PartWork(i, part, criteria, preparation) for i, part in enumerate(source.parts))
     with contextlib.ExitStack() as stack:
         store: _Store = _Memory()
-        if output is not None and len(works) > 1:
-            plan = plan_of(reader.name, source, criteria, preparation)
-            store = stack.enter_context(work_folder(Path(f"{os.fspath(output)}{FOLDER_SUFFIX}"), plan))
+        if output is not None and (len(works) > 1 or holds_parts(parts_folder(output))):
+            plan = plan_of(reader, source, criteria, preparation)
+            store = stack.enter_context(work_folder(parts_folder(output), plan))
+            remove_unfinished(Path(output))
         unread = _fill(store, works, workers, dask, progress)
         results = _in_order(source.problems, works, store, unread)
         extraction = merge_results(results, criteria, preparation, reader=reader.name, files=source.files)
@@ -130,6 +135,8 @@ def run_extraction(
             raise NothingReadError(extraction.problems)
         if output is not None:
             write_departures(output, extraction.departures, extraction.provenance)
+        if before_removal is not None:
+            before_removal(extraction)
         store.remove()
     return extraction
 
@@ -225,6 +232,6 @@ def _in_order(
     yield PartResult(problems=tuple(problems))
     for work in works:
         if work.number in unread:
-            yield PartResult(problems=(Problem(work.part.key, "", unread[work.number].reason),))
+            yield PartResult(problems=(Problem(part_name(work.part), "", unread[work.number].reason),))
         else:
             yield store.read(work.number)

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings.part_result import PartResult
 from studies.extraction.part_work import PartWork, Probe, Unread
 from studies.running.executors import Executor
@@ -49,8 +48,7 @@ def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[
                 executor.start(waiting.popleft())
                 under_way += 1
         came = executor.wait()
-        if any(ended.done is None and ended.fault is None for ended in came):
-            faults.lost()  # once, however many a broken pool held
+        faults.came_back(came)
         for ended in came:
             under_way -= 1
             work: PartWork = ended.task
@@ -62,17 +60,5 @@ def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[
             elif not faults.guilty(work, ended.fault, certain=ended.certain):
                 alone.append(work)
             else:
-                if not faults.workers_live:
-                    _probe(executor, 1 + max(one.number for one in works))
-                    faults.ended_well()
+                faults.check_workers(executor, Probe(1 + max(one.number for one in works)))
                 yield work, Unread(_ENDED)
-
-
-def _probe(executor: Executor, number: int) -> None:
-    """See whether a worker lives that has nothing to do; nothing else is under way."""
-    executor.start(Probe(number))
-    while True:
-        for ended in executor.wait():
-            if ended.done is None:
-                raise LdcError("worker processes end whatever they run; what was finished is stored")
-            return

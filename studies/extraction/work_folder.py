@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import logging
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,9 @@ from studies.storage.files import read_bytes, stored_file, write_text
 from studies.storage.folder_lock import locked, remove_leftovers
 
 _log = logging.getLogger("studies")
+
+SUFFIX: Final = ".parts"
+"""Of the folder's name, after the name of the output."""
 
 _MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
@@ -100,6 +104,25 @@ class WorkFolder:
             self.path.rmdir()
 
 
+def parts_folder(output: str | os.PathLike[str]) -> Path:
+    """Where the finished parts of an extraction wait.
+
+    Examples
+    --------
+    >>> parts_folder("d.parquet").name
+    'd.parquet.parts'
+    """
+    return Path(f"{os.fspath(output)}{SUFFIX}")
+
+
+def holds_parts(path: Path) -> bool:
+    """Whether a folder is there that an extraction has left, whatever it was of."""
+    try:
+        return (path / _MANIFEST).is_file()
+    except OSError:  # nobody may look
+        return False
+
+
 @contextlib.contextmanager
 def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
     """Hold a work folder, made if need be, with the parts of the same plan that are in it.
@@ -173,6 +196,8 @@ def _keep_only(path: Path, plan: Plan) -> None:
 
 def _clear(path: Path) -> None:
     """Remove parts and manifest; the manifest first, so that no part is ever taken for one of another plan."""
+    if not path.is_dir():
+        return  # removed before
     _unlink(path / _MANIFEST)
     for file in list(path.iterdir()):
         if _PART.fullmatch(file.name):

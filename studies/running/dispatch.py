@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit import EventStatus, Scenarios
-from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import Convention
 from studies.design import NO_CONTROL, Design
 from studies.running.executors.protocol import Ended, Executor, Fault
@@ -114,8 +113,7 @@ class Dispatcher:
                         self._start(following)
                         following = next(queue, None)
             came = self._executor.wait()
-            if any(ended.done is None and ended.fault is None for ended in came):
-                self._faults.lost()  # once, however many tasks a broken pool held
+            self._faults.came_back(came)
             for ended in came:
                 self._under_way -= 1
                 self._take(ended)
@@ -177,8 +175,7 @@ class Dispatcher:
         key = (task.designs[0].id, task.convention)
         reason = self._faults.record(key, int(task.rows[0]), fault)
         if reason:
-            if not self._faults.workers_live and not self._probe(task):
-                raise LdcError("worker processes end whatever they run; what was finished is stored")
+            self._faults.check_workers(self._executor, self._harmless(task))
             self._fail(FailedRun(key, task.piece, reason))
             self._alone = deque(self._without(key, self._alone))
             self._again = deque(self._without(key, self._again))
@@ -196,16 +193,12 @@ class Dispatcher:
                 self._faults.same_strikes(task, fewer)
                 yield fewer
 
-    def _probe(self, task: SimulationTask) -> bool:
-        """Whether a worker lives that drives nobody, on one scenario; nothing else is under way."""
-        harmless = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
-        probe = dataclasses.replace(
-            task.only((harmless,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1
+    def _harmless(self, task: SimulationTask) -> SimulationTask:
+        """A task that drives nobody, on one scenario."""
+        nobody = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
+        return dataclasses.replace(
+            task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1
         )
-        self._executor.start(probe)
-        while True:
-            for ended in self._executor.wait():
-                return ended.done is not None
 
     def _give(self, task: Task, done: Done) -> None:
         """Hand on whole pieces; parts of one wait for the rest."""

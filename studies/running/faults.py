@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from ldctoolkit.errors import LdcError
-from studies.running.executors.protocol import Fault, Work
+from studies.running.executors.protocol import Ended, Executor, Fault, Work
 from studies.running.tasks import RunKey, Task
 
 _STRIKES: Final = 2
@@ -57,20 +58,39 @@ class Faults:
         named = ", ".join(f"{row} ({_WORDS[kind]})" for row, kind in sorted(rows.items()))
         return f"ends or stops its worker process in scenarios {named}"
 
-    def lost(self) -> None:
-        """Tasks were lost that are not to blame.
+    def came_back(self, came: Iterable[Ended]) -> None:
+        """Count whether tasks were lost that are not to blame: once, however many a broken pool held.
 
         Raises
         ------
         LdcError
             After many times in a row.
         """
+        if not any(ended.done is None and ended.fault is None for ended in came):
+            return
         self._lost += 1
         if self._lost >= _MOST_LOST:
             raise LdcError(
                 "worker processes end before they have done anything (out of memory, or killed from outside); what was "
-                "finished is stored: run it again to go on, with fewer workers if memory was short"
+                "stored is kept: run it again, with fewer workers if memory was short"
             )
+
+    def check_workers(self, executor: Executor, harmless: Work) -> None:
+        """Where nothing has ended well yet, see whether a worker lives at all; nothing else may be under way.
+
+        Raises
+        ------
+        LdcError
+            If harmless work ends its worker, too.
+        """
+        if self.workers_live:
+            return
+        executor.start(harmless)
+        while not (came := executor.wait()):
+            pass
+        if came[0].done is None:
+            raise LdcError("worker processes end whatever they run; what was stored is kept")
+        self.ended_well()
 
     def ended_well(self) -> None:
         """A task gave its result."""

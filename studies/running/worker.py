@@ -34,13 +34,15 @@ def run_task(task: Work) -> Any:
     return done
 
 
-def start_worker(folder: str) -> None:
+def start_worker(folder: str, parent: int) -> None:
     """Make a fresh process of a pool ready.
 
     Parameters
     ----------
     folder : str
         Where it notes what it does, in a file named after its process.
+    parent : int
+        Process that started it; it may have been killed already, so this one cannot ask.
     """
     global _notes
     # the parent decides what an interrupt means; a group of its own, because solvers (OSQP) catch the signal themselves
@@ -49,7 +51,7 @@ def start_worker(folder: str) -> None:
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     if hasattr(os, "getppid"):
-        threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
+        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
     _notes = (Path(folder) / str(os.getpid())).open("w", encoding="utf-8")
 
 

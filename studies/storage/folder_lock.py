@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,3 +46,13 @@ def remove_leftovers(folder: Path) -> None:
     for path in (*folder.glob(".*.part"), *(folder / "results").glob(".*.part")):
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+def remove_unfinished(path: Path) -> None:
+    """Remove what killed processes had not finished writing of one file; call it only while nobody else writes it."""
+    # as `whole_file` names it, after the process
+    name = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part")
+    with contextlib.suppress(OSError):
+        for other in list(path.parent.iterdir()):
+            if name.fullmatch(other.name):
+                other.unlink()

@@ -157,8 +157,8 @@ class DaskExecutor:
             _log.warning("dask: all workers have gone; the run waits %g s for others", _GRACE)
         elif now - self._deserted_since > _GRACE:
             raise ClusterError(
-                f"dask: all workers have gone, and none has come for {_GRACE:g} s; what was finished is stored: run "
-                "it again to go on"
+                f"dask: all workers have gone, and none has come for {_GRACE:g} s; what was stored is kept: run "
+                "it again"
             )
 
     def close(self, *, orderly: bool) -> None:

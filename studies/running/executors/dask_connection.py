@@ -153,9 +153,7 @@ class Connection:
 
 def lost() -> ClusterError:
     """The scheduler has gone, or has dropped the work."""
-    return ClusterError(
-        "dask: the connection to the scheduler is lost; what was finished is stored: run it again to go on"
-    )
+    return ClusterError("dask: the connection to the scheduler is lost; what was stored is kept: run it again")
 
 
 def unreadable(error: Exception) -> bool:

@@ -78,7 +78,7 @@ class ProcessExecutor:
             self._pool = None
             reason = str(error).strip() or type(error).__name__
             raise LdcError(
-                f"worker processes cannot start ({reason}); what was finished is stored: run it again to go on, "
+                f"worker processes cannot start ({reason}); what was stored is kept: run it again "
                 "with fewer workers, or with one, which runs in this process"
             ) from None
 
@@ -88,7 +88,7 @@ class ProcessExecutor:
                 self._workers,
                 timeout=_IDLE,
                 initializer=start_worker,
-                initargs=(_notes(),),
+                initargs=(_notes(), os.getpid()),
                 env=_ONE_THREAD,
                 kill_workers=True,
             )

@@ -39,7 +39,7 @@ def ldc(*arguments: object, cwd: Path, stdin: object = None) -> subprocess.Compl
         cwd=cwd,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
 
@@ -296,7 +296,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     assert process.stderr is not None
     message = process.stderr.read().decode()
     process.stderr.close()
-    assert process.wait(60) == 1
+    assert process.wait(600) == 1
     assert message == ""
 
 
@@ -320,7 +320,7 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
             assert time.monotonic() < deadline
             time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
-        out, error = process.communicate(timeout=30)
+        out, error = process.communicate(timeout=600)
     finally:
         process.kill()
     assert process.returncode == 130, error

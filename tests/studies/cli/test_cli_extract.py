@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -10,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
@@ -112,10 +114,11 @@ def test_where_nothing_can_be_used_nothing_is_written(folder: Path, ldc: Ldc) ->
         (["--vehicle-width", "18"], "vehicle_width: 18.0; allowed: 0.5 to 4 m"),
         (["--report", "r.txt"], "--report r.txt: the name must end in .html"),
         (["--report", "nowhere/r.html"], "--report nowhere/r.html: the folder nowhere does not exist"),
+        (["--report", f"{'r' * 300}.html"], "rrr.html: cannot be used: "),
         (["a.csv"], "a.csv: given twice"),
         (["none.csv"], "none.csv: does not exist"),
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+    ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
 )
 def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], message: str) -> None:
     (folder / "a.csv").write_text(recordings(0))
@@ -278,6 +281,118 @@ def test_a_page_is_written_on_request(folder: Path, ldc: Ldc) -> None:
     assert out.endswith("page about the extraction written to r.html\n")
     assert (folder / "r.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "d.parquet", "r.html"]
+
+
+def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stopped while the page is made: the same command goes on with it and reads nothing again."""
+    words = ["a.csv", "b.csv", "-o", "d.parquet", "--report", "r.html", "--workers", "1"]
+    for i, name in enumerate(words[:2]):
+        (folder / name).write_text(recordings(10 * i))
+
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.extraction_page.page.make_page", stopped)
+        code, out, err = ldc(*words)
+    assert (code, out) == (130, "")
+    assert "what was finished is kept in d.parquet.parts; the same command goes on" in err
+    assert len(list((folder / "d.parquet.parts").glob("part-*"))) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.extraction.runner.make_executor", stopped)  # nothing is left to read
+        assert ldc(*words)[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "d.parquet", "r.html"]
+
+
+def test_a_page_that_cannot_be_written_is_told(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "a.csv").write_text(recordings(0))
+    # before anything is read, where it can be known
+    with monkeypatch.context() as patch:
+        patch.setattr("os.access", lambda *_: False)
+        code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
+    assert (code, out) == (2, "")
+    assert err == "ldc: error: -o d.parquet: no permission to write into the folder .\n"
+    assert [path.name for path in folder.iterdir()] == ["a.csv"]
+
+    # and otherwise when it is written
+    def full(*_: Any) -> None:
+        raise StoreError("r.html: cannot be written: No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.storage.files.write_text", full)
+        code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
+    assert (code, out) == (2, "")
+    assert err == (
+        "ldc: error: r.html: cannot be written: No space left on device; the departures are written to d.parquet\n"
+    )
+    assert read_departures("d.parquet")[0].n == 10
+
+
+def test_a_folder_without_write_permission_is_told(folder: Path, ldc: Ldc) -> None:
+    (folder / "a.csv").write_text(recordings(0))
+    closed = folder / "closed"
+    closed.mkdir(mode=0o500)
+    if os.access(closed, os.W_OK):
+        pytest.skip("this user may write everywhere")
+    code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "closed/r.html")
+    assert (code, out) == (2, "")
+    assert err == "ldc: error: --report closed/r.html: no permission to write into the folder closed\n"
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "closed"]
+
+
+def test_no_table_is_said_to_hold_problems_where_there_is_none(folder: Path, ldc: Ldc) -> None:
+    for i in range(25):
+        (folder / f"{i}.csv").write_text(HEADER + f"r{i},0.0,wide,3.6,25\n")
+    code, out, err = ldc(".", "-o", "d.parquet", "--workers", "1")
+    assert (code, out) == (2, "")
+    assert re.search(r"^ldc: warning: and [0-9]+ more problems, [0-9]+ in all$", err, re.MULTILINE), err
+    assert "holds them all" not in err
+    assert not (folder / "d.parquet").exists()
+
+
+def table(path: Path) -> bytes:
+    """A recording table in Parquet."""
+    pl.read_csv(recordings(0).encode()).write_parquet(path)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("how", ["same", "another way", "link", "folder", "below"])
+def test_what_is_read_is_not_written_over(folder: Path, ldc: Ldc, how: str) -> None:
+    (folder / "in").mkdir()
+    before = table(folder / "in" / "a.parquet")
+    source, target, input_ = "in/a.parquet", "in/a.parquet", "is the input in/a.parquet"
+    if how == "another way":
+        target = f"in/../{source}"
+    elif how == "link":
+        target = "b.parquet"
+        (folder / target).symlink_to(source)
+    elif how in ("folder", "below"):
+        source, input_ = "in", "is an input, in in"
+    if how == "below":
+        (folder / "in" / "more").mkdir()
+        (folder / "in" / "more" / "b.parquet").symlink_to(folder / "in" / "a.parquet")
+        target = "in/more/b.parquet"
+    code, out, err = ldc(source, "-o", target)
+    assert (code, out) == (2, "")
+    assert err == f"ldc: error: -o {target}: {input_}; allowed: a file that is not read\n"
+    assert (folder / "in" / "a.parquet").read_bytes() == before
+
+
+def test_a_page_is_not_written_over_what_is_read(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
+    third_party(MadeReader(suffix=".html"))
+    (folder / "a.html").write_text("x")
+    code, out, err = ldc("a.html", "-o", "d.parquet", "--report", "a.html")
+    assert (code, out) == (2, "")
+    assert err == "ldc: error: --report a.html: is the input a.html; allowed: a file that is not read\n"
+    assert [path.name for path in folder.iterdir()] == ["a.html"]
+
+
+def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> None:
+    """The second time it is in the folder that is read, and is replaced."""
+    table(folder / "a.parquet")
+    for _ in range(2):
+        assert ldc(".", "-o", "d.parquet")[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["a.parquet", "d.parquet"]
 
 
 def test_workers_are_processes_only_where_there_is_much_to_read(

@@ -26,7 +26,7 @@ from ldctoolkit.recordings import Criteria, Provenance, Refused, read_departures
 def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
-        cwd=cwd, capture_output=True, text=True, timeout=300, check=False, env=os.environ | {"COLUMNS": "200"},
+        cwd=cwd, capture_output=True, text=True, timeout=600, check=False, env=os.environ | {"COLUMNS": "200"},
     )  # fmt: skip
 
 

@@ -83,16 +83,25 @@ class MadePart:
 
 
 @dataclasses.dataclass(frozen=True)
+class ShownPart(MadePart):
+    """Has a name for users."""
+
+    @property
+    def shown(self) -> str:
+        return f"{self.seed}.made"
+
+
+@dataclasses.dataclass(frozen=True)
 class MadeSource:
     parts: tuple[MadePart, ...]
     files: tuple[SourceFile, ...]
     problems: tuple[Problem, ...] = (Problem("file 9", "", "is empty"),)
 
 
-def made(folder: Path, *how: str, digest: str = "0" * 64) -> OpenedRecordings:
+def made(folder: Path, *how: str, digest: str = "0" * 64, kind: type[MadePart] = MadePart) -> OpenedRecordings:
     """Opened recordings with one part for each word."""
     folder.mkdir(exist_ok=True)
-    parts = tuple(MadePart(i, str(folder), word) for i, word in enumerate(how))
+    parts = tuple(kind(i, str(folder), word) for i, word in enumerate(how))
     reader: Any = types.SimpleNamespace(name="made", vehicle_width=1.8, step=0.1)
     return OpenedRecordings(reader, MadeSource(parts, (SourceFile("file 0", 300, digest),)), "made up")
 
@@ -112,6 +121,11 @@ def _made(tmp_path: Path) -> Iterator[Callable[..., OpenedRecordings]]:
     cloudpickle.register_pickle_by_value(module)
     yield lambda *how, **named: made(tmp_path / "notes", *how, **named)
     cloudpickle.unregister_pickle_by_value(module)
+
+
+@pytest.fixture(name="shown_part", scope="session")
+def _shown_part() -> type[MadePart]:
+    return ShownPart
 
 
 @pytest.fixture(name="content")

@@ -15,7 +15,7 @@ import pytest
 
 import ldctoolkit
 from ldctoolkit.errors import InputError, LdcError, StoreError
-from ldctoolkit.recordings import extract_departures, read_departures
+from ldctoolkit.recordings import Extraction, extract_departures, read_departures
 from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.preparation import Preparation
 from studies.extraction import NothingReadError, run_extraction
@@ -98,6 +98,17 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["notes"]
 
 
+def test_where_every_part_raises_the_folder_goes_once(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(NothingReadError, match="part 0: ZeroDivisionError: a reader's own fault; part 1: "):
+        run_extraction(made("raises", "raises"), workers=1, output=tmp_path / "d.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:
+    found = run_extraction(made("good", "raises", kind=shown_part), workers=1)
+    assert "1.made: ZeroDivisionError: a reader's own fault" in texts(found)
+
+
 def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: Content, tmp_path: Path) -> None:
     output = tmp_path / "d.parquet"
     how = ("good", "good", "interrupted", "good")
@@ -111,6 +122,52 @@ def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: 
     assert told == [(200, 400), (300, 400), (400, 400)]
     assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
+
+
+def test_what_is_made_of_the_result_comes_before_the_parts_go(made: Made, tmp_path: Path) -> None:
+    """It is stopped, or fails: the table is there, and the next run begins with it."""
+    output, folder = tmp_path / "d.parquet", tmp_path / "d.parquet.parts"
+    source = made("good", "good")
+    seen: list[tuple[int, bool, int]] = []
+
+    def look(found: Extraction) -> None:
+        seen.append((found.recordings, output.exists(), len(list(folder.glob("part-*")))))
+        if len(seen) == 1:
+            raise KeyboardInterrupt
+        if len(seen) == 2:
+            raise StoreError("no space left")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_extraction(source, workers=1, output=output, before_removal=look)
+    with pytest.raises(StoreError, match="no space left"):
+        run_extraction(source, workers=1, output=output, before_removal=look)
+    run_extraction(source, workers=1, output=output, before_removal=look)
+    assert seen == [(6, True, 2)] * 3
+    assert times(source) == [1, 1]
+    assert not folder.exists()
+
+
+def test_one_part_removes_what_another_extraction_left(
+    made: Made, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    output = tmp_path / "d.parquet"
+    folder = stopped(made, output)
+    assert folder.is_dir()
+    assert run_extraction(made("good"), workers=1, output=output).recordings == 3
+    assert not folder.exists()
+    assert "its parts are of another extraction and are removed" in caplog.text
+    folder.mkdir()  # somebody's own
+    run_extraction(made("good"), workers=1, output=output)
+    assert folder.is_dir()
+
+
+def test_what_a_killed_run_had_not_finished_writing_is_removed(made: Made, tmp_path: Path) -> None:
+    output = tmp_path / "d.parquet"
+    stays = [".d.parquet.12x.part", ".d.parquet.part", ".dxparquet.12.part", "d.parquet.12.part", ".d.parquet.12.parts"]
+    for name in (".d.parquet.12.part", ".d.parquet.4194304.part", *stays):
+        (tmp_path / name).write_text("x")
+    run_extraction(made("good", "good"), workers=1, output=output)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*stays, "d.parquet", "notes"])
 
 
 def test_one_part_needs_no_folder(made: Made, tmp_path: Path) -> None:
@@ -176,7 +233,7 @@ def test_parts_of_another_extraction_are_never_used(
     if change == "manifest":
         (folder / "manifest.json").write_text("{")
     if change == "program":
-        monkeypatch.setattr("studies.extraction.plan._program", lambda: "another")
+        monkeypatch.setattr("studies.extraction.plan._program", lambda *_: "another")
     if change == "versions":
         monkeypatch.setattr("studies.extraction.plan.versions", lambda names: dict.fromkeys(names, "0.1"))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)

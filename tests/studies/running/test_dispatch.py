@@ -169,7 +169,7 @@ def test_workers_that_cannot_live_are_told_from_designs_that_kill(
     executor = Deadly(0, {})
     monkeypatch.setattr(executor, "deadly", lambda task: True)
     use(monkeypatch, executor)
-    with pytest.raises(LdcError, match="worker processes end whatever they run; what was finished is stored"):
+    with pytest.raises(LdcError, match="worker processes end whatever they run; what was stored is kept"):
         run_study(small_study(make_study, [1]), directory=tmp_path)
 
 

@@ -20,6 +20,19 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are k
 
 KILLS = 20
 
+LONG = 600
+"""Seconds that a whole run may take, on a machine that does other things as well and has to compile first."""
+
+OFTEN = """
+import sys
+from ldctoolkit.launcher import main
+from studies.running import campaign
+
+campaign._STORE_EVERY = 0.5
+sys.exit(main())
+"""
+"""The command, with parts stored so often that some are long before the last result."""
+
 STUDY = """
 name = "killed"
 seed = 5
@@ -53,7 +66,7 @@ q_y = { from = 1.0, to = 3.0, count = 10 }
 
 def start(folder: Path, name: str, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "-o", name, "--quiet",
+        [sys.executable, "-c", OFTEN, "run", "s.toml", "-o", name, "--quiet",
          "--no-robustness", "--no-figures", *words],
         cwd=folder,
         stdout=subprocess.DEVNULL,
@@ -65,7 +78,7 @@ def start(folder: Path, name: str, *words: str) -> subprocess.Popen[bytes]:
 def kill(process: subprocess.Popen[bytes]) -> None:
     """The run itself; its workers notice."""
     os.kill(process.pid, signal.SIGKILL)
-    process.wait(60)
+    process.wait(LONG)
 
 
 def finished(folder: Path) -> bool:
@@ -80,7 +93,7 @@ def parts(folder: Path) -> int:
 
 def wait_for_part(folder: Path, process: subprocess.Popen[bytes]) -> None:
     """Until the run has stored one more part, or has stored everything."""
-    before, given_up = parts(folder), time.monotonic() + 300
+    before, given_up = parts(folder), time.monotonic() + LONG
     while parts(folder) == before and not finished(folder):
         assert process.poll() is None
         assert time.monotonic() < given_up
@@ -100,29 +113,31 @@ def ranking(folder: Path) -> list[dict[str, str]]:
 def test_twenty_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
     whole = tmp_path / "whole"
-    assert start(tmp_path, "first", "--workers", "2").wait(300) == 0  # it may have to compile
+    assert start(tmp_path, "first", "--workers", "2").wait(LONG) == 0  # it may have to compile
     process, started = start(tmp_path, "whole", "--workers", "2"), time.monotonic()
     while not finished(whole):
         assert process.poll() is None
         time.sleep(0.01)
     took = time.monotonic() - started
-    assert process.wait(300) == 0
+    assert process.wait(LONG) == 0
     chance, killed = random.Random(7), tmp_path / "killed"
-    kept = []
+    unfinished = []
     for i in range(KILLS):
         process = start(tmp_path, "killed", "--workers", "2")
-        # by turns at its start, and some time after a part was stored, or, once all of them are, while it ends
+        # by turns as soon as one more part is stored, or all are, and at any moment, also while it ends
         if i % 2:
+            time.sleep(chance.uniform(0.0, 0.4) * took)
+        else:
             wait_for_part(killed, process)
-        time.sleep(chance.uniform(0.0, 0.4) * took)
         kill(process)
-        kept.append(parts(killed))
+        if not finished(killed):
+            unfinished.append(parts(killed))
     last = start(tmp_path, "killed", "--workers", "2")
-    _, error = last.communicate(timeout=300)
+    _, error = last.communicate(timeout=LONG)
     assert last.returncode == 0, error
     for rooms in ((), ("finalists",)):
         assert stored_rows(killed, *rooms).equals(stored_rows(whole, *rooms))
     assert ranking(killed) == ranking(whole)
-    # they were killed at different stages, not all of them before or after the work
-    assert len(set(kept)) > 2
+    # not all of them were killed before or after the work
+    assert any(unfinished), unfinished
     assert not list(killed.rglob(".*.part"))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import faulthandler
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -73,3 +75,15 @@ def test_a_folder_that_cannot_be_held_is_named(tmp_path: Path) -> None:
     (tmp_path / ".lock").mkdir()
     with pytest.raises(StoreError, match=f"{tmp_path}: cannot be written: Is a directory"), locked(tmp_path):
         pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process keeps its parent there")
+def test_a_worker_whose_parent_was_killed_before_it_began_leaves(tmp_path: Path) -> None:
+    """It would run on for ever, with nobody to read what it computes."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    code = f"import time; from studies.running.worker import start_worker; start_worker({str(tmp_path)!r}, {gone.pid})"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}; time.sleep(600)"], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stderr) == (1, "")
