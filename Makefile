@@ -7,7 +7,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-fast lint bench format clean
+.PHONY: help study test test-all test-long lint bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -40,12 +40,14 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint $(VENV)/.axe-core-$(AXE_CORE)  ## lint, types and all tests, slow ones too
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not browser"
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser  # one process: a browser beside another may wait for ever
-
-test-fast: lint  ## the same without the slow tests
+test: lint  ## lint, types and the tests that a change should pass, in minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
+
+test-all: test test-long  ## the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
+
+test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
+	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser  # one process: a browser beside another may wait for ever
 
 bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
-settings.register_profile("no deadline", settings.default, deadline=None)
-settings.load_profile("no deadline")  # how long an example takes depends on what else the machine does
+from helpers.examples import load_profile
+
+load_profile()
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are not part of the project; they lie beside the checkout where there are any."""

@@ -1,0 +1,35 @@
+"""Comparison bit for bit, of whatever holds arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+def assert_same_bits(one: Any, other: Any, where: str = "value") -> None:
+    """Fail, naming the place, unless both have the same types, shapes and bits: NaN equals NaN, 0.0 is not -0.0."""
+    assert type(one) is type(other), f"{where}: {type(one).__name__} and {type(other).__name__}"
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            assert_same_bits(getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        assert (one.dtype, one.shape) == (other.dtype, other.shape), where
+        if one.dtype == object:
+            assert_same_bits(one.tolist(), other.tolist(), where)
+        else:
+            assert one.tobytes() == other.tobytes(), f"{where}: other bits"
+    elif isinstance(one, float):
+        assert np.float64(one).tobytes() == np.float64(other).tobytes(), f"{where}: {one!r} and {other!r}"
+    elif isinstance(one, Mapping):
+        assert list(one) == list(other), where
+        for key in one:
+            assert_same_bits(one[key], other[key], f"{where}[{key!r}]")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), where
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_same_bits(a, b, f"{where}[{i}]")
+    else:
+        assert one == other, f"{where}: {one!r} and {other!r}"
