@@ -13,7 +13,6 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.part_result import PartResult, joined_results
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.read import Recordings
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.result import Extraction, Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
@@ -40,7 +39,8 @@ def extract_departures(
     Parameters
     ----------
     recordings : OpenedRecordings, or iterable of RecordingTable or Recording
-        From `open_recordings` or `read_recordings`, or made with `RecordingTable.from_arrays`.
+        From `open_recordings` or `read_recordings`, or made with `RecordingTable.from_arrays`, whose samples without a
+        time are passed over.
     vehicle_width : float [m], optional
         Width of the vehicle; the reader's, or 1.9 m, by default.
     min_duration, max_duration : float [s]
@@ -95,8 +95,7 @@ def extract_departures(
     width = VEHICLE_WIDTH if vehicle_width is None else vehicle_width
     criteria = Criteria(width, min_duration, max_duration, min_speed, max_gap, max_jump)
     result = extract_items(recordings, criteria, chosen)
-    files = recordings.sources if isinstance(recordings, Recordings) else ()
-    return merge_results([result], criteria, chosen, files=files)
+    return merge_results([result], criteria, chosen)
 
 
 def merge_results(

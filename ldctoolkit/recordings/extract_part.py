@@ -21,7 +21,6 @@ from ldctoolkit.recordings.preparation import Preparation, prepare
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.sources import RecordingPart, part_name
 from ldctoolkit.recordings.table import RecordingTable
-from ldctoolkit.recordings.units import UnitCheck
 
 BATCH: Final = 500_000
 """Samples that are searched together; no number depends on it."""
@@ -73,15 +72,12 @@ def extract_items(
 ) -> PartResult:
     """Departures of recordings, given one by one or in tables.
 
-    Tables are searched as they are if nothing is to be prepared, otherwise recording by recording. A recording that
-    cannot be prepared is a problem of the result.
+    A recording that cannot be prepared is a problem of the result.
 
     Raises
     ------
     InputError
         For an item of another kind.
-    RecordingError
-        For a table whose departures cannot be told.
     """
     results: list[PartResult] = []
     batch: list[Recording] = []
@@ -93,17 +89,13 @@ def extract_items(
     def search() -> None:
         nonlocal waiting
         if batch:
-            results.append(_of_table(table_of(batch), batch, criteria, preparation))
+            results.append(_of_batch(batch, criteria, preparation))
             batch.clear()
             waiting = 0
 
-    for item in items if preparation.changes_nothing else _one_by_one(items):
+    for item in _one_by_one(items):
         if isinstance(item, Problem):
             problems.append(item)
-        elif isinstance(item, RecordingTable):
-            search()
-            if item.samples:
-                results.append(_of_table(item, [], criteria, preparation))
         elif isinstance(item, Recording):
             try:
                 _check_labels(item)
@@ -169,34 +161,25 @@ def recordings_of(table: RecordingTable) -> Iterator[Recording]:
         rows = np.flatnonzero(timed[table.offsets[i] : table.offsets[i + 1]]) + table.offsets[i]
         given = {column: getattr(table, column, None) for column in Recording.COLUMNS}
         columns: dict[str, Any] = {column: None if values is None else values[rows] for column, values in given.items()}
-        yield Recording(name=name, source=table.source, **columns)
+        yield Recording(name=name, **columns)
 
 
-def _of_table(
-    table: RecordingTable, recordings: list[Recording], criteria: Criteria, preparation: Preparation
-) -> PartResult:
-    step = preparation.step if recordings else None
+def _of_batch(recordings: list[Recording], criteria: Criteria, preparation: Preparation) -> PartResult:
+    table, step = table_of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     found = find_departures(table, criteria, limit)
-    units = UnitCheck(criteria.vehicle_width)
-    units.add(table, found.usable, found.median_step)
-    if recordings:
-        origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
-    else:
-        origins = (Origin(table.source),) * table.names.size
+    origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
     sources = [origins[i].source for i in found.owner]
-    departures = dataclasses.replace(found.departures, extra=_extra(found.departures, found.owner, origins, recordings))
+    departures = dataclasses.replace(found.departures, extra=_extra(found.departures, found.owner, recordings))
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, found, origins),
-        evidence=evidence_of(table, found.usable, found.median_step, units.counts, recordings),
+        evidence=evidence_of(table, found.usable, found.median_step, criteria.vehicle_width, recordings),
         drawn=drawn_of(departures, found.signals, sources),
     )
 
 
-def _extra(
-    departures: Departures, owner: np.ndarray, origins: tuple[Origin, ...], recordings: list[Recording]
-) -> tuple[ExtraColumn, ...]:
+def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording]) -> tuple[ExtraColumn, ...]:
     """Source, scale and labels of each departure.
 
     The first two always, so that joined parts do not depend on how recordings were shared out.
@@ -205,10 +188,9 @@ def _extra(
     def text(values: list[str]) -> np.ndarray:
         return np.array(values, dtype=np.str_)[owner] if departures.n else np.empty(0, dtype=np.str_)
 
-    scales = np.array([recording.lane_scale for recording in recordings] or [1.0] * len(origins))
-    columns = [ExtraColumn(SOURCE, text([origin.source for origin in origins])), ExtraColumn(SCALE, scales[owner])]
-    names = dict.fromkeys(label.name for origin in origins for label in origin.labels)
-    for name in names:
-        value = [next((label.value for label in origin.labels if label.name == name), "") for origin in origins]
-        columns.append(ExtraColumn(name, text(value)))
+    scales = np.array([recording.lane_scale for recording in recordings])[owner]
+    columns = [ExtraColumn(SOURCE, text([recording.source for recording in recordings])), ExtraColumn(SCALE, scales)]
+    for name in dict.fromkeys(label.name for recording in recordings for label in recording.labels):
+        values = [next((one.value for one in own.labels if one.name == name), "") for own in recordings]
+        columns.append(ExtraColumn(name, text(values)))
     return tuple(columns)

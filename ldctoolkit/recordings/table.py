@@ -67,7 +67,7 @@ def usable_samples(samples: Samples) -> BoolArray:
 class RecordingTable:
     """r whole recordings of m samples in all, in flat arrays.
 
-    Built with `from_arrays`, which checks them, or by `read_recordings`.
+    Built with `from_arrays`, which checks them.
 
     Attributes
     ----------
@@ -93,8 +93,6 @@ class RecordingTable:
         Label of the lane; only equality counts.
     turn_signal : (m,) int or None
         +1 left, -1 right, 0 none.
-    source : str
-        Name of the file, for messages.
     """
 
     names: npt.NDArray[np.str_]
@@ -108,34 +106,11 @@ class RecordingTable:
     yaw_rate: FloatArray | None = None
     lane: IntArray | None = None
     turn_signal: IntArray | None = None
-    source: str = ""
 
     @property
     def samples(self) -> int:
         """Number of samples, m."""
         return int(self.t.size)
-
-    @property
-    def usable(self) -> BoolArray:
-        """Samples that can be used, (m,): valid, every number that takes part finite, lane width positive."""
-        usable: BoolArray = usable_samples(self) & np.isfinite(self.t)
-        return usable
-
-    def blanked(self, usable: BoolArray) -> RecordingTable:
-        """The same table with NaN for every number of an unusable sample but a finite time."""
-
-        def blank(column: FloatArray | None) -> FloatArray | None:
-            return None if column is None else np.where(usable, column, np.nan)
-
-        return dataclasses.replace(
-            self,
-            t=np.where(np.isfinite(self.t), self.t, np.nan),
-            lane_offset=np.where(usable, self.lane_offset, np.nan),
-            lane_width=np.where(usable, self.lane_width, np.nan),
-            speed=np.where(usable, self.speed, np.nan),
-            curvature=blank(self.curvature),
-            yaw_rate=blank(self.yaw_rate),
-        )
 
     @property
     def recording_index(self) -> IntArray:
@@ -221,37 +196,18 @@ class RecordingTable:
                 f"recording {str(unique[count > 1][0])!r} comes in {count[count > 1][0]} separate pieces; "
                 "allowed: consecutive samples"
             )
-        check_times(table, "row", np.arange(labels.size))
+        _check_times(table)
         return table
 
 
-def check_times(table: RecordingTable, word: str, rows: IntArray) -> None:
-    """Refuse times that do not increase inside a recording; samples without a time are passed over.
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples.
-    word : str
-        What a place in the source is called: "line" or "row".
-    rows : (m,) int
-        Place of each sample in the source.
-
-    Raises
-    ------
-    RecordingError
-        Naming file, recording, place and both times.
-    """
+def _check_times(table: RecordingTable) -> None:
+    """Refuse times that do not increase inside a recording; samples without a time are passed over."""
     timed = np.flatnonzero(np.isfinite(table.t))
     t, recording = table.t[timed], table.recording_index[timed]
-    bad = np.flatnonzero((np.diff(t) <= 0) & (recording[1:] == recording[:-1]))
-    if bad.size == 0:
-        return
-    i = int(bad[0]) + 1
-    where = f"{table.source}, {word} {rows[timed[i]]}" if table.source else f"{word} {rows[timed[i]]}"
-    fault = "is repeated" if t[i] == t[i - 1] else f"comes after t = {float(t[i - 1])!r} s: times are not sorted"
-    more = f" ({bad.size} places in all)" if bad.size > 1 else ""
-    raise RecordingError(
-        f"{where}: column 't', recording {str(table.names[recording[i]])!r}: t = {float(t[i])!r} s {fault}; "
-        f"allowed: times that increase inside a recording{more}"
-    )
+    bad = np.flatnonzero((np.diff(t) <= 0) & (recording[1:] == recording[:-1])) + 1
+    if bad.size:
+        i = int(bad[0])
+        raise RecordingError(
+            f"row {timed[i]}: column 't', recording {str(table.names[recording[i]])!r}: t = {float(t[i])!r} s comes "
+            f"after t = {float(t[i - 1])!r} s; allowed: times that increase inside a recording"
+        )
