@@ -19,7 +19,7 @@ from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, trip_bytes
 from ldctoolkit.recordings.trips.look_through import look_through
 from ldctoolkit.recordings.trips.table_files import find_tables
-from ldctoolkit.recordings.trips.table_header import check_columns, is_plain, read_header
+from ldctoolkit.recordings.trips.table_header import TableLayout, check_columns, is_plain, read_header
 from ldctoolkit.recordings.trips.trip_index import TripIndex
 from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips
 
@@ -30,16 +30,6 @@ KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
 _TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Layout:
-    """A table with a header; `kind` says which."""
-
-    columns: tuple[str, ...]
-    begin: int
-    kind: str
-    line: int = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,7 +146,7 @@ def _unknown(columns: Sequence[str]) -> str:
     return f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
 
 
-def _layout_of(path: Path) -> tuple[_Layout | None, str]:
+def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     """Which table a file is, and what is odd about it."""
     header = read_header(path)
     kind = _kind(header.columns)
@@ -164,7 +154,7 @@ def _layout_of(path: Path) -> tuple[_Layout | None, str]:
         return None, _unknown(header.columns)
     check_columns(header.columns, KEY, _COLUMNS[kind])
     words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-    return _Layout(header.columns, header.begin, kind), words if _named(path) not in ("", kind) else ""
+    return TableLayout(header.columns, header.begin, kind=kind), words if _named(path) not in ("", kind) else ""
 
 
 READER: Final = SpmdDas1()

@@ -16,11 +16,11 @@ from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd import das2_columns as names
-from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
+from ldctoolkit.recordings.spmd.das2_columns import layout_of
 from ldctoolkit.recordings.table import measured
 from ldctoolkit.recordings.trips.look_through import look_through
 from ldctoolkit.recordings.trips.table_files import find_tables
-from ldctoolkit.recordings.trips.table_header import is_plain, read_header
+from ldctoolkit.recordings.trips.table_header import TableLayout, is_plain, read_header
 from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips
@@ -156,7 +156,7 @@ class SpmdDas2:
             except RecordingError:
                 layout, known = None, False
             if layout is not None:
-                found.append(layout.header)
+                found.append(layout.line > 1)
             elif not known and _named(path):
                 named += 1  # opening it tells what is wrong
         some = "" if not any(found) else f"{found.count(False)} of them "
@@ -185,7 +185,7 @@ class SpmdDas2:
             parts += self._parts(one.table, one.layout, own)
         return FoundParts(tuple(parts), files, tuple(problems))
 
-    def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
+    def _parts(self, table: TripTable, layout: TableLayout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
         for batch in batches(trips, _bytes, self.part_bytes):
             first = batch[0][0]
             yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, batch)
@@ -196,7 +196,7 @@ def _named(path: Path) -> bool:
     return re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) is not None
 
 
-def _layout_and_words(path: Path) -> tuple[Layout | None, str]:
+def _layout_and_words(path: Path) -> tuple[TableLayout | None, str]:
     """How a file's rows are laid out, or why it is no such table."""
     layout = layout_of(path)
     cells = " or ".join(map(str, names.CELLS))

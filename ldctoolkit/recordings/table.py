@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
 
 LARGEST: Final = 1e9
 """A number of this size or more is not a measurement in any unit; its sample is invalid."""
@@ -25,35 +22,7 @@ def measured(values: FloatArray) -> FloatArray:
     return kept
 
 
-class Samples(Protocol):
-    """Columns that decide which samples can be used: those of a `RecordingTable` or a `Recording`."""
-
-    @property
-    def lane_offset(self) -> FloatArray:
-        """In m."""
-
-    @property
-    def lane_width(self) -> FloatArray:
-        """In m."""
-
-    @property
-    def speed(self) -> FloatArray:
-        """In m/s."""
-
-    @property
-    def valid(self) -> BoolArray:
-        """What the source says."""
-
-    @property
-    def curvature(self) -> FloatArray | None:
-        """In 1/m."""
-
-    @property
-    def yaw_rate(self) -> FloatArray | None:
-        """In rad/s; takes part only where there is no curvature."""
-
-
-def usable_samples(samples: Samples) -> BoolArray:
+def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
     """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
     usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
     bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
