@@ -26,7 +26,6 @@ from ldctoolkit.recordings.sources import (
     reader_names,
     recording_reader,
 )
-from ldctoolkit.recordings.table import RecordingTable
 
 __all__ = [
     "Account",
@@ -45,7 +44,6 @@ __all__ = [
     "RecordingPart",
     "RecordingReader",
     "RecordingSource",
-    "RecordingTable",
     "Refused",
     "SourceFile",
     "extract_departures",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -67,10 +67,8 @@ def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
         yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
 
-def extract_items(
-    items: Iterable[Recording | RecordingTable | Problem], criteria: Criteria, preparation: Preparation
-) -> PartResult:
-    """Departures of recordings, given one by one or in tables.
+def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, preparation: Preparation) -> PartResult:
+    """Departures of recordings.
 
     A recording that cannot be prepared is a problem of the result.
 
@@ -93,7 +91,7 @@ def extract_items(
             batch.clear()
             waiting = 0
 
-    for item in _one_by_one(items):
+    for item in items:
         if isinstance(item, Problem):
             problems.append(item)
         elif isinstance(item, Recording):
@@ -110,17 +108,9 @@ def extract_items(
             batch.append(recording)
             waiting += recording.samples
         else:
-            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording, RecordingTable")
+            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
     search()
     return joined_results([*results, PartResult(problems=tuple(problems))])
-
-
-def _one_by_one(items: Iterable[Recording | RecordingTable | Problem]) -> Iterator[Recording | Problem]:
-    for item in items:
-        if isinstance(item, RecordingTable):
-            yield from recordings_of(item)
-        else:
-            yield item
 
 
 def _check_labels(recording: Recording) -> None:
@@ -152,16 +142,6 @@ def table_of(recordings: list[Recording]) -> RecordingTable:
         offsets=np.concatenate([[0], np.cumsum([recording.samples for recording in recordings])]).astype(np.int64),
         **columns,  # type: ignore[arg-type]
     )
-
-
-def recordings_of(table: RecordingTable) -> Iterator[Recording]:
-    """The recordings of a table one by one, without samples that have no time."""
-    timed = np.isfinite(table.t)
-    for i, name in enumerate(table.names.tolist()):
-        rows = np.flatnonzero(timed[table.offsets[i] : table.offsets[i + 1]]) + table.offsets[i]
-        given = {column: getattr(table, column, None) for column in Recording.COLUMNS}
-        columns: dict[str, Any] = {column: None if values is None else values[rows] for column, values in given.items()}
-        yield Recording(name=name, **columns)
 
 
 def _of_batch(recordings: list[Recording], criteria: Criteria, preparation: Preparation) -> PartResult:

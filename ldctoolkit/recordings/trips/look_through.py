@@ -11,7 +11,7 @@ from typing import Final
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
-from ldctoolkit.recordings.trips.table_header import TableLayout
+from ldctoolkit.recordings.trips.table_header import TableLayout, is_plain, read_header
 from ldctoolkit.recordings.trips.trip_index import TripIndex, index_trips
 from ldctoolkit.recordings.trips.trip_rows import TripTable
 
@@ -38,8 +38,35 @@ class FoundTable:
     index: TripIndex
 
 
+def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
+    """How many tables there are of each kind, in words; empty if there are none.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders.
+    named : callable
+        Which kind a file's name speaks of; empty for none.
+    kind_of : callable
+        Which kind a file is by its content; empty for none; raises `RecordingError` if it cannot be read as a table.
+    """
+    kinds: list[str] = []
+    for path, _ in find_tables(paths):
+        kind, plain = "", False
+        try:
+            kind = kind_of(path)
+            plain = is_plain(read_header(path).columns)
+        except RecordingError:
+            pass  # opening it tells what is wrong
+        if kind:
+            kinds.append(kind)
+        elif named(path) and not plain:
+            kinds.append(f"{named(path)} by name alone")
+    return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
+
+
 def look_through(
-    paths: Sequence[Path], named: Callable[[Path], bool], layout_of: Callable[[Path], tuple[TableLayout | None, str]]
+    paths: Sequence[Path], named: Callable[[Path], str], layout_of: Callable[[Path], tuple[TableLayout | None, str]]
 ) -> tuple[list[FoundTable], list[Problem]]:
     """Look through the tables that a reader is for; several are read at the same time.
 
@@ -48,7 +75,8 @@ def look_through(
     paths : sequence of Path
         Files and folders.
     named : callable
-        Whether a file's name speaks of the reader's tables. Faults of other files are told only if the user named them.
+        Which of the reader's tables a file's name speaks of; empty for none. Faults of other files are told only if
+        the user named them.
     layout_of : callable
         How a file's rows are laid out, and what is odd about it or an empty text. None, and why, for another table;
         raises `RecordingError` if it cannot be read as one.

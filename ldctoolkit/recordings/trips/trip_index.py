@@ -230,7 +230,7 @@ class _Scan:
 
 
 def _compiled() -> Callable[..., int]:
-    from ldctoolkit.recordings.trips._key_kernel import first_other_line
+    from ldctoolkit.recordings.trips._text_kernels import first_other_line
 
     return first_other_line
 
