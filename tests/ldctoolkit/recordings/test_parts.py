@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.recordings import OFFSET, T, assert_same, drive
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
 from ldctoolkit.recordings import (
     Criteria,
@@ -36,14 +37,6 @@ from ldctoolkit.recordings import (
 from ldctoolkit.recordings import sources as readers
 from ldctoolkit.recordings.events import REASONS
 
-T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
-
-
-def drive(name: str) -> Recording:
-    full = np.full(100, 25.0)
-    return Recording(name, T, OFFSET, full - 21.4, full, full > 0.0, curvature=0.0 * full, source="made")
-
 
 @dataclasses.dataclass(frozen=True)
 class Part:
@@ -58,8 +51,8 @@ class Part:
             if name == "!":
                 raise RecordingError("made.txt, line 7: the file ends in a row")
             if name == "~":
-                yield dataclasses.replace(drive(name), t=-T)
-            yield Problem("made.txt", "line 3", "odd") if name == "?" else drive(name)
+                yield drive(name, t=-T)
+            yield Problem("made.txt", "line 3", "odd") if name == "?" else drive(name, source="made")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +138,7 @@ def test_opening_finds_the_reader(made, tmp_path):
     assert (other.provenance.criteria.vehicle_width, other.provenance.preparation.step) == (1.7, 0.2)
 
 
-def test_parts_one_by_one_are_the_whole(made, tmp_path, assert_same):
+def test_parts_one_by_one_are_the_whole(made, tmp_path):
     """Read anywhere, in any order, also after a trip to another process."""
     for i in range(5):
         (tmp_path / f"{i}.made").write_text(" ".join(f"r{i}{k}" for k in range(i + 1)) + " ?" * (i % 2))

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings import Recording
 from ldctoolkit.recordings.resample import MAX_GAP, resample
 
-SETTINGS = settings(max_examples=80, deadline=None)
+SETTINGS = examples(80)
 EPS = 1e-6
 """Share of a step that the edge of a window is wider."""
 

@@ -14,11 +14,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from helpers import cli
 from ldctoolkit.errors import RecordingError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
-from studies.cli import main
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
 
@@ -45,17 +45,13 @@ Ldc = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def ldc(folder: Path, capsys: pytest.CaptureFixture[str]) -> Ldc:
-    """Run the command in this process, which is what takes no time: exit code, stdout, stderr."""
+def ldc(folder: Path) -> Ldc:
+    """Run the command: exit code, stdout, stderr."""
 
     def run(*words: object) -> tuple[int, str, str]:
-        try:
-            code = main(["extract", *map(str, words)])
-        except SystemExit as error:
-            code = int(error.code or 0)
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
+        done = cli.ldc("extract", *words, cwd=folder)
+        assert "Traceback" not in done.stderr
+        return done.returncode, done.stdout, done.stderr
 
     return run
 

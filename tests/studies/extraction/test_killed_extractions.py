@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import random
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers import das1
 from ldctoolkit.recordings import extract_departures, read_departures
 from ldctoolkit.recordings.opened import open_recordings
 from studies.extraction import run_extraction
@@ -23,8 +23,6 @@ KILLS = 12
 
 LONG = 600
 """Seconds that a whole extraction may take, on a machine that does other things as well and has to compile first."""
-
-DAS1_TABLES = Path(__file__).parents[2] / "ldctoolkit" / "recordings" / "spmd" / "das1_tables.py"
 
 
 def plain_tables(folder: Path) -> None:
@@ -46,12 +44,6 @@ def plain_tables(folder: Path) -> None:
 
 def das1_tables(folder: Path) -> None:
     """Pairs of SPMD tables of two trips each; the last pair but one lacks the end of its lane table."""
-    spec = importlib.util.spec_from_file_location("killed_das1_tables", DAS1_TABLES)
-    assert spec is not None
-    assert spec.loader is not None
-    das1 = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = das1
-    spec.loader.exec_module(das1)
     for i in range(FILES):
         drives = [das1.planted_drive(10 + i, trip) for trip in (1, 2)]
         # a speed of its own each, else they would be told as one trip repeated

@@ -49,6 +49,7 @@ def test_parts_in_this_process_are_as_the_library_extracts_them(made: Made, cont
     assert found.provenance.preparation == Preparation(step=0.1)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits(made: Made, content: Content, tmp_path: Path) -> None:
     output = tmp_path / "d.parquet"
     found = run_extraction(made(*GOOD), workers=2, output=output)
@@ -61,6 +62,7 @@ def test_two_processes_give_the_same_bits(made: Made, content: Content, tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "e.parquet", "notes"]
 
 
+@pytest.mark.slow
 def test_a_part_that_ends_its_worker_is_left_out_and_told(made: Made, content: Content, tmp_path: Path) -> None:
     how = ["good", "good", "dies", "good", "dies once", "good"]
     source = made(*how)
@@ -77,7 +79,7 @@ def test_a_part_that_ends_its_worker_is_left_out_and_told(made: Made, content: C
     assert not (tmp_path / "d.parquet.parts").exists()
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_a_part_raises_is_a_problem_of_that_part(made: Made, tmp_path: Path, workers: int) -> None:
     found = run_extraction(made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet")
     assert found.recordings == 6

@@ -3,34 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import os
-import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from helpers import fuzz as making
 
-def _load() -> ModuleType:
-    """The package `making` beside: test folders are not on the path."""
-    name = "recordings_fuzz_making"
-    if name not in sys.modules:
-        place = Path(__file__).with_name("making") / "__init__.py"
-        spec = importlib.util.spec_from_file_location(name, place, submodule_search_locations=[str(place.parent)])
-        if spec is None or spec.loader is None:
-            raise ImportError(place)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[name]
-
-
-making = _load()
 READERS = tuple(making.SOUND)
 SHAPES = [(reader, i) for reader, shapes in making.SOUND.items() for i in range(len(shapes))]
 
@@ -189,7 +172,7 @@ FUZZ = {
     "places": fuzz_places,
     "recognise": fuzz_recognise,
 }
-FAST = {"damaged": 100, "elsewhere": 30, "bytes": 40, "places": 40, "recognise": 40}
+FAST = {"damaged": 25, "elsewhere": 8, "bytes": 8, "places": 10, "recognise": 8}
 SLOW = {"damaged": 7200, "elsewhere": 500, "bytes": 5000, "places": 500, "recognise": 500}
 OWN = {"damaged": 5000, "bytes": 5000}
 """In the slow tier, at least so many examples of a kind hold damaged or odd content that the format's reader reads; of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from helpers import round_trip as making
 from ldctoolkit import DepartureSignals, load_model, reduce_signals
 
 N = 600
@@ -16,7 +17,7 @@ def parameters():
 
 
 @pytest.fixture(scope="module")
-def driven(making, parameters):
+def driven(parameters):
     return making.drive(parameters, 4, events_a_trip=25)
 
 
@@ -55,7 +56,7 @@ def test_every_model_event_is_driven_once(driven, parameters):
     assert set(driven.planted.parameters.side.tolist()) == {-1, 1}
 
 
-def test_the_edge_is_beyond_the_line_in_departures_alone(making, driven):
+def test_the_edge_is_beyond_the_line_in_departures_alone(driven):
     margin = 0.5 * (1.82 - driven.lane_width)
     edge = {1: driven.lane_offset + margin, -1: -driven.lane_offset + margin}
     p = driven.planted.parameters
@@ -81,7 +82,7 @@ def test_nothing_jumps_between_departures(driven):
     assert driven.speed.min() > 1.0
 
 
-def test_yaw_rate_turns_the_heading_and_is_held(making, driven):
+def test_yaw_rate_turns_the_heading_and_is_held(driven):
     exact = making.measure(driven, making.Noise.none(), 1)
     same = np.diff(driven.trip) == 0
     turned = -np.diff(exact.heading)
@@ -97,7 +98,7 @@ def test_yaw_rate_turns_the_heading_and_is_held(making, driven):
     np.testing.assert_array_equal(noisy.left * 256.0, np.rint(noisy.left * 256.0))
 
 
-def test_what_the_vehicle_turns_in_its_lane_adds_up(making, driven):
+def test_what_the_vehicle_turns_in_its_lane_adds_up(driven):
     """Over a trip the vehicle ends as it began: the yaw rate of its own adds nothing to the lane's turning."""
     exact = making.measure(driven, making.Noise.none(), 1)
     own = making.measure(driven, making.Noise.none(), 1, own_turning=True)

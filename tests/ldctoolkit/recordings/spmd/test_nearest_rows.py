@@ -1,9 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
 
 Rows = list[tuple[int, float]]
@@ -32,7 +33,7 @@ def columns(given_rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(left=rows, right=rows, tolerance=st.sampled_from([5.0, 0.5, 7.25, 40.0]))
 def test_the_join_is_that_of_all_pairs(left: Rows, right: Rows, tolerance: float) -> None:
     assert nearest_rows(*columns(left), *columns(right), tolerance).tolist() == by_hand(left, right, tolerance)

@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.uah_driveset import READER
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
 TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(lambda ks: np.sort(ks) / 32.0)
-SETTINGS = settings(max_examples=150, deadline=None)
+SETTINGS = examples(150)
 
 
 def value_by_hand(at, t, values, longest, beyond):
