@@ -18,7 +18,6 @@ from helpers.recordings import OFFSET, T, assert_same, drive
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
 from ldctoolkit.recordings import (
     Criteria,
-    OpenedRecordings,
     Preparation,
     Problem,
     Provenance,
@@ -90,19 +89,6 @@ def made(monkeypatch):
     monkeypatch.setattr(readers, "_installed", lambda: points)
     yield
     readers.recording_reader.cache_clear()
-
-
-def test_the_protocols():
-    part = Part("a", ("x",))
-    assert isinstance(part, RecordingPart)
-    assert isinstance(Source((part,)), RecordingSource)
-    assert isinstance(Reader(), RecordingReader)
-    for name in reader_names():
-        reader = recording_reader(name)
-        assert isinstance(reader, RecordingReader)
-        assert 1.0 < reader.vehicle_width < 2.5
-        assert reader.step is None or 0.01 <= reader.step <= 1.0
-    assert {"table", "spmd-das1", "spmd-das2", "uah-driveset"} <= set(reader_names())
 
 
 def test_a_part_that_fails_keeps_what_it_gave():
@@ -214,46 +200,6 @@ def test_a_part_is_told_under_the_name_that_it_shows(shown, told):
     assert [problem.file for problem in result.problems] == [told]
 
 
-def test_several_readers_may_not_know_the_same(made, monkeypatch, tmp_path):
-    path = tmp_path / "x.made"
-    path.write_text("a")
-    table = recording_reader("table")
-    monkeypatch.setattr(type(table), "recognise", lambda self, paths: "anything")
-    with pytest.raises(RecordingError, match=r"several readers know such files \(made: made; table: anything\)"):
-        open_recordings(path)
-    assert open_recordings(path, format="made").reader.name == "made"
-
-
-@pytest.mark.parametrize(
-    ("loaded", "message"),
-    [
-        (ImportError("no module named x"), r"cannot be loaded: no module named x"),
-        (ValueError("bad"), r"cannot be loaded: ValueError: bad"),
-        (object(), r"allowed: name, title, vehicle_width, step, recognise, open"),
-        (Reader(), r"its name is 'made'; allowed: the same as here"),
-    ],
-)
-def test_readers_that_are_not_readers(monkeypatch, loaded, message):
-    class Point:
-        value = "somewhere:READER"
-
-        def load(self) -> Any:
-            if isinstance(loaded, Exception):
-                raise loaded
-            return loaded
-
-    monkeypatch.setattr(readers, "_installed", lambda: {"other": Point()})
-    readers.recording_reader.cache_clear()
-    with pytest.raises(LdcError, match=rf"format 'other' \(somewhere:READER\).*{message}"):
-        recording_reader("other")
-    readers.recording_reader.cache_clear()
-
-
-def test_opened_recordings_are_plain():
-    opened = OpenedRecordings(Reader(), Source((Part("a", ("x",)),)), "something")
-    assert len(extract_departures(opened).departures) == 1
-
-
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
@@ -321,14 +267,6 @@ def test_the_guides_reader(guide):
     assert [words.partition(":")[0] for words in told[1:3]] == ["b.lane, line 11", "b.lane, line 21"]
     assert "bad.lane: cannot be read" in told[3] or "bad.lane: cannot be read" in told[1]
     assert [file.name for file in found.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
-
-
-def test_the_guides_reader_from_the_command_line(guide, capsys):
-    from studies.cli import main
-
-    log(guide / "a.lane")
-    assert main(["extract", str(guide / "a.lane"), "--workers", "1", "-o", str(guide / "d.parquet")]) == 0
-    assert "lane-logs (1 lane logs)" in capsys.readouterr().out
 
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):

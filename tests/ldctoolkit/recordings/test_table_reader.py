@@ -435,11 +435,6 @@ def test_folders(save: Save, tmp_path: Path) -> None:
         READER.open([tmp_path])
 
 
-def test_a_column_without_a_number_is_told(save: Save) -> None:
-    _, problems = read(save(HEADER.replace("\n", ",curvature\n") + A.replace("\n", ",\n")))
-    assert "'curvature' holds no number" in problems[-1].what
-
-
 def test_a_time_that_no_clock_shows(save: Save) -> None:
     recordings, problems = read(save(HEADER + A + B.replace("b,0.1,", "b,1e308,") + C.replace("c,0,", "c,1.4e9,")))
     assert [(name, one.samples) for name, one in recordings.items()] == [("a", 2), ("b", 1)]

@@ -125,14 +125,6 @@ def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], m
     assert [path.name for path in folder.iterdir()] == ["a.csv"]
 
 
-def test_files_that_no_reader_knows(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text("one,two\n1,2\n")
-    code, out, err = ldc("a.csv", "-o", "d.parquet")
-    assert (code, out) == (2, "")
-    assert "a.csv: no reader knows such files; allowed: " in err
-    assert "spmd-das1" in err
-
-
 def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
     (folder / "a.csv").write_text(recordings(0, 30))
     words = {

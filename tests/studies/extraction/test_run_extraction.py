@@ -100,12 +100,6 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["notes"]
 
 
-def test_where_every_part_raises_the_folder_goes_once(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(NothingReadError, match="part 0: ZeroDivisionError: a reader's own fault; part 1: "):
-        run_extraction(made("raises", "raises"), workers=1, output=tmp_path / "d.parquet")
-    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
-
-
 def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:
     found = run_extraction(made("good", "raises", kind=shown_part), workers=1)
     assert "1.made: ZeroDivisionError: a reader's own fault" in texts(found)

@@ -218,11 +218,6 @@ def test_departures_or_a_known_error_at_length(kind: str, reader: str) -> None:
     check_shares(kind, outcomes)
 
 
-def test_every_reader_reads_ten_thousand_examples_itself() -> None:
-    """What the tests above count for each reader, summed."""
-    assert sum(OWN.values()) >= 10_000
-
-
 @pytest.mark.parametrize(("reader", "shape"), SHAPES)
 def test_a_pipe_is_not_waited_for(tmp_path: Path, reader: str, shape: int) -> None:
     """In the place of any of the files."""

@@ -139,7 +139,7 @@ def fleet() -> list[object]:
 
 
 def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
-    drives = fleet(das1)
+    drives = fleet()
     das1.write_tables(tmp_path, drives[:9], suffix="_October")
     das1.write_tables(tmp_path, drives[9:], suffix="_April")
     whole = READER.open([tmp_path])
@@ -167,7 +167,7 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
 
 
 def test_the_order_of_trips_in_the_other_table_does_not_matter(tmp_path: Path) -> None:
-    drives = fleet(das1)
+    drives = fleet()
     lane, wsu = das1.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([lane, wsu]))
     wsu.write_bytes(das1.text_of(das1.wsu_frame(drives[::-1])))
@@ -175,7 +175,7 @@ def test_the_order_of_trips_in_the_other_table_does_not_matter(tmp_path: Path) -
 
 
 def test_columns_are_found_by_name(tmp_path: Path) -> None:
-    drives = fleet(das1)[:3]
+    drives = fleet()[:3]
     lane, wsu = das1.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([tmp_path]))
     frame = das1.lane_frame(drives)
@@ -187,7 +187,7 @@ def test_columns_are_found_by_name(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["padded", "quoted", "null", "blank lines", "lf", "no last line end", "exponents"])
 def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
-    drives = fleet(das1)[:3]
+    drives = fleet()[:3]
     lane, wsu = das1.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([tmp_path]))
     for path in (lane, wsu):
@@ -217,7 +217,7 @@ def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
 def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
     inner = tmp_path / "October" / "DAS1"
     inner.mkdir(parents=True)
-    das1.write_tables(inner, fleet(das1)[:2])
+    das1.write_tables(inner, fleet()[:2])
     (tmp_path / "DataFrontTargets.csv").write_text("Device,Trip,Time,TargetId\n1,2,3,4\n")
     (tmp_path / "Trip_Summary_File_DataWsu_April.csv").write_text("DeviceID,TripID\n1,2\n")
     (tmp_path / "readme.txt").write_text("words")
@@ -234,7 +234,7 @@ def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
 def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
     for i, month in enumerate(("october", "april")):
         (tmp_path / month).mkdir()
-        das1.write_tables(tmp_path / month, fleet(das1)[2 * i : 2 * i + 2])
+        das1.write_tables(tmp_path / month, fleet()[2 * i : 2 * i + 2])
     source = READER.open([tmp_path])
     assert [one.name for one in source.files] == [
         "april/DataLane.csv", "october/DataLane.csv", "april/DataWsu.csv", "october/DataWsu.csv",
@@ -283,7 +283,7 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
 
 
 def test_nothing_to_read(tmp_path: Path) -> None:
-    lane, wsu = das1.write_tables(tmp_path, fleet(das1)[:1])
+    lane, wsu = das1.write_tables(tmp_path, fleet()[:1])
     with pytest.raises(RecordingError, match="no table DataWsu"):
         READER.open([lane])
     with pytest.raises(RecordingError, match="no table DataLane"):

@@ -228,22 +228,6 @@ def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -
     assert recordings["10/2"].samples == 30
 
 
-def test_bytes_that_are_not_utf_8(write: Write) -> None:
-    path = write(lines_of(1))
-    path.write_bytes(path.read_bytes().replace(b"15        ", b"15  \xff\xe9   ", 1))
-    recordings, problems = read(path)
-    check(problems, "line 2", "UTF-8")
-    assert recordings["10/1"].samples == 29
-
-
-def test_a_trip_in_several_stretches_is_put_together(write: Write) -> None:
-    one, two = lines_of(1), lines_of(2)
-    recordings, problems = read(write([*one[:10], *two, *one[10:]]))
-    check(problems, "line 42", "10/1")
-    whole, _ = read(write([*one, *two]))
-    np.testing.assert_array_equal(recordings["10/1"].lane_offset, whole["10/1"].lane_offset)
-
-
 def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(write: Write) -> None:
     first = write(lines_of(1) + lines_of(2), "october/HV_Primary.csv")
     second = write(lines_of(3) + lines_of(1)[:20], "april/HV_Primary.csv")
@@ -318,11 +302,3 @@ def test_columns_that_are_not_needed_may_be_missing(write: Write) -> None:
     assert problems == []
     assert recordings["10/1"].yaw_rate is None
     assert recordings["10/1"].notes == ("no column InVehicle_Yaw_Rate, GPS_Valid",)
-
-
-def test_a_file_that_changes_after_it_was_opened(write: Write) -> None:
-    path = write(lines_of(1))
-    source = SpmdDas2().open([path])
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RecordingError, match="changed"):
-        list(source.parts[0].read())

@@ -101,15 +101,6 @@ def test_the_recording(made, truth, tmp_path):
     assert one.notes == ()
 
 
-def test_angles_jump_within_departures(made, planted):
-    """Otherwise the fixtures do not tell whether they are unwrapped."""
-    trip = made()
-    for rows, column, turn in ((trip.accelerometers, 10, 2.0 * np.pi), (trip.gps, 7, 360.0)):
-        jumps = rows[1:, 0][np.abs(np.diff(rows[:, column])) > 0.9 * turn]
-        inside = [one for one in planted if ((one.start < jumps) & (jumps < one.start + one.T)).any()]
-        assert len(inside) == 2
-
-
 def test_yaw_in_degrees(made, tmp_path):
     trip = made()
     one = read(trip.write(tmp_path / "radians"))
