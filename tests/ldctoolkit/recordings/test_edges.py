@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.recordings import drive
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_departures
 
@@ -146,3 +147,9 @@ def test_the_ends_of_what_is_allowed(kind, name, good, bad):
     for value in bad:
         with pytest.raises(InputError, match=rf"^{name if name != 'min_duration' or value < 0 else 'max_duration'}: "):
             kind(**{name: value})
+
+
+def test_the_hours_count_a_step_as_long_as_the_limit():
+    t = np.array([0.0, 0.125, 0.25, 0.5, 0.625, 1.0, 1.125])
+    found = extract_departures([drive(t=t, lane_offset=0.0)], max_gap=0.25)
+    assert found.hours * 3600.0 == 0.75

@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 
 from helpers import cli
+from helpers.fuzz import DEPARTURES, SOUND
 from ldctoolkit.errors import RecordingError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
 from ldctoolkit.recordings.recording import Problem, Recording
@@ -405,3 +406,37 @@ def test_workers_are_processes_only_where_there_is_much_to_read(
     for files in (["0.csv"], ["0.csv", "1.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
         assert ldc(*files, "-o", "d.parquet")[0] == 0
     assert asked == [(None, 1, None), (None, 1, None), (None, 2, None), (None, 2, None)]
+
+
+FAULTS = {
+    "table": ("drives.csv", b"3.6", b"wide", r"drives\.csv, line 2: column 'lane_width' holds 'wide'"),
+    "spmd-das1": ("DataLane.csv", b"7,1,", b"x,1,", r"DataLane\.csv, line 2: it begins with 'x,1'"),
+    "spmd-das2": ("HV_Primary.csv", b"\n7,1,", b"\nx,1,", r"HV_Primary\.csv, line 2: it begins with 'x,1'"),
+    "uah-driveset": (
+        "PROC_LANE_DETECTION.txt",
+        b" 2 \n",
+        b" x \n",
+        r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
+    ),
+}
+
+
+@pytest.mark.parametrize("source", FAULTS)
+def test_a_fault_in_any_format_is_told_and_the_rest_is_there(folder: Path, ldc: Ldc, source: str) -> None:
+    files = SOUND[source][0]
+    for name, content in files.items():
+        (folder / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "in" / name).write_bytes(content)
+    assert ldc("in", "-o", "d.parquet")[0] == 0
+    whole = read_departures("d.parquet")[0]
+    assert whole.n == DEPARTURES[source]
+    file, good, bad, told = FAULTS[source]
+    path = next(path for path in (folder / "in").rglob("*") if path.name == file)
+    path.write_bytes(path.read_bytes().replace(good, bad, 1))
+    code, out, err = ldc("in", "-o", "d.parquet", "--format", source)
+    assert code == 3
+    assert out.startswith(f"format: {source} ")
+    assert re.search(rf"^ldc: warning: {told}", err, re.MULTILINE), err
+    departures, provenance = read_departures("d.parquet")
+    assert departures.n == whole.n - (source == "table")  # there a fault costs its recording
+    assert all(f"ldc: warning: {problem}\n" in err for problem in provenance.problems)

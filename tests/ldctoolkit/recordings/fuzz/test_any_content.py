@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import tempfile
 from collections import Counter
@@ -42,28 +41,7 @@ def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int
         assert found.departures.n == making.DEPARTURES[reader]
 
 
-@dataclasses.dataclass
-class Outcomes:
-    """What came of the examples.
-
-    Attributes
-    ----------
-    words : Counter of str
-        Examples by outcome.
-    own : int
-        Those whose content is not a sound file's, given to the reader of the format by name.
-    """
-
-    words: Counter[str] = dataclasses.field(default_factory=Counter)
-    own: int = 0
-
-    @property
-    def total(self) -> int:
-        return sum(self.words.values())
-
-    @property
-    def found(self) -> int:
-        return self.words["departures"] + self.words["damaged departures"]
+Outcomes = Counter[str]
 
 
 def fuzz_damaged_files(reader: str, examples: int) -> Outcomes:
@@ -77,7 +55,7 @@ def fuzz_elsewhere(reader: str, examples: int) -> Outcomes:
 
 
 def _fuzz_damaged(reader: str, examples: int, formats: st.SearchStrategy[str]) -> Outcomes:
-    outcomes = Outcomes()
+    outcomes: Outcomes = Counter()
     widths = st.sampled_from((None, None, 3.5))
     sound = making.SOUND[reader]
 
@@ -94,8 +72,7 @@ def _fuzz_damaged(reader: str, examples: int, formats: st.SearchStrategy[str]) -
             paths = making.write(root, files)
             table = Path(folder, "d.parquet") if written == 0 else None
             given_paths = [root] if as_folder else paths
-            outcomes.words[making.check(given_paths, format_, width, table, small_parts=small)] += 1
-            outcomes.own += format_ == reader and dict(files) not in sound
+            outcomes[making.check(given_paths, format_, width, table, small_parts=small)] += 1
 
     run()
     return outcomes
@@ -103,7 +80,7 @@ def _fuzz_damaged(reader: str, examples: int, formats: st.SearchStrategy[str]) -
 
 def fuzz_bytes(reader: str, examples: int) -> Outcomes:
     """Any bytes under the names that a format's files have."""
-    outcomes = Outcomes()
+    outcomes: Outcomes = Counter()
     names = list(making.SOUND[reader][0])
     contents = st.lists(st.binary(max_size=300) | making.WORDS, min_size=len(names), max_size=len(names))
 
@@ -112,8 +89,7 @@ def fuzz_bytes(reader: str, examples: int) -> Outcomes:
     def run(contents: list[bytes], as_folder: bool) -> None:
         with tempfile.TemporaryDirectory() as folder:
             paths = making.write(Path(folder), dict(zip(names, contents, strict=True)))
-            outcomes.words[making.check([Path(folder)] if as_folder else paths, reader)] += 1
-            outcomes.own += 1
+            outcomes[making.check([Path(folder)] if as_folder else paths, reader)] += 1
 
     run()
     return outcomes
@@ -121,7 +97,7 @@ def fuzz_bytes(reader: str, examples: int) -> Outcomes:
 
 def fuzz_places(reader: str, examples: int) -> Outcomes:
     """Sound files beside links in loops, pipes, folders and files that may not be read, odd names; odd paths given."""
-    outcomes = Outcomes()
+    outcomes: Outcomes = Counter()
     formats = st.sampled_from((*[reader] * 4, "auto"))
     given_paths = st.lists(making.PATHS, max_size=2)
 
@@ -136,7 +112,7 @@ def fuzz_places(reader: str, examples: int) -> Outcomes:
             written = making.write(root, making.SOUND[reader][shape])
             odd = making.put_places(root, places)
             paths = [[root], written, [*written, *odd]][named] + [Path(f"{root}/{name}") for name in others]
-            outcomes.words[making.check(paths, format_, table=Path(folder, "d.parquet"))] += 1
+            outcomes[making.check(paths, format_, table=Path(folder, "d.parquet"))] += 1
             making.open_again(odd)
 
     run()
@@ -145,7 +121,7 @@ def fuzz_places(reader: str, examples: int) -> Outcomes:
 
 def fuzz_recognise(reader: str, examples: int) -> Outcomes:
     """Every reader's first look at anything: words or none."""
-    outcomes = Outcomes()
+    outcomes: Outcomes = Counter()
 
     @fixed(examples)
     @given(making.files_changed(making.SOUND[reader]), making.PLACES, st.lists(making.PATHS, max_size=2))
@@ -158,7 +134,7 @@ def fuzz_recognise(reader: str, examples: int) -> Outcomes:
             paths = [*written, *odd, *(Path(f"{root}/{name}") for name in others)]
             for name in READERS:
                 for some in (paths, [root], []):
-                    outcomes.words[f"{name} {bool(making.recognise(some, name))}"] += 1
+                    outcomes[f"{name} {bool(making.recognise(some, name))}"] += 1
             making.open_again(odd)
 
     run()
@@ -174,33 +150,17 @@ FUZZ = {
 }
 FAST = {"damaged": 25, "elsewhere": 8, "bytes": 8, "places": 10, "recognise": 8}
 SLOW = {"damaged": 7200, "elsewhere": 500, "bytes": 5000, "places": 500, "recognise": 500}
-OWN = {"damaged": 5000, "bytes": 5000}
-"""In the slow tier, at least so many examples of a kind hold damaged or odd content that the format's reader reads; of
-the damaged files, 0.76 to 0.89 are no longer what they were."""
 
 
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
     """Neither were all files refused, nor did all stay as they were: one example of each is always among them."""
+    assert outcomes.total() >= examples
     if kind == "recognise":
-        assert outcomes.total >= 3 * len(READERS) * examples
         return
-    assert outcomes.total >= examples
-    if kind == "bytes":
-        assert outcomes.found == 0
-        assert outcomes.own == outcomes.total
-    else:
-        assert outcomes.found > 0
-        assert outcomes.words["refused"] > 0
-    assert outcomes.words["refused without a word"] == 0
-
-
-def check_shares(kind: str, outcomes: Outcomes) -> None:
-    """The many examples reached what they are for; the shares are about half of those that were counted."""
-    assert outcomes.own >= OWN.get(kind, 0)
-    if kind in ("damaged", "places"):
-        assert outcomes.found > 0.1 * outcomes.total
-    if kind == "damaged":
-        assert outcomes.words["damaged departures"] > 0.04 * outcomes.total
+    found = outcomes["departures"] + outcomes["damaged departures"]
+    assert (found > 0) == (kind != "bytes")
+    assert outcomes["refused"] > 0
+    assert outcomes["refused without a word"] == 0
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -213,9 +173,7 @@ def test_departures_or_a_known_error(kind: str, reader: str) -> None:
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("kind", FUZZ)
 def test_departures_or_a_known_error_at_length(kind: str, reader: str) -> None:
-    outcomes = FUZZ[kind](reader, SLOW[kind])
-    check_outcomes(kind, outcomes, SLOW[kind])
-    check_shares(kind, outcomes)
+    check_outcomes(kind, FUZZ[kind](reader, SLOW[kind]), SLOW[kind])
 
 
 @pytest.mark.parametrize(("reader", "shape"), SHAPES)
