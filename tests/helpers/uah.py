@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +102,12 @@ def accelerometer_rows(rng: np.random.Generator) -> np.ndarray:
 
 
 def text_of(rows: np.ndarray) -> str:
+    return _text(rows.tobytes(), rows.shape[1])
+
+
+@functools.cache
+def _text(data: bytes, width: int) -> str:
+    rows = np.frombuffer(data).reshape(-1, width)
     return "".join(" ".join(f"{value:.10g}" for value in row) + " \n" for row in rows)
 
 
@@ -122,6 +130,12 @@ class Trip:
 
 
 def make_trip(seed: int = 1, **lane: Any) -> Trip:
+    """A trip of its own each time."""
+    return copy.deepcopy(_trip(seed, **lane))
+
+
+@functools.cache
+def _trip(seed: int, **lane: Any) -> Trip:
     rng = np.random.default_rng(seed)
     return Trip(lane_rows(rng, **lane), gps_rows(rng), accelerometer_rows(rng))
 

@@ -39,6 +39,7 @@ def errors(found, drive):
     )
 
 
+@pytest.mark.slow
 def test_marginals_come_back_with_noise(tmp_path):
     drive = making.drive(load_model("reference").sample(750, 750, seed=11), 5)
     found = extracted(tmp_path, drive, making.Noise())
