@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -141,10 +142,11 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
 def _blanked(table: RecordingTable, usable: BoolArray) -> RecordingTable:
     """The same table with NaN for the numbers of unusable samples."""
     names = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
-    given = {name: getattr(table, name) for name in names}
-    return dataclasses.replace(
-        table, **{name: None if values is None else np.where(usable, values, np.nan) for name, values in given.items()}
-    )
+    changed: dict[str, Any] = {}
+    for name in names:
+        values = getattr(table, name)
+        changed[name] = None if values is None else np.where(usable, values, np.nan)
+    return dataclasses.replace(table, **changed)
 
 
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:

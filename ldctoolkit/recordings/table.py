@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
 
+__all__ = ["LARGEST", "BoolArray", "FloatArray", "IntArray", "RecordingTable", "measured", "usable_samples"]
+
 LARGEST: Final = 1e9
 """A number of this size or more is not a measurement in any unit; its sample is invalid."""
 

@@ -166,7 +166,7 @@ def test_equals_the_walk_through_every_sample(seed, with_lane):
 
 def test_the_random_tables_reach_every_reason():
     total: Counter[str] = Counter()
-    for seed in range(25):
+    for seed in range(60):
         for with_lane in (True, False):
             found = extract(random_drives(seed, with_lane))
             total.update(dict(found.refused.items()) | {"departures": len(found.departures)})

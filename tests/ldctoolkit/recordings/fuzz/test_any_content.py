@@ -148,7 +148,7 @@ FUZZ = {
     "places": fuzz_places,
     "recognise": fuzz_recognise,
 }
-FAST = {"damaged": 25, "elsewhere": 8, "bytes": 8, "places": 10, "recognise": 8}
+FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
 SLOW = {"damaged": 7200, "elsewhere": 500, "bytes": 5000, "places": 500, "recognise": 500}
 
 
@@ -159,7 +159,7 @@ def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
         return
     found = outcomes["departures"] + outcomes["damaged departures"]
     assert (found > 0) == (kind != "bytes")
-    assert outcomes["refused"] > 0
+    assert outcomes["refused"] > 0 or kind == "bytes"
     assert outcomes["refused without a word"] == 0
 
 
