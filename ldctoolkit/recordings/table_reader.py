@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.plain.table_fault import REQUIRED, TableFault
 from ldctoolkit.recordings.plain.table_names import (
     BLOCK_BYTES,
-    REQUIRED,
     SUFFIXES,
-    TableFault,
     check_header,
     header_names,
     place_word,

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from ldctoolkit.errors import nearest
-from ldctoolkit.recordings.plain.table_names import NO_ROWS, REQUIRED, TableFault
+from ldctoolkit.recordings.plain.table_fault import NO_ROWS, REQUIRED, TableFault
 from ldctoolkit.recordings.plain.table_values import FAULT, NUMBERS, ROW, typed
 
 COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")

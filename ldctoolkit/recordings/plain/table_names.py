@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.plain.table_fault import NO_ROWS, TableFault
 from ldctoolkit.recordings.recording import Problem
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
-REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
-NO_ROWS: Final = "a header but no rows; at least one sample is needed"
 
 BLOCK_BYTES: Final = 16 << 20
 """About how much text is parsed at once."""
@@ -23,14 +22,6 @@ HEADER_BYTES: Final = 1 << 16
 
 MOST_TOLD: Final = 20
 """So many recordings that two files hold are told one by one."""
-
-
-class TableFault(RecordingError):
-    """What is wrong with a recording table, and where: "line 7", or empty for the file as a whole."""
-
-    def __init__(self, place: str, what: str) -> None:
-        super().__init__(f"{place}: {what}" if place else what)
-        self.place, self.what = place, what
 
 
 def header_names(path: Path) -> tuple[str, ...]:

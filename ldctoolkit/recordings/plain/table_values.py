@@ -9,7 +9,7 @@ import numpy.typing as npt
 import polars as pl
 
 from ldctoolkit.recordings.missing_words import MISSING
-from ldctoolkit.recordings.plain.table_names import TableFault
+from ldctoolkit.recordings.plain.table_fault import TableFault
 
 NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 
