@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -24,7 +23,9 @@ import numpy as np
 from ldctoolkit import extract_departures, fit_scenario_model, load_model, open_recordings
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 
-MAKING = Path(__file__).resolve().parents[1] / "tests" / "ldctoolkit" / "recordings" / "round_trip" / "making"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from helpers import round_trip as making
+
 UNITS = {"T": "s", "d_y": "m", "sigma_y": "m", "v_mean": "m/s", "a_mean": "m/s²", "sigma_v": "m/s"}
 DRAW, DRIVE, MEASURE, FIT = 11, 5, 7, 1
 """Seeds."""
@@ -56,21 +57,7 @@ CASES = (
 )
 
 
-def load_making() -> Any:
-    """The package that makes the recordings; it lives with the tests."""
-    name = "round_trip_making"
-    spec = importlib.util.spec_from_file_location(
-        name, MAKING / "__init__.py", submodule_search_locations=[str(MAKING)]
-    )
-    if spec is None or spec.loader is None:
-        raise ImportError(MAKING)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def extracted(making: Any, case: Case, drive: Any) -> Departures:
+def extracted(case: Case, drive: Any) -> Departures:
     """The departures of one case, through the tables."""
     noise = making.Noise().times(case.factor) if case.factor else making.Noise.none()
     if case.speed is not None:
@@ -81,7 +68,7 @@ def extracted(making: Any, case: Case, drive: Any) -> Departures:
         return extract_departures(open_recordings(paths, format="spmd-das1")).departures
 
 
-def lines(making: Any, case: Case, drive: Any, found: Departures) -> Iterator[str]:
+def lines(case: Case, drive: Any, found: Departures) -> Iterator[str]:
     """The table of one case in Markdown."""
     pairs = making.compare(found, drive)
     truth = drive.planted.parameters
@@ -106,15 +93,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--events", type=int, default=20_000, help="departures, both sides (default 20000)")
     given = parser.parse_args()
-    making = load_making()
     model = load_model("reference")
     drawn = model.sample(given.events // 2, given.events // 2, seed=DRAW)
     drives = {held: making.drive(drawn, DRIVE, curvature_held=held) for held in (False, True)}
     short = int(np.count_nonzero(~drives[False].planted.reached))
     print(f"{drawn.n:,} departures, {drives[False].trip.size:,} samples; sigma_y not reached in {short}\n")
     for case in CASES:
-        found = extracted(making, case, drives[case.curvature_held])
-        print("\n".join(lines(making, case, drives[case.curvature_held], found)), flush=True)
+        found = extracted(case, drives[case.curvature_held])
+        print("\n".join(lines(case, drives[case.curvature_held], found)), flush=True)
         if case.name == "noise":
             again = fit_scenario_model(found, components=10, seed=FIT, n_init=2)
             many = 10 * drawn.n

@@ -1,8 +1,8 @@
 """Driving recordings in, departures out.
 
-`open_recordings` finds the reader for files or folders of any known kind, `read_recordings` opens plain recording
-tables, `extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them
-in a departures table. The formats, the rules and the reasons for refusing a candidate are described in
+`open_recordings` finds the reader for files or folders of any known kind, `read_recordings` reads them one by one,
+`extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them in a
+departures table. The formats, the rules and the reasons for refusing a candidate are described in
 ``docs/recordings.md``.
 """
 
@@ -15,7 +15,7 @@ from ldctoolkit.recordings.extract_part import extract_part
 from ldctoolkit.recordings.opened import OpenedRecordings, open_recordings
 from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.read import Recordings, read_recordings
+from ldctoolkit.recordings.read import read_recordings
 from ldctoolkit.recordings.recording import Label, Problem, Recording
 from ldctoolkit.recordings.result import Extraction, Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
@@ -26,7 +26,6 @@ from ldctoolkit.recordings.sources import (
     reader_names,
     recording_reader,
 )
-from ldctoolkit.recordings.table import RecordingTable
 
 __all__ = [
     "Account",
@@ -45,8 +44,6 @@ __all__ = [
     "RecordingPart",
     "RecordingReader",
     "RecordingSource",
-    "RecordingTable",
-    "Recordings",
     "Refused",
     "SourceFile",
     "extract_departures",

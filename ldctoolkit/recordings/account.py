@@ -150,22 +150,8 @@ def joined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
 
 
 def _sum(origin: Origin, parts: list[Account]) -> Account:
-    return Account(
-        origin=origin,
-        recordings=sum(part.recordings for part in parts),
-        samples=sum(part.samples for part in parts),
-        usable=sum(part.usable for part in parts),
-        read_ns=sum(part.read_ns for part in parts),
-        valid_ns=sum(part.valid_ns for part in parts),
-        departures=_total([part.departures for part in parts]),
-        refused=_total([part.refused for part in parts]),
-        widths=_total([part.widths for part in parts]),
-    )
-
-
-def _total(arrays: list[IntArray]) -> IntArray:
-    total: IntArray = np.sum(arrays, axis=0, dtype=np.int64)
-    return total
+    names = [field.name for field in dataclasses.fields(Account) if field.name != "origin"]
+    return Account(origin, *(sum(getattr(part, name) for part in parts) for name in names))
 
 
 def share_of_widths(widths: IntArray) -> tuple[FloatArray, FloatArray]:

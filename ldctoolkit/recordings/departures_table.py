@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import polars as pl
 
 FORMAT_VERSION: Final = 2
-READABLE: Final = (1, FORMAT_VERSION)
-"""Format 1 had no reader, preparation and problems."""
 
 METADATA_KEY: Final = "ldctoolkit.departures"
 
@@ -220,14 +218,13 @@ def provenance_from_json(name: str, text: str) -> Provenance:
     try:
         content: dict[str, Any] = json.loads(text)
         found = content.pop("format_version")
-        if found not in READABLE:
-            allowed = " and ".join(str(version) for version in READABLE)
-            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {allowed}")
+        if found != FORMAT_VERSION:
+            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {FORMAT_VERSION}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))
-        texts: dict[str, Any] = {key: tuple(content.pop(key, ())) for key in ("warnings", "problems")}
-        preparation = Preparation(**content.pop("preparation", {}))
+        texts: dict[str, Any] = {key: tuple(content.pop(key)) for key in ("warnings", "problems")}
+        preparation = Preparation(**content.pop("preparation"))
         return Provenance(
             criteria=criteria, refused=refused, sources=sources, preparation=preparation, **texts, **content
         )

@@ -62,11 +62,10 @@ class Runs:
 
 
 def median_steps(table: RecordingTable) -> FloatArray:
-    """Median time step of each recording, (r,) [s]; NaN for a recording with fewer than two times."""
-    timed = np.flatnonzero(np.isfinite(table.t))
-    recording = table.recording_index[timed]
+    """Median time step of each recording, (r,) [s]; NaN for a recording with fewer than two samples."""
+    recording = table.recording_index
     within = recording[1:] == recording[:-1]
-    step, owner = np.diff(table.t[timed])[within], recording[1:][within]
+    step, owner = np.diff(table.t)[within], recording[1:][within]
     order = np.lexsort((step, owner))
     count = np.bincount(owner, minlength=table.names.size)
     begin = np.cumsum(count) - count

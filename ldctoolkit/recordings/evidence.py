@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Final
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
 from ldctoolkit.recordings.table import LARGEST, RecordingTable
+from ldctoolkit.recordings.units import unit_counts
 
 FLAT: Final = 1e-6
 """A lane that bends less [1/m] counts as straight."""
@@ -39,7 +41,7 @@ class Evidence:
     Attributes
     ----------
     units : tuple of (str, int)
-        From `UnitCheck.counts`.
+        From `unit_counts`.
     kinds : tuple of str
         Where the curvature comes from: "measured", "yaw_rate", "none"; sorted.
     lanes : bool
@@ -79,18 +81,18 @@ def evidence_of(
     table: RecordingTable,
     usable: npt.NDArray[np.bool_],
     median_step: FloatArray,
-    units: Sequence[tuple[str, int]],
+    vehicle_width: float,
     recordings: Sequence[Recording],
 ) -> Evidence:
-    """Evidence of one table; `recordings` are the same r as far as they are known one by one, else empty."""
+    """Evidence of one table of r recordings, given also one by one; `vehicle_width` [m] is what was taken."""
     count = table.names.size
     medians, prints = np.full(count, np.nan), [""] * count
-    for i in range(count):
+    for i, recording in enumerate(recordings):
         rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
         good = usable[rows]
         widths = table.lane_width[rows][good]
         if widths.size:
-            medians[i] = np.median(widths) / (recordings[i].lane_scale if recordings else 1.0)
+            medians[i] = np.median(widths) / recording.lane_scale
         if widths.size >= SHORTEST_TWIN:
             digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
             digest.update(table.lane_offset[rows][good].tobytes())
@@ -101,19 +103,14 @@ def evidence_of(
     if bend is not None:
         curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
         bends[:] = curved.size, np.count_nonzero(curved)
-    turns = np.zeros((len(recordings), 4))
-    for i, recording in enumerate(recordings):
-        turns[i] = _turns(recording, float(median_step[i]))
-    notes: dict[str, int] = {}
-    for recording in recordings:
-        for note in recording.notes:
-            notes[note] = notes.get(note, 0) + 1
+    turns = [_turns(recording, float(step)) for recording, step in zip(recordings, median_step, strict=True)]
+    notes = Counter(note for recording in recordings for note in recording.notes)
     kind = "measured" if table.curvature is not None else "none" if table.yaw_rate is None else "yaw_rate"
     return Evidence(
-        units=tuple(units),
+        units=unit_counts(table, usable, median_step, vehicle_width),
         kinds=(kind,),
         lanes=table.lane is not None,
-        turns=turns.sum(axis=0),
+        turns=np.sum(turns, axis=0),
         bends=bends,
         names=table.names,
         fingerprints=np.array(prints, dtype=np.str_),
@@ -155,12 +152,11 @@ def _turns(recording: Recording, step: float) -> FloatArray:
 def joined_evidence(parts: Iterable[Evidence]) -> Evidence:
     """Evidence of all recordings; in the order of the parts."""
     given = list(parts) or [no_evidence()]
-    units: dict[str, int] = {}
-    notes: dict[str, int] = {}
+    units: Counter[str] = Counter()
+    notes: Counter[str] = Counter()
     for part in given:
-        for total, counts in ((units, part.units), (notes, part.notes)):
-            for name, count in counts:
-                total[name] = total.get(name, 0) + count
+        units.update(dict(part.units))
+        notes.update(dict(part.notes))
     return Evidence(
         units=tuple(units.items()),
         kinds=tuple(sorted({kind for part in given for kind in part.kinds})),

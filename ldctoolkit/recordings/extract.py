@@ -13,11 +13,9 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.part_result import PartResult, joined_results
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.read import Recordings
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.result import Extraction, Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.table import RecordingTable
 from ldctoolkit.recordings.warnings_in_words import few_usable, warnings_in_words
 
 VEHICLE_WIDTH = 1.9
@@ -25,7 +23,7 @@ VEHICLE_WIDTH = 1.9
 
 
 def extract_departures(
-    recordings: Iterable[Recording | RecordingTable | Problem] | OpenedRecordings,
+    recordings: Iterable[Recording | Problem] | OpenedRecordings,
     *,
     vehicle_width: float | None = None,
     min_duration: float = 0.5,
@@ -39,8 +37,8 @@ def extract_departures(
 
     Parameters
     ----------
-    recordings : OpenedRecordings, or iterable of RecordingTable or Recording
-        From `open_recordings` or `read_recordings`, or made with `RecordingTable.from_arrays`.
+    recordings : OpenedRecordings, or iterable of Recording
+        From `open_recordings` or `read_recordings`, or made of arrays.
     vehicle_width : float [m], optional
         Width of the vehicle; the reader's, or 1.9 m, by default.
     min_duration, max_duration : float [s]
@@ -77,26 +75,24 @@ def extract_departures(
     --------
     >>> t = np.arange(0, 10, 0.1)
     >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
-    >>> table = RecordingTable.from_arrays(recording=["a"] * t.size, t=t, lane_offset=beyond + 0.85, lane_width=3.6,
-    ...                                    speed=25.0, curvature=0.0)
-    >>> found = extract_departures([table])
+    >>> one = np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
+    >>> found = extract_departures([drive])
     >>> len(found.departures), found.refused.total, round(float(found.departures.T[0]), 2)
     (1, 0, 2.0)
     """
-    if isinstance(recordings, OpenedRecordings):
-        width = recordings.reader.vehicle_width if vehicle_width is None else vehicle_width
-        chosen = Preparation(step=recordings.reader.step) if preparation is None else preparation
-        criteria = Criteria(width, min_duration, max_duration, min_speed, max_gap, max_jump)
-        source = recordings.source
-        results = [PartResult(problems=tuple(source.problems))]
-        results += [extract_part(part, criteria, chosen) for part in source.parts]
-        return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files)
-    chosen = preparation or Preparation()
-    width = VEHICLE_WIDTH if vehicle_width is None else vehicle_width
-    criteria = Criteria(width, min_duration, max_duration, min_speed, max_gap, max_jump)
-    result = extract_items(recordings, criteria, chosen)
-    files = recordings.sources if isinstance(recordings, Recordings) else ()
-    return merge_results([result], criteria, chosen, files=files)
+    opened = recordings if isinstance(recordings, OpenedRecordings) else None
+    width, step = (VEHICLE_WIDTH, None) if opened is None else (opened.reader.vehicle_width, opened.reader.step)
+    chosen = preparation or Preparation(step=step)
+    criteria = Criteria(
+        width if vehicle_width is None else vehicle_width, min_duration, max_duration, min_speed, max_gap, max_jump
+    )
+    if not isinstance(recordings, OpenedRecordings):
+        return merge_results([extract_items(recordings, criteria, chosen)], criteria, chosen)
+    source = recordings.source
+    results = [PartResult(problems=tuple(source.problems))]
+    results += [extract_part(part, criteria, chosen) for part in source.parts]
+    return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files)
 
 
 def merge_results(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from ldctoolkit.recordings.preparation import Preparation, prepare
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.sources import RecordingPart, part_name
 from ldctoolkit.recordings.table import RecordingTable
-from ldctoolkit.recordings.units import UnitCheck
 
 BATCH: Final = 500_000
 """Samples that are searched together; no number depends on it."""
@@ -68,20 +67,15 @@ def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
         yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
 
-def extract_items(
-    items: Iterable[Recording | RecordingTable | Problem], criteria: Criteria, preparation: Preparation
-) -> PartResult:
-    """Departures of recordings, given one by one or in tables.
+def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, preparation: Preparation) -> PartResult:
+    """Departures of recordings.
 
-    Tables are searched as they are if nothing is to be prepared, otherwise recording by recording. A recording that
-    cannot be prepared is a problem of the result.
+    A recording that cannot be prepared is a problem of the result.
 
     Raises
     ------
     InputError
         For an item of another kind.
-    RecordingError
-        For a table whose departures cannot be told.
     """
     results: list[PartResult] = []
     batch: list[Recording] = []
@@ -93,17 +87,13 @@ def extract_items(
     def search() -> None:
         nonlocal waiting
         if batch:
-            results.append(_of_table(table_of(batch), batch, criteria, preparation))
+            results.append(_of_batch(batch, criteria, preparation))
             batch.clear()
             waiting = 0
 
-    for item in items if preparation.changes_nothing else _one_by_one(items):
+    for item in items:
         if isinstance(item, Problem):
             problems.append(item)
-        elif isinstance(item, RecordingTable):
-            search()
-            if item.samples:
-                results.append(_of_table(item, [], criteria, preparation))
         elif isinstance(item, Recording):
             try:
                 _check_labels(item)
@@ -118,17 +108,9 @@ def extract_items(
             batch.append(recording)
             waiting += recording.samples
         else:
-            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording, RecordingTable")
+            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
     search()
     return joined_results([*results, PartResult(problems=tuple(problems))])
-
-
-def _one_by_one(items: Iterable[Recording | RecordingTable | Problem]) -> Iterator[Recording | Problem]:
-    for item in items:
-        if isinstance(item, RecordingTable):
-            yield from recordings_of(item)
-        else:
-            yield item
 
 
 def _check_labels(recording: Recording) -> None:
@@ -162,41 +144,22 @@ def table_of(recordings: list[Recording]) -> RecordingTable:
     )
 
 
-def recordings_of(table: RecordingTable) -> Iterator[Recording]:
-    """The recordings of a table one by one, without samples that have no time."""
-    timed = np.isfinite(table.t)
-    for i, name in enumerate(table.names.tolist()):
-        rows = np.flatnonzero(timed[table.offsets[i] : table.offsets[i + 1]]) + table.offsets[i]
-        given = {column: getattr(table, column, None) for column in Recording.COLUMNS}
-        columns: dict[str, Any] = {column: None if values is None else values[rows] for column, values in given.items()}
-        yield Recording(name=name, source=table.source, **columns)
-
-
-def _of_table(
-    table: RecordingTable, recordings: list[Recording], criteria: Criteria, preparation: Preparation
-) -> PartResult:
-    step = preparation.step if recordings else None
+def _of_batch(recordings: list[Recording], criteria: Criteria, preparation: Preparation) -> PartResult:
+    table, step = table_of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     found = find_departures(table, criteria, limit)
-    units = UnitCheck(criteria.vehicle_width)
-    units.add(table, found.usable, found.median_step)
-    if recordings:
-        origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
-    else:
-        origins = (Origin(table.source),) * table.names.size
+    origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
     sources = [origins[i].source for i in found.owner]
-    departures = dataclasses.replace(found.departures, extra=_extra(found.departures, found.owner, origins, recordings))
+    departures = dataclasses.replace(found.departures, extra=_extra(found.departures, found.owner, recordings))
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, found, origins),
-        evidence=evidence_of(table, found.usable, found.median_step, units.counts, recordings),
+        evidence=evidence_of(table, found.usable, found.median_step, criteria.vehicle_width, recordings),
         drawn=drawn_of(departures, found.signals, sources),
     )
 
 
-def _extra(
-    departures: Departures, owner: np.ndarray, origins: tuple[Origin, ...], recordings: list[Recording]
-) -> tuple[ExtraColumn, ...]:
+def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording]) -> tuple[ExtraColumn, ...]:
     """Source, scale and labels of each departure.
 
     The first two always, so that joined parts do not depend on how recordings were shared out.
@@ -205,10 +168,9 @@ def _extra(
     def text(values: list[str]) -> np.ndarray:
         return np.array(values, dtype=np.str_)[owner] if departures.n else np.empty(0, dtype=np.str_)
 
-    scales = np.array([recording.lane_scale for recording in recordings] or [1.0] * len(origins))
-    columns = [ExtraColumn(SOURCE, text([origin.source for origin in origins])), ExtraColumn(SCALE, scales[owner])]
-    names = dict.fromkeys(label.name for origin in origins for label in origin.labels)
-    for name in names:
-        value = [next((label.value for label in origin.labels if label.name == name), "") for origin in origins]
-        columns.append(ExtraColumn(name, text(value)))
+    scales = np.array([recording.lane_scale for recording in recordings])[owner]
+    columns = [ExtraColumn(SOURCE, text([recording.source for recording in recordings])), ExtraColumn(SCALE, scales)]
+    for name in dict.fromkeys(label.name for recording in recordings for label in recording.labels):
+        values = [next((one.value for one in own.labels if one.name == name), "") for own in recordings]
+        columns.append(ExtraColumn(name, text(values)))
     return tuple(columns)

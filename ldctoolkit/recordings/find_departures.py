@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from ldctoolkit.recordings.events import (
     signals_of_runs,
 )
 from ldctoolkit.recordings.joined import no_departures
-from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray, RecordingTable
+from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray, RecordingTable, usable_samples
 
 __all__ = ["ACCEPTED", "REASONS", "Found", "find_departures"]
 
@@ -79,13 +80,13 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     Found
         Departures, candidates, times.
     """
-    usable = table.usable
+    usable = usable_samples(table)
     if not usable.all():  # infinities and absurd numbers would only raise floating point warnings further on
-        table = table.blanked(usable)
+        table = _blanked(table, usable)
     place = np.flatnonzero(usable)
     median_step = median_steps(table)
     limit = _gap_limit(median_step, criteria, gap_limit)
-    read = _seconds(table, np.flatnonzero(np.isfinite(table.t)), limit, adjacent=False)
+    read = _seconds(table, np.arange(table.samples), limit, adjacent=False)
     none = np.empty(0, dtype=np.int64)
     if place.size == 0:
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
@@ -136,6 +137,16 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         usable=usable,
         median_step=median_step,
     )
+
+
+def _blanked(table: RecordingTable, usable: BoolArray) -> RecordingTable:
+    """The same table with NaN for the numbers of unusable samples."""
+    names = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+    changed: dict[str, Any] = {}
+    for name in names:
+        values = getattr(table, name)
+        changed[name] = None if values is None else np.where(usable, values, np.nan)
+    return dataclasses.replace(table, **changed)
 
 
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:
@@ -214,7 +225,6 @@ def _curvature(table: RecordingTable, usable: BoolArray, median_step: FloatArray
         return np.zeros(table.samples)
     recording = table.recording_index
     first = np.ones(table.samples, dtype=bool)
-    # a step next to a sample without a time is NaN: no gap by itself, for that sample is not usable anyway
     first[1:] = (recording[1:] != recording[:-1]) | (np.diff(table.t) > limit[recording[1:]])
     width = np.rint(HALF_WINDOW / np.fmax(median_step, 1e-6))
     half_width = np.nan_to_num(width).astype(np.int64)[recording]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.sources import AUTO, RecordingReader, RecordingSource, recognised_by, recording_reader, shown
-from ldctoolkit.recordings.together import ReadersTogether, agree
+from ldctoolkit.recordings.together import ReadersTogether
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +106,6 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
         return found[0]
     said = "; ".join(f"{reader.name}: {words}" for reader, words in found)
     readers = tuple(reader for reader, _ in found)
-    if not agree(readers):
+    if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
         raise RecordingError(f"{shown(paths)}: several readers know such files ({said}); choose one with --format")
     return ReadersTogether(readers), said

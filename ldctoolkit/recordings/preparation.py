@@ -56,11 +56,6 @@ class Preparation:
         factor = self.yaw_rate_factor
         refuse("yaw_rate_factor", math.isfinite(factor) and factor != 0.0, "finite, not 0")
 
-    @property
-    def changes_nothing(self) -> bool:
-        """Whether recordings stay as they are."""
-        return self.step is None and self.nominal_lane_width is None and self.yaw_rate_factor == 1.0
-
 
 def prepare(recording: Recording, preparation: Preparation, max_jump: float = MAX_JUMP) -> Recording:
     """One recording in the common form.

@@ -184,15 +184,8 @@ class Recording:
         object.__setattr__(self, "source", _text(self.source, f"{whose} source"))
         for attribute, kind in (("notes", str), ("labels", Label)):
             values = getattr(self, attribute)
-            if not isinstance(values, tuple | list):
-                raise RecordingError(
-                    f"{whose} {attribute} is of type {type(values).__name__}; allowed: a tuple of {kind.__name__}"
-                )
-            for i, value in enumerate(values):
-                if not isinstance(value, kind):
-                    raise RecordingError(
-                        f"{whose} {attribute}[{i}] is of type {type(value).__name__}; allowed: {kind.__name__}"
-                    )
+            if not isinstance(values, tuple | list) or not all(isinstance(value, kind) for value in values):
+                raise RecordingError(f"{whose} {attribute} are {values!r:.60}; allowed: a tuple of {kind.__name__}")
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "labels", tuple(self.labels))
 

@@ -17,9 +17,8 @@ from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, trip_bytes
-from ldctoolkit.recordings.trips.look_through import look_through
-from ldctoolkit.recordings.trips.table_files import find_tables
-from ldctoolkit.recordings.trips.table_header import check_columns, is_plain, read_header
+from ldctoolkit.recordings.trips.look_through import look_through, recognised
+from ldctoolkit.recordings.trips.table_header import TableLayout, check_columns, read_header
 from ldctoolkit.recordings.trips.trip_index import TripIndex
 from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips
 
@@ -30,16 +29,6 @@ KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
 _TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Layout:
-    """A table with a header; `kind` says which."""
-
-    columns: tuple[str, ...]
-    begin: int
-    kind: str
-    line: int = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,18 +60,7 @@ class SpmdDas1:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
-        kinds: list[str] = []
-        for path, _ in find_tables(paths):
-            try:
-                columns = read_header(path).columns
-            except RecordingError:
-                columns = ()
-            kind = _kind(columns)
-            if kind:
-                kinds.append(kind)
-            elif (kind := _named(path)) and not is_plain(columns):
-                kinds.append(f"{kind} by name alone")  # opening it tells what is wrong
-        return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
+        return recognised(paths, _named, lambda path: _kind(read_header(path).columns))
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
         """Look through the tables for where each trip lies.
@@ -93,7 +71,7 @@ class SpmdDas1:
             If there is no lane table or no other table, or no trip in the lane tables. Trips of these alone give
             recordings without a speed.
         """
-        found, problems = look_through(paths, lambda path: _named(path) != "", _layout_of)
+        found, problems = look_through(paths, _named, _layout_of)
         tables = {kind: [(one.table, one.index) for one in found if one.layout.kind == kind] for kind in _COLUMNS}
         files = tuple(
             SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
@@ -156,7 +134,7 @@ def _unknown(columns: Sequence[str]) -> str:
     return f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
 
 
-def _layout_of(path: Path) -> tuple[_Layout | None, str]:
+def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     """Which table a file is, and what is odd about it."""
     header = read_header(path)
     kind = _kind(header.columns)
@@ -164,7 +142,7 @@ def _layout_of(path: Path) -> tuple[_Layout | None, str]:
         return None, _unknown(header.columns)
     check_columns(header.columns, KEY, _COLUMNS[kind])
     words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-    return _Layout(header.columns, header.begin, kind), words if _named(path) not in ("", kind) else ""
+    return TableLayout(header.columns, header.begin, kind=kind), words if _named(path) not in ("", kind) else ""
 
 
 READER: Final = SpmdDas1()

@@ -16,11 +16,10 @@ from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd import das2_columns as names
-from ldctoolkit.recordings.spmd.das2_columns import Layout, layout_of
+from ldctoolkit.recordings.spmd.das2_columns import layout_of
 from ldctoolkit.recordings.table import measured
-from ldctoolkit.recordings.trips.look_through import look_through
-from ldctoolkit.recordings.trips.table_files import find_tables
-from ldctoolkit.recordings.trips.table_header import is_plain, read_header
+from ldctoolkit.recordings.trips.look_through import look_through, recognised
+from ldctoolkit.recordings.trips.table_header import TableLayout
 from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips
@@ -147,22 +146,7 @@ class SpmdDas2:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
-        found: list[bool] = []
-        named = 0
-        for path, _ in find_tables(paths):
-            try:
-                layout = layout_of(path)
-                known = layout is not None or is_plain(read_header(path).columns)
-            except RecordingError:
-                layout, known = None, False
-            if layout is not None:
-                found.append(layout.header)
-            elif not known and _named(path):
-                named += 1  # opening it tells what is wrong
-        some = "" if not any(found) else f"{found.count(False)} of them "
-        without = f", {some}without a header" if False in found else ""
-        words = [f"{len(found)} of HV_Primary{without}"] if found else []
-        return ", ".join(words + [f"{named} of HV_Primary by name alone"] * (named > 0))
+        return recognised(paths, _named, _kind)
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
         """Look through the tables for where each trip lies.
@@ -185,18 +169,23 @@ class SpmdDas2:
             parts += self._parts(one.table, one.layout, own)
         return FoundParts(tuple(parts), files, tuple(problems))
 
-    def _parts(self, table: TripTable, layout: Layout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
+    def _parts(self, table: TripTable, layout: TableLayout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
         for batch in batches(trips, _bytes, self.part_bytes):
             first = batch[0][0]
             yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, batch)
 
 
-def _named(path: Path) -> bool:
-    """Whether the file's name speaks of this table."""
-    return re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) is not None
+def _named(path: Path) -> str:
+    """The table, if the file's name speaks of it."""
+    return "HV_Primary" if re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) else ""
 
 
-def _layout_and_words(path: Path) -> tuple[Layout | None, str]:
+def _kind(path: Path) -> str:
+    layout = layout_of(path)
+    return "" if layout is None else "HV_Primary" if layout.line > 1 else "HV_Primary without a header"
+
+
+def _layout_and_words(path: Path) -> tuple[TableLayout | None, str]:
     """How a file's rows are laid out, or why it is no such table."""
     layout = layout_of(path)
     cells = " or ".join(map(str, names.CELLS))

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+__all__ = ["LARGEST", "BoolArray", "FloatArray", "IntArray", "RecordingTable", "measured", "usable_samples"]
 
 LARGEST: Final = 1e9
 """A number of this size or more is not a measurement in any unit; its sample is invalid."""
@@ -25,35 +22,7 @@ def measured(values: FloatArray) -> FloatArray:
     return kept
 
 
-class Samples(Protocol):
-    """Columns that decide which samples can be used: those of a `RecordingTable` or a `Recording`."""
-
-    @property
-    def lane_offset(self) -> FloatArray:
-        """In m."""
-
-    @property
-    def lane_width(self) -> FloatArray:
-        """In m."""
-
-    @property
-    def speed(self) -> FloatArray:
-        """In m/s."""
-
-    @property
-    def valid(self) -> BoolArray:
-        """What the source says."""
-
-    @property
-    def curvature(self) -> FloatArray | None:
-        """In 1/m."""
-
-    @property
-    def yaw_rate(self) -> FloatArray | None:
-        """In rad/s; takes part only where there is no curvature."""
-
-
-def usable_samples(samples: Samples) -> BoolArray:
+def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
     """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
     usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
     bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
@@ -67,8 +36,6 @@ def usable_samples(samples: Samples) -> BoolArray:
 class RecordingTable:
     """r whole recordings of m samples in all, in flat arrays.
 
-    Built with `from_arrays`, which checks them, or by `read_recordings`.
-
     Attributes
     ----------
     names : (r,) str
@@ -76,7 +43,7 @@ class RecordingTable:
     offsets : (r + 1,) int
         Recording i owns the samples ``offsets[i]:offsets[i + 1]``.
     t : (m,) [s]
-        Time on the recording's own clock, strictly increasing inside a recording; NaN marks a sample without a time.
+        Time on the recording's own clock, not falling inside a recording.
     lane_offset : (m,) [m]
         Vehicle's centre from the lane's centre, positive to the left.
     lane_width : (m,) [m]
@@ -93,8 +60,6 @@ class RecordingTable:
         Label of the lane; only equality counts.
     turn_signal : (m,) int or None
         +1 left, -1 right, 0 none.
-    source : str
-        Name of the file, for messages.
     """
 
     names: npt.NDArray[np.str_]
@@ -108,7 +73,6 @@ class RecordingTable:
     yaw_rate: FloatArray | None = None
     lane: IntArray | None = None
     turn_signal: IntArray | None = None
-    source: str = ""
 
     @property
     def samples(self) -> int:
@@ -116,142 +80,6 @@ class RecordingTable:
         return int(self.t.size)
 
     @property
-    def usable(self) -> BoolArray:
-        """Samples that can be used, (m,): valid, every number that takes part finite, lane width positive."""
-        usable: BoolArray = usable_samples(self) & np.isfinite(self.t)
-        return usable
-
-    def blanked(self, usable: BoolArray) -> RecordingTable:
-        """The same table with NaN for every number of an unusable sample but a finite time."""
-
-        def blank(column: FloatArray | None) -> FloatArray | None:
-            return None if column is None else np.where(usable, column, np.nan)
-
-        return dataclasses.replace(
-            self,
-            t=np.where(np.isfinite(self.t), self.t, np.nan),
-            lane_offset=np.where(usable, self.lane_offset, np.nan),
-            lane_width=np.where(usable, self.lane_width, np.nan),
-            speed=np.where(usable, self.speed, np.nan),
-            curvature=blank(self.curvature),
-            yaw_rate=blank(self.yaw_rate),
-        )
-
-    @property
     def recording_index(self) -> IntArray:
         """Index of the recording that each sample belongs to, (m,)."""
         return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
-
-    @classmethod
-    def from_arrays(
-        cls,
-        *,
-        recording: Sequence[str] | npt.NDArray[np.str_],
-        t: npt.ArrayLike,
-        lane_offset: npt.ArrayLike,
-        lane_width: npt.ArrayLike,
-        speed: npt.ArrayLike,
-        valid: npt.ArrayLike = True,
-        curvature: npt.ArrayLike | None = None,
-        yaw_rate: npt.ArrayLike | None = None,
-        lane: npt.ArrayLike | None = None,
-        turn_signal: npt.ArrayLike | None = None,
-    ) -> RecordingTable:
-        """Build and check a table from columns, one value a sample (all but `recording` and `t` may be scalars).
-
-        Parameters
-        ----------
-        recording : (m,) str
-            Recording that each sample belongs to; a recording's samples are consecutive.
-        t, lane_offset, lane_width, speed, valid, curvature, yaw_rate, lane, turn_signal : (m,) or scalar
-            As the attributes of the class.
-
-        Returns
-        -------
-        RecordingTable
-            The samples, grouped by recording.
-
-        Raises
-        ------
-        RecordingError
-            If columns differ in length, a recording comes in two pieces, or its times do not increase.
-
-        Examples
-        --------
-        >>> table = RecordingTable.from_arrays(recording=["a", "a", "b"], t=[0, 0.1, 0], lane_offset=0.2,
-        ...                                    lane_width=3.6, speed=25.0)
-        >>> table.names.tolist(), table.offsets.tolist()
-        (['a', 'b'], [0, 2, 3])
-        """
-        labels = np.asarray(recording, dtype=np.str_)
-        if labels.ndim != 1 or labels.size == 0:
-            raise RecordingError(f"recording: shape {labels.shape}; allowed: one label a sample, at least one sample")
-
-        def column(name: str, values: npt.ArrayLike) -> FloatArray:
-            given = np.asarray(values, dtype=np.float64)
-            if given.shape not in ((), labels.shape):
-                raise RecordingError(f"{name}: shape {given.shape}; allowed: a scalar or {labels.shape}")
-            return np.array(np.broadcast_to(given, labels.shape))
-
-        def optional(name: str, values: npt.ArrayLike | None) -> FloatArray | None:
-            return None if values is None else column(name, values)
-
-        signal = optional("turn_signal", turn_signal)
-        if signal is not None and not np.isin(signal, (-1.0, 0.0, 1.0)).all():
-            row = int(np.argmax(~np.isin(signal, (-1.0, 0.0, 1.0))))
-            raise RecordingError(f"turn_signal[{row}] = {signal[row]!r}; allowed: -1 (right), 0 (none), 1 (left)")
-        lanes = None if lane is None else np.unique(np.broadcast_to(lane, labels.shape), return_inverse=True)[1]
-        starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
-        table = cls(
-            names=labels[starts],
-            offsets=np.concatenate([starts, [labels.size]]).astype(np.int64),
-            t=column("t", t),
-            lane_offset=column("lane_offset", lane_offset),
-            lane_width=column("lane_width", lane_width),
-            speed=column("speed", speed),
-            valid=column("valid", valid).astype(bool),
-            curvature=optional("curvature", curvature),
-            yaw_rate=optional("yaw_rate", yaw_rate),
-            lane=None if lanes is None else lanes.astype(np.int64),
-            turn_signal=None if signal is None else signal.astype(np.int64),
-        )
-        unique, count = np.unique(table.names, return_counts=True)
-        if (count > 1).any():
-            raise RecordingError(
-                f"recording {str(unique[count > 1][0])!r} comes in {count[count > 1][0]} separate pieces; "
-                "allowed: consecutive samples"
-            )
-        check_times(table, "row", np.arange(labels.size))
-        return table
-
-
-def check_times(table: RecordingTable, word: str, rows: IntArray) -> None:
-    """Refuse times that do not increase inside a recording; samples without a time are passed over.
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples.
-    word : str
-        What a place in the source is called: "line" or "row".
-    rows : (m,) int
-        Place of each sample in the source.
-
-    Raises
-    ------
-    RecordingError
-        Naming file, recording, place and both times.
-    """
-    timed = np.flatnonzero(np.isfinite(table.t))
-    t, recording = table.t[timed], table.recording_index[timed]
-    bad = np.flatnonzero((np.diff(t) <= 0) & (recording[1:] == recording[:-1]))
-    if bad.size == 0:
-        return
-    i = int(bad[0]) + 1
-    where = f"{table.source}, {word} {rows[timed[i]]}" if table.source else f"{word} {rows[timed[i]]}"
-    fault = "is repeated" if t[i] == t[i - 1] else f"comes after t = {float(t[i - 1])!r} s: times are not sorted"
-    more = f" ({bad.size} places in all)" if bad.size > 1 else ""
-    raise RecordingError(
-        f"{where}: column 't', recording {str(table.names[recording[i]])!r}: t = {float(t[i])!r} s {fault}; "
-        f"allowed: times that increase inside a recording{more}"
-    )

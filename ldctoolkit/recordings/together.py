@@ -8,48 +8,8 @@ from pathlib import Path
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.sources import FoundParts, RecordingPart, RecordingReader, RecordingSource
 from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
-
-
-@dataclasses.dataclass(frozen=True)
-class SourcesTogether:
-    """Several sources, one after the other.
-
-    Attributes
-    ----------
-    sources : tuple of RecordingSource
-        In the order of their readers' names.
-    unread : tuple of Problem
-        Why other readers found nothing that they can use.
-    """
-
-    sources: tuple[RecordingSource, ...]
-    unread: tuple[Problem, ...] = ()
-
-    @property
-    def parts(self) -> Sequence[RecordingPart]:
-        """Of all sources."""
-        return tuple(part for source in self.sources for part in source.parts)
-
-    @property
-    def files(self) -> Sequence[SourceFile]:
-        """Of all sources."""
-        return tuple(file for source in self.sources for file in source.files)
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """Of all sources; a file that one of them reads is no problem of another that it is not for."""
-        files = [{file.name for file in source.files} for source in self.sources]
-        read = set().union(*files)
-        own = (
-            problem
-            for source, names in zip(self.sources, files, strict=True)
-            for problem in source.problems
-            if problem.file in names or problem.file not in read
-        )
-        return (*own, *self.unread)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +49,7 @@ class ReadersTogether:
         said = ((reader.name, reader.recognise(paths)) for reader in self.readers)
         return "; ".join(f"{name}: {words}" for name, words in said if words)
 
-    def open(self, paths: Sequence[Path]) -> SourcesTogether:
+    def open(self, paths: Sequence[Path]) -> FoundParts[RecordingPart]:
         """Look through the paths with each; each passes over the others' files.
 
         Raises
@@ -98,27 +58,36 @@ class ReadersTogether:
             If none of them can use anything, or if two of them read the same file, whose departures would count twice.
         """
         sources: list[RecordingSource] = []
-        opened: list[RecordingReader] = []
         errors: list[RecordingError] = []
         unread: list[Problem] = []
+        owner: dict[str, str] = {}
         for reader in self.readers:
             try:
-                sources.append(reader.open(paths))
-                opened.append(reader)
+                source = reader.open(paths)
             except RecordingError as error:
                 errors.append(error)
                 unread.append(Problem(_file_for(reader, paths), "", str(error)))
-        if not sources:
-            raise errors[0]
-        owner: dict[str, str] = {}
-        for reader, source in zip(opened, sources, strict=True):
+                continue
+            sources.append(source)
             for file in source.files:
                 if owner.setdefault(file.sha256, reader.name) != reader.name:
-                    said = self.recognise(paths)
                     raise RecordingError(
-                        f"{file.name}: several readers know such files ({said}); choose one with --format"
+                        f"{file.name}: several readers know such files ({self.recognise(paths)}); choose one with "
+                        "--format"
                     )
-        return SourcesTogether(tuple(sources), tuple(unread))
+        if not sources:
+            raise errors[0]
+        names = [{file.name for file in source.files} for source in sources]
+        read = set().union(*names)
+        problems = [
+            problem
+            for source, own in zip(sources, names, strict=True)
+            for problem in source.problems
+            if problem.file in own or problem.file not in read  # else a file that another one is for
+        ]
+        parts = tuple(part for source in sources for part in source.parts)
+        files = tuple(file for source in sources for file in source.files)
+        return FoundParts(parts, files, (*problems, *unread))
 
 
 def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
@@ -128,8 +97,3 @@ def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
         if reader.recognise([path]):
             return name
     return paths[0].name
-
-
-def agree(readers: Sequence[RecordingReader]) -> bool:
-    """Whether one vehicle width and one step serve all of them."""
-    return len({(reader.vehicle_width, reader.step) for reader in readers}) == 1

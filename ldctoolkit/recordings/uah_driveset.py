@@ -144,11 +144,11 @@ class _Folder:
 
     @property
     def name(self) -> str:
-        return _plain(self.path.name)
+        return self.path.name
 
     @property
     def driver_folder(self) -> str:
-        parent = _plain(self.path.parent.name)
+        parent = self.path.parent.name
         return parent if _DRIVER.fullmatch(parent) else ""
 
     @property
@@ -184,7 +184,7 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, 
 def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
     """Trips below the given paths, sorted inside each; a file stands for the folder that it lies in."""
     for path in paths:
-        shown = _plain(path.name) or "."
+        shown = path.name or "."
         try:
             resolved = path.resolve()
             there = resolved.exists()
@@ -205,7 +205,7 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder
     try:
         inside = sorted(folder.iterdir())
     except OSError as error:
-        problems.append(Problem(_plain(folder.name), "", f"cannot be read: {error.strerror or error}"))
+        problems.append(Problem(folder.name, "", f"cannot be read: {error.strerror or error}"))
         return
     wanted = {name.upper(): name for name in _WANTED}
     files = {wanted[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in wanted}
@@ -233,8 +233,3 @@ def _is_folder(path: Path) -> bool:
 
 def _count(number: int, word: str) -> str:
     return f"{number} {word}{'s' * (number != 1)}"
-
-
-def _plain(name: str) -> str:
-    """A name that can be printed and stored: bytes that are no text are replaced."""
-    return name.encode("utf-8", errors="replace").decode()

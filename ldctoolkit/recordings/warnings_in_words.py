@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.recordings.evidence import TURN_WINDOW, Evidence
-from ldctoolkit.recordings.units import UnitCheck
+from ldctoolkit.recordings.units import unit_warnings
 
 FEWEST_TURNS: Final = 100
 """Windows that it takes to compare yaw rate and heading."""
@@ -61,9 +61,7 @@ def warnings_in_words(
     tuple of str
         One sentence each.
     """
-    check = UnitCheck(vehicle_width)
-    check.take(evidence.units)
-    found = list(check.messages())
+    found = unit_warnings(dict(evidence.units), vehicle_width)
     if "none" in evidence.kinds:
         where = "" if evidence.kinds == ("none",) else " in some recordings"
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")

@@ -35,13 +35,13 @@ def write_extraction_page(path: str | Path, extraction: Extraction) -> Path:
     --------
     >>> import tempfile
     >>> import numpy as np
-    >>> from ldctoolkit.recordings import RecordingTable, extract_departures
+    >>> from ldctoolkit.recordings import Recording, extract_departures
     >>> t = np.arange(0, 10, 0.1)
     >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
-    >>> table = RecordingTable.from_arrays(recording=["a"] * t.size, t=t, lane_offset=beyond + 0.85, lane_width=3.6,
-    ...                                    speed=25.0, curvature=0.0)
+    >>> one = np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     page = write_extraction_page(f"{folder}/quality.html", extract_departures([table]))
+    ...     page = write_extraction_page(f"{folder}/quality.html", extract_departures([drive]))
     ...     page.read_text(encoding="utf-8")[:15]
     '<!DOCTYPE html>'
     """

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib.util
 import os
 import platform
 import resource
@@ -25,13 +24,14 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import polars as pl
 import psutil
 
-TABLES = Path(__file__).parents[1] / "ldctoolkit" / "recordings" / "spmd" / "das1_tables.py"
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers import das1
+
 ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100
 """Rows of a trip on average (10 minutes); trips that are made at a time."""
 
@@ -47,20 +47,8 @@ print(both.filter(pl.col("SpeedWsu").is_not_null()).height)
 """
 
 
-def tables_module() -> ModuleType:
-    """The maker of tables that the tests use."""
-    spec = importlib.util.spec_from_file_location("das1_tables", TABLES)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def write_big(folder: Path, rows: int) -> int:
     """DataLane and DataWsu of about so many rows, each; returns how many there are."""
-    das1 = tables_module()
     rng = np.random.default_rng(0)
     done = trip = 0
     with (folder / "DataLane.csv").open("wb") as lane, (folder / "DataWsu.csv").open("wb") as wsu:

@@ -5,20 +5,19 @@ from __future__ import annotations
 import codecs
 import csv
 import gzip
-import hashlib
 import io
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Final
 
 import numpy as np
 import polars as pl
 
-from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.plain.table_values import FAULT, NUMBERS, ROW, Faults, typed
+from ldctoolkit.errors import nearest
+from ldctoolkit.recordings.plain.table_fault import NO_ROWS, REQUIRED, TableFault
+from ldctoolkit.recordings.plain.table_values import FAULT, NUMBERS, ROW, typed
 
-REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
 COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")
 
 LONGEST_LINE: Final = 1 << 20
@@ -28,57 +27,11 @@ PACKED_PIECE: Final = 1 << 16
 """Packed files are unpacked in pieces of so many bytes: what lies before a cut is not lost with it."""
 
 _BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
+_POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
-class Meter:
-    """Counts the bytes read from a file and hashes them."""
-
-    def __init__(self, tick: Callable[[int], None]) -> None:
-        self.bytes = 0
-        self._sha256 = hashlib.sha256()
-        self._tick = tick
-
-    def update(self, data: bytes | memoryview) -> None:
-        """Take more bytes into account."""
-        self.bytes += len(data)
-        self._sha256.update(data)
-        self._tick(len(data))
-
-    @property
-    def sha256(self) -> str:
-        """Digest of the bytes so far, hexadecimal."""
-        return self._sha256.hexdigest()
-
-
-class Unmetered(Meter):
-    """Neither counts nor hashes."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda _: None)
-
-    def update(self, data: bytes | memoryview) -> None:
-        """Pass over the bytes."""
-
-
-class _Metered(io.RawIOBase):
-    """A raw stream whose bytes pass a meter."""
-
-    def __init__(self, stream: IO[bytes], meter: Meter) -> None:
-        self._stream = stream
-        self._meter = meter
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
-        data = self._stream.read(len(buffer))
-        buffer[: len(data)] = data
-        self._meter.update(data)
-        return len(data)
-
-
-def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
-    """Blocks of a recording file: the known columns, typed, and `ROW`.
+def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[pl.DataFrame]:
+    """Blocks of a recording file: the known columns, typed, with `ROW` and `FAULT`.
 
     Parameters
     ----------
@@ -86,10 +39,8 @@ def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = N
         A file that ends in .csv, .csv.gz or .parquet.
     block_bytes : int
         About how many bytes of text are taken at once.
-    meter : Meter
-        Sees every byte of the file.
-    faults : list of RecordingError, optional
-        Where given, faults of single lines and values are added to it, and the blocks have the column `FAULT`.
+    faults : list of TableFault
+        Faults of single lines and values are added.
 
     Yields
     ------
@@ -98,15 +49,15 @@ def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = N
 
     Raises
     ------
-    RecordingError
-        Naming file, column and place.
+    TableFault
+        If what follows cannot be read.
+    OSError
+        If the file cannot.
     """
-    read = parquet_frames if is_parquet(path) else csv_frames
-    blocks = read(path, block_bytes, meter, faults)
     seen: set[str] = set()
     present: list[str] = []
     rows = 0
-    for block in blocks:
+    for block in blocks_of(path, block_bytes, faults):
         rows += block.height
         present = block.columns
         # a column that holds nothing at all is a mistake, not a series of invalid samples
@@ -119,15 +70,38 @@ def frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = N
         yield block
     empty = [name for name in COLUMNS if name in present and name not in seen]
     if rows == 0:
-        fault = RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
+        faults.append(TableFault("", NO_ROWS))
     elif empty:
         advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
-        fault = RecordingError(f"{path.name}: column '{empty[0]}' holds no number in any of {rows} rows{advice}")
-    else:
-        return
-    if faults is None:
-        raise fault
-    faults.append(fault)
+        faults.append(TableFault("", f"column '{empty[0]}' holds no number in any of {rows} rows{advice}"))
+
+
+def blocks_of(
+    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str] = COLUMNS
+) -> Iterator[pl.DataFrame]:
+    """The same for some of the columns, whatever they hold."""
+    read = _parquet_frames if is_parquet(path) else _csv_frames
+    return read(path, block_bytes, faults, names)
+
+
+def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Regroup blocks of rows so that each holds whole recordings: the last recording of a block waits for the next."""
+    waiting: list[pl.DataFrame] = []
+    for block in blocks:
+        if block.height == 0:
+            continue
+        waiting.append(block)
+        last = block["recording"][-1]
+        if waiting[0]["recording"][0] == last:  # one long recording; its blocks are joined once, at its end
+            continue
+        # rows of the block that belong to its last recording, counted from the end
+        other = (block["recording"] != last).reverse().arg_true()
+        tail = int(other[0]) if other.len() else block.height
+        waiting[-1] = block[: block.height - tail]
+        yield pl.concat(waiting)
+        waiting = [block[block.height - tail :]]
+    if waiting:
+        yield pl.concat(waiting)
 
 
 def is_parquet(path: Path) -> bool:
@@ -135,38 +109,20 @@ def is_parquet(path: Path) -> bool:
     return path.name.lower().endswith(".parquet")
 
 
-def csv_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
-    """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
-    for header, block, line in csv_blocks(path, block_bytes, meter):
-        if faults is None:
-            yield _parse(path, header, block, line)
-            continue
-        if _ends_inside(header, block):
-            yield _parse_faulty(path, header, block, line, faults)
-            continue
-        try:
-            yield _parse(path, header, block, line).with_columns(pl.lit(False).alias(FAULT))
-        except RecordingError:
-            yield _parse_faulty(path, header, block, line, faults)
-
-
-def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[list[str], bytes, int]]:
+def csv_blocks(path: Path, block_bytes: int) -> Iterator[tuple[list[str], bytes, int]]:
     """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first.
 
     Of a packed file that is cut short the lines before the cut come first, then the error.
     """
-    zipped = path.name.lower().endswith(".gz")
-    with path.open("rb") as raw:
-        metered = io.BufferedReader(_Metered(raw, meter), 1 << 18)
-        stream = gzip.GzipFile(fileobj=metered) if zipped else metered
+    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
         line = 0
         try:
             first = stream.readline(LONGEST_LINE)
             if first[:2] == b"\x1f\x8b":
-                raise RecordingError(f"{path.name}: the content is gzip; give it a name that ends in .csv.gz")
+                raise TableFault("", "the content is gzip; give it a name that ends in .csv.gz")
             if len(first) == LONGEST_LINE:
-                raise RecordingError(f"{path.name}, line 1: longer than {LONGEST_LINE} bytes; this is not CSV")
-            header = _csv_header(path, first)
+                raise TableFault("line 1", f"longer than {LONGEST_LINE} bytes; this is not CSV")
+            header = _csv_header(first)
             line = 2
             rest = b""
             broken: Exception | None = None
@@ -178,7 +134,7 @@ def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[lis
                 cut = block.rfind(b"\n") + 1
                 block, rest = block[:cut], block[cut:]
                 if len(rest) >= LONGEST_LINE and not block:
-                    raise RecordingError(f"{path.name}, line {line}: longer than {LONGEST_LINE} bytes; this is not CSV")
+                    raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
                 if block:
                     yield header, block, line
                     line += block.count(b"\n")
@@ -188,8 +144,7 @@ def csv_blocks(path: Path, block_bytes: int, meter: Meter) -> Iterator[tuple[lis
                 yield header, rest, line
         except _BROKEN as error:
             where = f" after line {line - 1}" if line else ""
-            fault = f"broken gzip{where} ({error}); is the file cut short or not gzip?"
-            raise RecordingError(f"{path.name}: {fault}") from None
+            raise TableFault("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
 
 
 def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
@@ -210,108 +165,113 @@ def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Ex
     return b"".join(pieces), None
 
 
-def _csv_header(path: Path, first: bytes) -> list[str]:
+def _csv_header(first: bytes) -> list[str]:
     if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise RecordingError(f"{path.name}: the text is UTF-16; save it as UTF-8")
+        raise TableFault("", "the text is UTF-16; save it as UTF-8")
     try:
         text = first.decode("utf-8-sig").strip("\r\n")
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path.name}, line 1: the text is not UTF-8 ({error.reason})") from None
+        raise TableFault("line 1", f"the text is not UTF-8 ({error.reason})") from None
     if not text.strip():
         state = "the file is empty" if not first else "line 1 is blank"
-        raise RecordingError(f"{path.name}: {state}; a header is needed: {', '.join(REQUIRED)}, ...")
-    names = [name.strip() for name in _fields(path, text, 1)]
+        raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
+    names = [name.strip() for name in _fields(text, 1)]
     if len(names) == 1 and any(mark in text for mark in ";\t|"):
-        raise RecordingError(f"{path.name}, line 1: columns are not separated by commas: {text[:60]!r}")
-    check_columns(path, names)
+        raise TableFault("line 1", f"columns are not separated by commas: {text[:60]!r}")
+    check_columns(names)
     return names
 
 
-def _fields(path: Path, text: str, line: int) -> list[str]:
+def _fields(text: str, line: int) -> list[str]:
     try:
         return next(csv.reader([text]), [])
     except csv.Error as error:
-        fault = "a carriage return stands inside the line" if "\r" in text else str(error)
-        raise RecordingError(f"{path.name}, line {line}: {fault}; allowed: lines that end in LF or CR LF") from None
+        what = "a carriage return stands inside the line" if "\r" in text else str(error)
+        raise TableFault(f"line {line}", f"{what}; allowed: lines that end in LF or CR LF") from None
 
 
-def check_columns(path: Path, names: Sequence[str]) -> None:
+def check_columns(names: Sequence[str]) -> None:
     """Refuse a header that lacks a column or repeats one."""
     for name in COLUMNS:
         if names.count(name) > 1:
-            raise RecordingError(f"{path.name}: column '{name}' appears {names.count(name)} times")
+            raise TableFault("", f"column '{name}' appears {names.count(name)} times")
     for name in REQUIRED:
         if name not in names:
             # the nearest name is looked for among the file's own, which is what its author has to rename
             unknown = [given for given in names if given and given not in COLUMNS]
             hint = nearest(name, unknown) if unknown else "no other column of the file could be it"
             hint = hint.replace("allowed:", "columns not known here:")
-            raise RecordingError(f"{path.name}: column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
+            raise TableFault("", f"column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
 
 
-def _parse(path: Path, header: list[str], block: bytes, line: int) -> pl.DataFrame:
-    """Lines as typed columns; `line` is the number of the first."""
+def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
+    for header, block, line in csv_blocks(path, block_bytes):
+        places = {name: header.index(name) for name in names if name in header}
+        frame = None if _ends_inside(header, block) else _parse(len(header), places, block, line)
+        if frame is None:
+            frame = _parse_faulty(header, places, block, line, faults)
+        yield typed(frame, "line", faults)
+
+
+def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
+    """Lines as columns of numbers and texts; `line` is the number of the first. None if they cannot be split."""
     # positional names: a file may repeat or leave blank the names of columns that nobody needs
-    position = [f"c{i}" for i in range(len(header))]
-    wanted = {name: position[header.index(name)] for name in COLUMNS if name in header}
+    position = [f"c{i}" for i in range(width)]
+    wanted = {name: position[i] for name, i in places.items()}
     text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
-
     if b'"' in text and _open_quote(text):
-        raise _line_fault(path, len(header), block, line, "a quotation mark is not closed")
+        return None
 
-    def read(numbers: type[pl.DataType]) -> pl.DataFrame:
+    def read(numbers: type[pl.DataType]) -> pl.DataFrame | None:
         kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
         kinds |= {place: numbers for name, place in wanted.items() if name in NUMBERS}
-        frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
+        try:
+            frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
+        except _POLARS:
+            return None
         return frame.select(pl.col(place).alias(name) for name, place in wanted.items())
 
-    try:
-        frame = read(pl.Float64)
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+    frame = read(pl.Float64)
+    if frame is None:
         # slower, but tolerates blanks and words for "missing", and can say where the fault lies
-        try:
-            frame = read(pl.String)
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-            raise _line_fault(path, len(header), block, line, str(error)) from None
-    if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
-        raise _line_fault(path, len(header), block, line, "a quoted field holds a line break")
+        frame = read(pl.String)
+    if frame is None or frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
+        return None  # a line has too many fields, or a quoted field holds a line break
     frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
-    return typed(path, frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null())), "line")
+    return frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null()))
 
 
-def _parse_faulty(path: Path, header: list[str], block: bytes, line: int, faults: Faults) -> pl.DataFrame:
+def _parse_faulty(
+    header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault]
+) -> pl.DataFrame:
     """Lines of which some are at fault: these are left out where they cannot be split, and told.
 
     A line left out marks the sample before or behind it that has its recording's name, or else both.
     """
-    index = {name: header.index(name) for name in COLUMNS if name in header}
-    good, places, broken = [], [], []
+    good, numbers, broken = [], [], []
     lines = block.replace(b"\r\n", b"\n").split(b"\n")
     for number, raw in enumerate(lines, line):
-        fault = _fault_of_line(path, len(header), raw, number)
+        fault = _fault_of_line(len(header), raw, number)
         if fault is None and number == line + len(lines) - 1 and _ends_inside(header, block):
             few = f"{raw.count(b',') + 1} of {len(header)} fields"
-            fault = RecordingError(f"{path.name}, line {number}: the file ends inside this line, behind {few}")
+            fault = TableFault(f"line {number}", f"the file ends inside this line, behind {few}")
         if fault is not None:
             faults.append(fault)
-            broken.append((number, raw.split(b",")[: index["recording"] + 1][-1].strip(b' "')))
+            broken.append((number, raw.split(b",")[: places["recording"] + 1][-1].strip(b' "')))
         elif raw.strip():
-            good.append(raw)
-            places.append(number)
-    cells: dict[str, list[str | None]] = {name: [] for name in index}
-    for raw in good:
-        row = next(csv.reader([raw.decode()]))
-        for name, i in index.items():
-            cells[name].append(row[i] if i < len(row) else None)
-    rows = np.array(places, dtype=np.int64)
+            good.append(next(csv.reader([raw.decode()])))
+            numbers.append(number)
+    cells = {name: [row[i] if i < len(row) else None for row in good] for name, i in places.items()}
+    rows = np.array(numbers, dtype=np.int64)
     near = np.zeros(rows.size, dtype=bool)
     for number, name_there in broken:
         after = int(np.searchsorted(rows, number))
         around = [i for i in (after - 1, after) if 0 <= i < rows.size]
         same = [i for i in around if (cells["recording"][i] or "").strip().encode() == name_there]
         near[same or around] = True
-    frame = pl.DataFrame(cells, schema=dict.fromkeys(index, pl.String))
-    return typed(path, frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near)), "line", faults)
+    frame = pl.DataFrame(cells, schema=dict.fromkeys(places, pl.String))
+    return frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near))
 
 
 def _ends_inside(header: list[str], block: bytes) -> bool:
@@ -328,60 +288,52 @@ def _open_quote(text: bytes) -> bool:
     return bool((quotes % 2).any())
 
 
-def _line_fault(path: Path, fields: int, block: bytes, line: int, reason: str) -> RecordingError:
-    """What is wrong with a block that cannot be split into columns; looked for line by line, only after a failure."""
-    for number, raw in enumerate(block.split(b"\n"), line):
-        fault = _fault_of_line(path, fields, raw, number)
-        if fault is not None:
-            return fault
-    return RecordingError(f"{path.name}, after line {line - 1}: cannot be read as CSV: {reason.splitlines()[0]}")
-
-
-def _fault_of_line(path: Path, fields: int, raw: bytes, number: int) -> RecordingError | None:
+def _fault_of_line(fields: int, raw: bytes, number: int) -> TableFault | None:
     """Why a line cannot be split into columns, if it cannot."""
+    place = f"line {number}"
     try:
         text = raw.decode("utf-8").rstrip("\r")
         if text.count('"') % 2:
-            return RecordingError(f"{path.name}, line {number}: a quotation mark is not closed on its line")
-        found = len(_fields(path, text, number))
+            return TableFault(place, "a quotation mark is not closed on its line")
+        found = len(_fields(text, number))
     except UnicodeDecodeError as error:
-        return RecordingError(f"{path.name}, line {number}: the text is not UTF-8 ({error.reason})")
-    except RecordingError as error:
+        return TableFault(place, f"the text is not UTF-8 ({error.reason})")
+    except TableFault as error:
         return error
-    if found > fields:
-        return RecordingError(f"{path.name}, line {number}: {found} fields; the header has {fields} columns")
-    return None
+    return TableFault(place, f"{found} fields; the header has {fields} columns") if found > fields else None
 
 
-def check_parquet_path(path: Path) -> None:
-    """Refuse a path that cannot be given to the Parquet library."""
+def parquet_names(path: Path) -> list[str]:
+    """Names of a Parquet file's columns."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise RecordingError(f"{path.name}: its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
-
-
-def parquet_frames(path: Path, block_bytes: int, meter: Meter, faults: Faults | None = None) -> Iterator[pl.DataFrame]:
-    """Blocks of rows of a Parquet file."""
-    check_parquet_path(path)
-    with path.open("rb") as raw:
-        while data := raw.read(1 << 20):
-            meter.update(data)
-    rows = max(block_bytes // 64, 1)
+        raise TableFault("", "its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
     try:
-        # missing files, directories and patterns were refused before, so a fault here lies in the content
-        schema = pl.read_parquet_schema(path)
-        check_columns(path, list(schema))
-        lazy = pl.scan_parquet(path, glob=False).select(name for name in COLUMNS if name in schema)
-        first = 0
-        while True:
+        return list(pl.read_parquet_schema(path))
+    except _POLARS as error:
+        raise _not_parquet(error) from None
+
+
+def _parquet_frames(
+    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]
+) -> Iterator[pl.DataFrame]:
+    """Blocks of rows of a Parquet file."""
+    there = parquet_names(path)
+    check_columns(there)
+    rows, first = max(block_bytes // 64, 1), 0
+    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in there)
+    while True:
+        try:
             frame = lazy.slice(first, rows).collect()
-            if frame.height == 0:
-                return
-            numbered = frame.with_columns(pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW))
-            if faults is not None:
-                numbered = numbered.with_columns(pl.lit(False).alias(FAULT))
-            yield typed(path, numbered, "row", faults)
-            first += frame.height
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+        except _POLARS as error:
+            raise _not_parquet(error) from None
+        if frame.height == 0:
+            return
+        places = pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW)
+        yield typed(frame.with_columns(places), "row", faults)
+        first += frame.height
+
+
+def _not_parquet(error: BaseException) -> TableFault:
+    return TableFault("", f"cannot be read as Parquet: {str(error).splitlines()[0]}")

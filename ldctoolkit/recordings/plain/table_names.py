@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.read import BLOCK_BYTES, SUFFIXES
+from ldctoolkit.recordings.plain.table_fault import NO_ROWS, TableFault
 from ldctoolkit.recordings.recording import Problem
 
-if TYPE_CHECKING:
-    import polars as pl
+SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
+
+BLOCK_BYTES: Final = 16 << 20
+"""About how much text is parsed at once."""
 
 HEADER_BYTES: Final = 1 << 16
 """A header is looked for in so many first bytes."""
@@ -40,7 +41,9 @@ def header_names(path: Path) -> tuple[str, ...]:
         if not name.endswith(SUFFIXES) or not path.is_file():
             return ()
         if name.endswith(".parquet"):
-            return tuple(_parquet_names(path))
+            from ldctoolkit.recordings.plain.frames import parquet_names
+
+            return tuple(parquet_names(path))
         with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
             first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is told when it is read
     except (OSError, EOFError, ValueError, zlib.error, RecordingError):
@@ -57,17 +60,17 @@ def check_header(path: Path) -> None:
 
     Raises
     ------
-    RecordingError
-        Naming file and column.
+    TableFault
+        Naming the column.
     OSError
         If it cannot be read.
     """
-    from ldctoolkit.recordings.plain.frames import Unmetered, check_columns, csv_blocks, is_parquet
+    from ldctoolkit.recordings.plain.frames import check_columns, csv_blocks, is_parquet, parquet_names
 
     if is_parquet(path):
-        check_columns(path, _parquet_names(path))
-    elif next(csv_blocks(path, HEADER_BYTES, Unmetered()), None) is None:
-        raise RecordingError(f"{path.name}: a header but no rows; at least one sample is needed")
+        check_columns(parquet_names(path))
+    elif next(csv_blocks(path, HEADER_BYTES), None) is None:
+        raise TableFault("", NO_ROWS)
 
 
 def repeated_names(
@@ -94,7 +97,7 @@ def repeated_names(
     problems: list[Problem] = []
     more = 0
     for i, path in enumerate(paths):
-        word = _word(path)
+        word = place_word(path)
         for name, row in _names(path).items():
             j, other = first.setdefault(name, (i, row))
             if i == j:
@@ -103,7 +106,7 @@ def repeated_names(
             if len(problems) == MOST_TOLD:
                 more += 1
                 continue
-            what = f"recording {name!r} is also in {shown[j]}, {_word(paths[j])} {other}; these rows are left out"
+            what = f"recording {name!r} is also in {shown[j]}, {place_word(paths[j])} {other}; these rows are left out"
             problems.append(Problem(shown[i], f"{word} {row}", what))
     if more:
         problems.append(
@@ -112,71 +115,25 @@ def repeated_names(
     return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
 
 
-def _word(path: Path) -> str:
+def place_word(path: Path) -> str:
+    """What a place in a file is called."""
     return "row" if path.name.lower().endswith(".parquet") else "line"
-
-
-def _parquet_names(path: Path) -> list[str]:
-    import polars as pl
-
-    from ldctoolkit.recordings.plain.frames import check_parquet_path
-
-    check_parquet_path(path)
-    try:
-        return list(pl.read_parquet_schema(path))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise RecordingError(f"{path.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 
 def _names(path: Path) -> dict[str, int]:
     """First row of each recording of a file, as far as it can be read; its faults are told when it is read in full."""
     import polars as pl
 
+    from ldctoolkit.recordings.plain.frames import blocks_of
+    from ldctoolkit.recordings.plain.table_values import ROW
+
     found: dict[str, int] = {}
+    name = pl.col("recording").fill_null("")
     try:
-        for rows, labels in _parquet_labels(path) if _word(path) == "row" else _csv_labels(path):
-            frame = pl.DataFrame({"row": rows, "name": labels.str.strip_chars()})
-            frame = frame.filter((pl.col("name") != pl.col("name").shift(1)).fill_null(True)).drop_nulls()
-            for row, name in frame.iter_rows():
-                found.setdefault(name, row)
-    except (RecordingError, OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException):
+        for block in blocks_of(path, BLOCK_BYTES, [], ("recording",)):
+            first = block.filter((name != name.shift(1)).fill_null(True) & (name != ""))
+            for label, row in first.select("recording", ROW).iter_rows():
+                found.setdefault(label, row)
+    except (RecordingError, OSError):
         pass
     return found
-
-
-def _parquet_labels(path: Path) -> Iterator[tuple[pl.Series, pl.Series]]:
-    import polars as pl
-
-    labels = pl.scan_parquet(path, glob=False).select(pl.col("recording").cast(pl.String)).collect()["recording"]
-    yield pl.int_range(1, len(labels) + 1, dtype=pl.Int64, eager=True), labels
-
-
-def _csv_labels(path: Path) -> Iterator[tuple[pl.Series, pl.Series]]:
-    """Lines and names, block by block. Only the one column is parsed, unless a line is at fault."""
-    import polars as pl
-
-    from ldctoolkit.recordings.plain.frames import Unmetered, csv_blocks
-
-    for header, block, line in csv_blocks(path, BLOCK_BYTES, Unmetered()):
-        index = header.index("recording")
-        names = [f"c{i}" for i in range(len(header))]
-        lines = block.count(b"\n") + (not block.endswith(b"\n"))
-        labels = None
-        if b'"' not in block:
-            try:
-                labels = pl.read_csv(
-                    block, has_header=False, schema=dict.fromkeys(names, pl.String), columns=[index], quote_char=None
-                ).to_series()
-            except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
-                labels = None
-        if labels is None or len(labels) != lines:
-            labels = pl.Series([_cell(raw, index) for raw in block.split(b"\n")[:lines]], dtype=pl.String)
-        yield pl.int_range(line, line + lines, dtype=pl.Int64, eager=True), labels
-
-
-def _cell(raw: bytes, index: int) -> str | None:
-    try:
-        row = next(csv.reader([raw.decode("utf-8").rstrip("\r")]), [])
-    except (UnicodeDecodeError, csv.Error):
-        return None
-    return row[index] if index < len(row) and row[index].strip() else None

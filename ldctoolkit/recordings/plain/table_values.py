@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 
-from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.missing_words import MISSING
+from ldctoolkit.recordings.plain.table_fault import TableFault
 
 NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 
@@ -17,32 +17,35 @@ ROW: Final = "(row)"
 """Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
 
 FAULT: Final = "(fault)"
-"""Column that is true for a sample that is at fault, or next to a line that could not be used; only where faults are
-collected instead of raised."""
-
-Faults = list[RecordingError]
+"""Column that is true for a sample that is at fault, or next to a line that could not be used."""
 
 _VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 _SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
 _SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
 
 
-def typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = None) -> pl.DataFrame:
-    """Columns in their final types; the first value that does not fit is named, and raised unless faults are wanted."""
-    marked = np.zeros(frame.height, dtype=bool)
+def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFrame:
+    """Columns in their final types; the first value of a column that does not fit is a fault, all of them are marked.
+
+    Parameters
+    ----------
+    frame : polars.DataFrame
+        Known columns and `ROW`, perhaps `FAULT`.
+    word : str
+        What a place in the file is called: "line" or "row".
+    faults : list of TableFault
+        Faults are added.
+    """
+    marked = frame[FAULT].to_numpy() if FAULT in frame.columns else np.zeros(frame.height, dtype=bool)
 
     def refuse(name: str, bad: pl.Series, allowed: str) -> None:
+        nonlocal marked
         if bad.any():
             i = bad.arg_max() or 0
             more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
-            value = frame[name][i]
-            fault = RecordingError(
-                f"{path.name}, {word} {frame[ROW][i]}: column '{name}' holds {value!r}; allowed: {allowed}{more}"
-            )
-            if faults is None:
-                raise fault
-            faults.append(fault)
-            marked[:] |= bad.fill_null(False).to_numpy()
+            what = f"column '{name}' holds {frame[name][i]!r}; allowed: {allowed}{more}"
+            faults.append(TableFault(f"{word} {frame[ROW][i]}", what))
+            marked = marked | bad.fill_null(False).to_numpy()
 
     columns: list[pl.Series] = [frame[ROW]]
     for name in frame.columns:
@@ -55,11 +58,11 @@ def typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = No
                 values = words.cast(pl.Float64, strict=False)
                 refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
             elif not values.dtype.is_numeric() and values.dtype != pl.Null:
-                raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: numbers")
+                raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: numbers")
             columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
             continue
         if values.dtype.is_nested() or values.dtype == pl.Binary:
-            raise RecordingError(f"{path.name}: column '{name}' is of type {values.dtype}; allowed: text or numbers")
+            raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: text or numbers")
         words = values.cast(pl.String).str.strip_chars()
         lower = words.str.to_lowercase()
         if name == "recording":
@@ -78,6 +81,19 @@ def typed(path: Path, frame: pl.DataFrame, word: str, faults: Faults | None = No
             off = lower.is_in(_SIGNAL_OFF).fill_null(True)
             refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
             columns.append(known.fill_null(0).alias(name))
-    if faults is not None:
-        columns.append(pl.Series(FAULT, marked | frame[FAULT].to_numpy()))
-    return pl.DataFrame(columns)
+    return pl.DataFrame([*columns, pl.Series(FAULT, marked)])
+
+
+def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
+    """The columns of a frame as those of a `Recording`, by name; None for one that it lacks."""
+
+    def numbers(name: str) -> npt.NDArray[np.float64] | None:
+        return frame[name].to_numpy() if name in frame.columns else None
+
+    valid = frame["valid"].to_numpy() if "valid" in frame.columns else np.ones(frame.height, dtype=bool)
+    lane = None
+    if "lane" in frame.columns:
+        valid = valid & frame["lane"].is_not_null().to_numpy()
+        lane = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
+    signal = frame["turn_signal"].to_numpy() if "turn_signal" in frame.columns else None
+    return {name: numbers(name) for name in NUMBERS} | {"valid": valid, "lane": lane, "turn_signal": signal}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ from ldctoolkit.recordings.trips.trip_rows import TripTable, read_trips, told
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
 
 TOLERANCE: Final = 5.0
@@ -87,7 +86,8 @@ class Das1Part:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
                 apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))
                 continue
-            yield signals.recording(name, self.lane.name, slice(begin, end), () if there else (ALONE,))
+            own = {column: values[begin:end] for column, values in signals.items()}
+            yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
         yield from told(self.lane.name, apart)
 
 
@@ -96,38 +96,8 @@ def trip_bytes(trip: TripPlace) -> int:
     return sum(one.end - one.begin for stretches in trip for one in stretches)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Signals:
-    """Columns of all trips of a part, as in `Recording`."""
-
-    t: FloatArray
-    lane_offset: FloatArray
-    lane_width: FloatArray
-    speed: FloatArray
-    valid: BoolArray
-    yaw_rate: FloatArray
-    turn_signal: IntArray
-    heading: FloatArray
-
-    def recording(self, name: str, source: str, rows: slice, notes: tuple[str, ...]) -> Recording:
-        """One trip."""
-        return Recording(
-            name,
-            self.t[rows],
-            self.lane_offset[rows],
-            self.lane_width[rows],
-            self.speed[rows],
-            self.valid[rows],
-            yaw_rate=self.yaw_rate[rows],
-            turn_signal=self.turn_signal[rows],
-            heading=self.heading[rows],
-            source=source,
-            notes=notes,
-        )
-
-
-def _signals(lane: Cells, wsu: Cells, match: IntArray) -> _Signals:
-    """Cells in the toolkit's units and signs; rows without a partner have no speed.
+def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
+    """Columns of a `Recording` from the cells of rows; those without a partner have no speed.
 
     Numbers of 1e9 or more in size count as missing.
     """
@@ -145,13 +115,13 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> _Signals:
     gps_speed = np.where(gps, measured(wsu["GpsSpeedWsu"]), np.nan)
     speed = np.where(can & (np.abs(wsu["SpeedWsu"]) < LARGEST), wsu["SpeedWsu"] / 3.6, gps_speed)
     signal = (wsu["TurnSngLWsu"] > 0.0).astype(np.float64) - (wsu["TurnSngRWsu"] > 0.0)  # both: a hazard light
-    return _Signals(
-        t=lane["Time"] / 100.0,
-        lane_offset=0.5 * (left + right),
-        lane_width=right - left,
-        speed=partner(speed),
-        valid=quality & ~placeholder & (right > left),
-        yaw_rate=partner(np.where(can, np.radians(measured(wsu["YawRateWsu"])), np.nan)),
-        turn_signal=np.nan_to_num(partner(signal)).astype(np.int64),
-        heading=partner(np.where(gps, -np.radians(measured(wsu["GpsHeadingWsu"])), np.nan)),
-    )
+    return {
+        "t": lane["Time"] / 100.0,
+        "lane_offset": 0.5 * (left + right),
+        "lane_width": right - left,
+        "speed": partner(speed),
+        "valid": quality & ~placeholder & (right > left),
+        "yaw_rate": partner(np.where(can, np.radians(measured(wsu["YawRateWsu"])), np.nan)),
+        "turn_signal": np.nan_to_num(partner(signal)).astype(np.int64),
+        "heading": partner(np.where(gps, -np.radians(measured(wsu["GpsHeadingWsu"])), np.nan)),
+    }

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import codecs
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.trips.table_header import check_columns, read_header
+from ldctoolkit.recordings.trips.table_header import TableLayout, check_columns, read_header
 
 KEY: Final = ("DeviceID", "Trip")
 LEFT: Final = "LaneTrack_Distance_Left_Marker"
@@ -53,30 +52,7 @@ LOOKED_AT: Final = 20
 """A table without a header is told by so many first lines, of which the first may be an odd one."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """How the rows of a file are laid out.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Name of each cell.
-    cells : tuple of int
-        Allowed numbers of cells in a row.
-    begin, line : int
-        Byte and number of the first row.
-    header : bool
-        Whether the file has one.
-    """
-
-    columns: tuple[str, ...]
-    cells: tuple[int, ...]
-    begin: int
-    line: int
-    header: bool
-
-
-def layout_of(path: Path) -> Layout | None:
+def layout_of(path: Path) -> TableLayout | None:
     """How a file's rows are laid out; None if it is another table.
 
     Raises
@@ -90,7 +66,7 @@ def layout_of(path: Path) -> Layout | None:
         check_columns(header.columns, KEY, REQUIRED, OPTIONAL)
         usual = [name.lower() for name in header.columns] == [name.lower() for name in POSITIONS[: len(header.columns)]]
         cells = tuple(sorted({*CELLS, len(header.columns)})) if usual else (len(header.columns),)
-        return Layout(_padded(header.columns, cells), cells, header.begin, 2, True)
+        return TableLayout(_padded(header.columns, cells), header.begin, cells=cells)
     return _without_header(path)
 
 
@@ -98,7 +74,7 @@ def _padded(columns: Sequence[str], cells: Sequence[int]) -> tuple[str, ...]:
     return (*columns, *POSITIONS[len(columns) : max(cells)])
 
 
-def _without_header(path: Path) -> Layout | None:
+def _without_header(path: Path) -> TableLayout | None:
     try:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
@@ -111,7 +87,7 @@ def _without_header(path: Path) -> Layout | None:
     # a line may be at fault, but most must look right
     if 2 * sum(count in CELLS for count in counts) <= len(filled):
         return None
-    return Layout(POSITIONS, CELLS, begin, 1, False)
+    return TableLayout(POSITIONS, begin, line=1, cells=CELLS)
 
 
 def _has_key(line: bytes) -> bool:

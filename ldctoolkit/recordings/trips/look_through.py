@@ -6,11 +6,12 @@ import concurrent.futures
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.trips.table_files import find_tables, shown_names
+from ldctoolkit.recordings.trips.table_header import TableLayout, is_plain, read_header
 from ldctoolkit.recordings.trips.trip_index import TripIndex, index_trips
 from ldctoolkit.recordings.trips.trip_rows import TripTable
 
@@ -18,35 +19,8 @@ AT_ONCE: Final = 4
 """Tables that are read side by side; two keep two cores busy, more than these only make a disk jump."""
 
 
-class TableLayout(Protocol):
-    """How the rows of a table are laid out.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Name of each cell.
-    begin, line : int
-        Byte and number of the line where the rows begin.
-    """
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Name of each cell."""
-
-    @property
-    def begin(self) -> int:
-        """Byte."""
-
-    @property
-    def line(self) -> int:
-        """Its number."""
-
-
-L = TypeVar("L", bound=TableLayout)
-
-
 @dataclasses.dataclass(frozen=True)
-class FoundTable(Generic[L]):
+class FoundTable:
     """A table that can be used.
 
     Attributes
@@ -60,13 +34,40 @@ class FoundTable(Generic[L]):
     """
 
     table: TripTable
-    layout: L
+    layout: TableLayout
     index: TripIndex
 
 
+def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
+    """How many tables there are of each kind, in words; empty if there are none.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders.
+    named : callable
+        Which kind a file's name speaks of; empty for none.
+    kind_of : callable
+        Which kind a file is by its content; empty for none; raises `RecordingError` if it cannot be read as a table.
+    """
+    kinds: list[str] = []
+    for path, _ in find_tables(paths):
+        kind, plain = "", False
+        try:
+            kind = kind_of(path)
+            plain = is_plain(read_header(path).columns)
+        except RecordingError:
+            pass  # opening it tells what is wrong
+        if kind:
+            kinds.append(kind)
+        elif named(path) and not plain:
+            kinds.append(f"{named(path)} by name alone")
+    return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
+
+
 def look_through(
-    paths: Sequence[Path], named: Callable[[Path], bool], layout_of: Callable[[Path], tuple[L | None, str]]
-) -> tuple[list[FoundTable[L]], list[Problem]]:
+    paths: Sequence[Path], named: Callable[[Path], str], layout_of: Callable[[Path], tuple[TableLayout | None, str]]
+) -> tuple[list[FoundTable], list[Problem]]:
     """Look through the tables that a reader is for; several are read at the same time.
 
     Parameters
@@ -74,7 +75,8 @@ def look_through(
     paths : sequence of Path
         Files and folders.
     named : callable
-        Whether a file's name speaks of the reader's tables. Faults of other files are told only if the user named them.
+        Which of the reader's tables a file's name speaks of; empty for none. Faults of other files are told only if
+        the user named them.
     layout_of : callable
         How a file's rows are laid out, and what is odd about it or an empty text. None, and why, for another table;
         raises `RecordingError` if it cannot be read as one.
@@ -89,7 +91,7 @@ def look_through(
     files = find_tables(paths)
     shown = shown_names([path for path, _ in files])
     said: list[list[Problem]] = [[] for _ in files]
-    layouts: list[tuple[int, L]] = []
+    layouts: list[tuple[int, TableLayout]] = []
 
     def tell(number: int, place: str, words: str) -> None:
         path, by_user = files[number]
@@ -109,7 +111,7 @@ def look_through(
             tell(number, "", words)
         layouts.append((number, layout))
     indexes = _index_all([(files[number][0], layout) for number, layout in layouts])
-    found: dict[str, FoundTable[L]] = {}
+    found: dict[str, FoundTable] = {}
     for (number, layout), index in zip(layouts, indexes, strict=True):
         if isinstance(index, RecordingError):
             tell(number, "", f"{index}; it is left out")

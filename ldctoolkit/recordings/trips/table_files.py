@@ -41,13 +41,18 @@ def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
         named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
         inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
         for one in inside:
-            try:
-                place = os.path.realpath(one)
-            except ValueError:  # a NUL in the name; opening it tells
-                place = str(one)
+            place = place_of(one)
             known = found.get(place)
             found[place] = (known[0] if known else one, named or (known is not None and known[1]))
     return list(found.values())
+
+
+def place_of(path: Path) -> str:
+    """Where a file is, whatever links lead there."""
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # a NUL in the name; opening it tells
+        return str(path)
 
 
 def _walk(folder: Path, depth: int) -> Iterator[Path]:

@@ -32,6 +32,29 @@ class Header:
     begin: int
 
 
+@dataclasses.dataclass(frozen=True)
+class TableLayout:
+    """How the rows of a table are laid out.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Name of each cell.
+    begin, line : int
+        Byte and number of the line where the rows begin.
+    kind : str
+        Which table it is, where a reader knows several.
+    cells : tuple of int
+        Allowed numbers of cells in a row; empty for one for each column.
+    """
+
+    columns: tuple[str, ...]
+    begin: int
+    line: int = 2
+    kind: str = ""
+    cells: tuple[int, ...] = ()
+
+
 def read_header(path: Path) -> Header:
     """The first line of a comma-separated table in UTF-8.
 

@@ -143,7 +143,7 @@ def read_cells(
 
     lines = _count(bytes_, b"\n") + int(bytes_[-1] != _LINE_END)
     if bytes_.size >= compiled_from:
-        from ldctoolkit.recordings.trips._number_kernel import plain_numbers
+        from ldctoolkit.recordings.trips._text_kernels import plain_numbers
 
         for number in allowed:
             numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], number, lines)

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.errors import RecordingError
 
 BLOCK_BYTES: Final = 1 << 20
 LONGEST_LINE: Final = 1 << 20
-"""A longer line [bytes] is not a row of a table; it is left out."""
+"""A longer line [bytes] is not a row of a table."""
 
 COMPILED_FROM: Final = 32 << 20
 """Loading a compiler's library is not worth it for a smaller file [bytes]."""
@@ -117,7 +116,7 @@ def index_trips(
     Raises
     ------
     RecordingError
-        If the file cannot be read, or the rows of trips are not together at all.
+        If the file cannot be read, has a line that is longer than any row, or the rows of trips are not together.
 
     Examples
     --------
@@ -129,7 +128,7 @@ def index_trips(
     >>> [(one.trip, one.line, one.lines) for one in index.stretches]
     [(1, 2, 2), (2, 4, 1)]
     """
-    digest, size, kept, skipping = hashlib.sha256(), 0, 0, False
+    digest, size, kept = hashlib.sha256(), 0, 0
     # one buffer for the whole file; the begin of a line that a block cuts stays at its front
     buffer = bytearray(LONGEST_LINE + block_bytes + 1)
     view = memoryview(buffer)
@@ -140,23 +139,15 @@ def index_trips(
         with path.open("rb", buffering=0) as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
             while count := stream.readinto(view[kept : kept + block_bytes]):
                 hashed = beside.submit(digest.update, view[kept : kept + count])
-                first, last = kept + max(0, min(begin - size, count)), kept + count
+                first, last = 0 if kept else max(0, min(begin - size, count)), kept + count
                 size += count
-                if skipping:  # inside a line that is longer than any row
-                    end = buffer.find(b"\n", first, last) + 1
-                    scan.skip((end or last) - first, ended=end > 0)
-                    first, skipping = end or last, end == 0
-                elif kept:
-                    first = 0
                 cut = max(buffer.rfind(b"\n", first, last) + 1, first)
                 scan.add(buffer, first, cut)
                 kept = last - cut
                 hashed.result()
                 if kept > LONGEST_LINE:
-                    scan.too_long()
-                    scan.skip(kept, ended=False)
-                    kept, skipping = 0, True
-                view[:kept] = view[last - kept : last]
+                    raise RecordingError(f"{path.name}: line {scan.line} is longer than {LONGEST_LINE} bytes")
+                view[:kept] = view[cut:last]
     except OSError as error:
         raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
     if kept:
@@ -173,10 +164,11 @@ class _Scan:
         self.stretches: list[Stretch] = []
         self.faults: list[LineFault] = []
         self.more_faults = 0
+        self.line = line
         self._file = file
-        self._at, self._line = begin, line
+        self._at = begin
         self._most = most_faults
-        self._same = _compiled() if compiled else _same
+        self._compiled = _compiled() if compiled else None
         self._key: tuple[int, int] | None = None
         self._first = (0, 0)  # byte and line of the open stretch
         self._last = (0, 0)  # behind it
@@ -189,56 +181,40 @@ class _Scan:
         ends = np.flatnonzero(text == 10) + 1
         starts = np.empty_like(ends)
         starts[0], starts[1:] = 0, ends[:-1]
-        long = ends - starts > LONGEST_LINE
-        same = _same if long.any() else self._same
+        begins = starts.tolist() if self._compiled is None else []
         i = 0
         while i < starts.size:
-            start, end = int(starts[i]), int(ends[i])
-            head = bytes(block[first + start : first + min(start + _KEY_BYTES, end)])
-            found = _KEY.match(head)
-            if found is None or long[i]:
-                after = i + 1
-                self._without_key(head, self._line + i, bool(long[i]))
-                if self._key is not None and not text[start:end].tobytes().strip():  # blank: stays in its stretch
-                    self._last = (self._at + end, self._line + after)
-            else:
+            start, end = first + int(starts[i]), first + int(ends[i])
+            found = _KEY.match(block, start, min(start + _KEY_BYTES, end))
+            after = i + 1
+            if found is not None:
                 key = (int(found[1]), int(found[2]))
-                after = same(text, starts, i, found[0], long)
+                if self._compiled is None:
+                    after = _other(block, first, begins, i, bytes(found[0]))
+                else:
+                    after = self._compiled(text, starts, i, bytes(found[0]))
                 if self._key != key:
                     self.close()
-                    self._key, self._first = key, (self._at + start, self._line + i)
-                self._last = (self._at + int(ends[after - 1]), self._line + after)
+                    self._key, self._first = key, (self._at + start - first, self.line + i)
+            elif block[start:end].strip():
+                self._fault(bytes(block[start : min(start + _KEY_BYTES, end)]), self.line + i)
+            if self._key is not None:  # a blank line stays in its stretch
+                self._last = (self._at + int(ends[after - 1]), self.line + after)
             i = after
         self._at += last - first - unended
-        self._line += starts.size
+        self.line += starts.size
         if unended and self._key is not None:
             self._last = (min(self._last[0], self._at), self._last[1])
 
-    def _without_key(self, head: bytes, line: int, long: bool) -> None:
-        if not head.strip():
-            return
-        if long:
-            self._fault(line, f"longer than {LONGEST_LINE} bytes; the line is left out")
-            return
+    def _fault(self, head: bytes, line: int) -> None:
+        self.close()
         cells = head.strip(b"\r\n").split(b",")[:2]
         shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
-        self._fault(line, f"it begins with {shown[:40]!r}; allowed: numbers of device and trip; the line is left out")
-
-    def _fault(self, line: int, what: str) -> None:
-        self.close()
+        what = f"it begins with {shown[:40]!r}; allowed: numbers of device and trip; the line is left out"
         if len(self.faults) < self._most:
             self.faults.append(LineFault(line, what))
         else:
             self.more_faults += 1
-
-    def too_long(self) -> None:
-        """The line that comes now does not end soon enough."""
-        self._without_key(b"-", self._line, True)
-
-    def skip(self, length: int, ended: bool) -> None:
-        """Pass over bytes of a line that is too long."""
-        self._at += length
-        self._line += ended
 
     def close(self) -> None:
         """End the open stretch."""
@@ -254,32 +230,14 @@ class _Scan:
 
 
 def _compiled() -> Callable[..., int]:
-    from ldctoolkit.recordings.trips._key_kernel import first_other_line
+    from ldctoolkit.recordings.trips._text_kernels import first_other_line
 
-    def same(
-        text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], i: int, key: bytes, _: npt.NDArray[np.bool_]
-    ) -> int:
-        return first_other_line(text, starts, i, key)
-
-    return same
+    return first_other_line
 
 
-def _same(
-    text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], i: int, key: bytes, long: npt.NDArray[np.bool_]
-) -> int:
-    """First line behind line i that does not begin with the key's bytes.
-
-    Windows grow, so that a short trip does not pay for the whole block, and a long one not for each of its lines.
-    """
-    at, window = i + 1, 32
-    while at < starts.size:
-        some = starts[at : at + window]
-        same = ~long[at : at + window]
-        for p, byte in enumerate(key):
-            # a key holds no line end and the text ends with one, so clipped places never agree
-            same &= text[p:].take(some, mode="clip") == byte
-        if not same.all():
-            return at + int(np.argmin(same))
-        at += some.size
-        window = min(4 * window, 1 << 15)
-    return at
+def _other(block: bytearray, first: int, begins: list[int], i: int, key: bytes) -> int:
+    """First line behind line i that does not begin with the key's bytes."""
+    i += 1
+    while i < len(begins) and block.startswith(key, first + begins[i]):
+        i += 1
+    return i

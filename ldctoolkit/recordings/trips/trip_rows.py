@@ -25,9 +25,6 @@ T = TypeVar("T")
 MOST_PROBLEMS: Final = 20
 """Problems of one kind that are told one by one; the others are counted."""
 
-LARGEST_TRIP: Final = 1 << 29
-"""Bytes of text; more of one trip would be months, and it would not fit into memory."""
-
 LARGEST_TIME: Final = 1e11
 """A time of this size or more, in the table's own unit, is none."""
 
@@ -124,7 +121,6 @@ def collect_trips(
             ),
         )  # fmt: skip
         twice: list[tuple[int, str, str]] = []
-        large: list[tuple[int, str, str]] = []
         for key, stretches in own.items():
             line = stretches[0].line
             if key in seen:
@@ -132,11 +128,8 @@ def collect_trips(
                 twice.append((line, "twice", words))
                 continue
             seen[key] = f"{table.name}, line {line}"
-            if sum(one.end - one.begin for one in stretches) > LARGEST_TRIP:
-                large.append((line, "large", f"trip {_shown(key)} is larger than {LARGEST_TRIP} bytes; it is left out"))
-            else:
-                trips[key] = number, tuple(stretches)
-        problems += told(table.name, [*twice, *large])
+            trips[key] = number, tuple(stretches)
+        problems += told(table.name, twice)
     return trips, problems
 
 

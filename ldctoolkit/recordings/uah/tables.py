@@ -1,4 +1,4 @@
-"""What the tables of a UAH-DriveSet trip hold, and how a table in another's place is told."""
+"""What the tables of a UAH-DriveSet trip hold, and how a table in another's place is found out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.table import BoolArray, FloatArray
-from ldctoolkit.recordings.uah.text import Column, first_lines, number, read_number_text
+from ldctoolkit.recordings.uah.text import Column, read_number_text
 
 DETECTED: Final = 2.0
 """State of the lane estimator in which offset and width can be used."""
@@ -64,36 +64,11 @@ def read_table(path: Path, shown: str, kind: TableKind) -> tuple[FloatArray | No
     problems : list of Problem
         Lines left out, or why the file cannot be used.
     """
-    found = read_number_text(path, shown, kind.columns)
-    problems = list(found.problems)
-    if found.values is not None and kind.plausible(found.values):
-        return found.values, problems
-    looks = looks_like(found.text)
-    swapped = f"it looks like {looks}: are files swapped?" if looks and looks != kind.title else ""
-    if found.values is not None:
-        what = f"its numbers are not those of {kind.title}"
-        return None, [*problems, Problem(shown, "", f"{what}; {swapped}" if swapped else what)]
-    if swapped:
-        problems[-1] = dataclasses.replace(problems[-1], what=f"{problems[-1].what}; {swapped}")
-    return None, problems
-
-
-def looks_like(text: str) -> str:
-    r"""Which table the first lines are of, in words; empty if of none.
-
-    Examples
-    --------
-    >>> looks_like("0.10 0.2 0.01 3.5 2\n0.13 0.2 0.01 3.5 2\n")
-    'a lane table'
-    """
-    rows = [[number(token) for token in line.split()] for line in first_lines(text, 200)]
-    full = [[value for value in row if value is not None] for row in rows if None not in row]
-    for kind in (ACCELEROMETERS, GPS, LANE):
-        index = [column.index for column in kind.columns]
-        values = np.array([[row[i] for i in index] for row in full if len(row) > max(index)], dtype=np.float64)
-        if values.size and 2 * values.shape[0] > len(rows) and kind.plausible(values):
-            return kind.title
-    return ""
+    values, problems = read_number_text(path, shown, kind.columns)
+    if values is not None and not kind.plausible(values):
+        problems.append(Problem(shown, "", f"its numbers are not those of {kind.title}; are files swapped?"))
+        return None, problems
+    return values, problems
 
 
 def is_course(course: FloatArray) -> BoolArray:

@@ -21,9 +21,7 @@ LARGEST_FILE: Final = 64 << 20
 TOLD: Final = 5
 """So many faulty lines of one file are named one by one, the others are counted."""
 
-_DELIMITERS: Final = {",": "commas", ";": "semicolons", "|": "bars"}
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
-_DECIMAL_COMMA: Final = re.compile(r"[+-]?\d+,\d+")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,27 +40,7 @@ class Column:
     name: str
 
 
-@dataclasses.dataclass(frozen=True)
-class NumberText:
-    """What could be read of a file; the first column is the time, which does not fall.
-
-    Attributes
-    ----------
-    values : (n, k) or None
-        The columns asked for, in that order; NaN where the file says so, but never in the time. None if nothing can
-        be used.
-    text : str
-        The file's content; empty if it is no text.
-    problems : tuple of Problem
-        Lines that were left out, or why the file cannot be used.
-    """
-
-    values: FloatArray | None
-    text: str
-    problems: tuple[Problem, ...]
-
-
-def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> NumberText:
+def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> tuple[FloatArray | None, list[Problem]]:
     r"""Read some columns of a file whose values are parted by blanks.
 
     Parameters
@@ -74,30 +52,37 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> Numbe
     columns : (k,) Column
         Columns needed, the time first; a line may hold more.
 
+    Returns
+    -------
+    values : (n, k) or None
+        The columns asked for, in that order; NaN where the file says so, but never in the time, which does not fall.
+        None if nothing can be used.
+    problems : list of Problem
+        Lines that were left out, or why the file cannot be used.
+
     Examples
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder, "RAW_GPS.txt")
     ...     _ = path.write_text("0.1 80.0\n1.1 eighty\n2.1 81.0\n")
-    ...     found = read_number_text(path, "RAW_GPS.txt", [Column(0, "time"), Column(1, "speed")])
-    >>> found.values.tolist()
+    ...     values, problems = read_number_text(path, "RAW_GPS.txt", [Column(0, "time"), Column(1, "speed")])
+    >>> values.tolist()
     [[0.1, 80.0], [2.1, 81.0]]
-    >>> print(found.problems[0])
+    >>> print(problems[0])
     RAW_GPS.txt, line 2: 'eighty' where the speed is needed; the line is left out
     """
     text, fault = _read_text(path)
-    values = None if fault else _fast(text, columns)
-    if values is not None and rising_rows(values[:, 0]).all():
-        return NumberText(values, text, ())
-    fault = fault or wrong_delimiter(text)
     if fault:
-        return NumberText(None, text, (Problem(shown, "", fault),))
+        return None, [Problem(shown, "", fault)]
+    values = _fast(text, columns)
+    if values is not None and rising_rows(values[:, 0]).all():
+        return values, []
     values, lines, faults = _tolerant(text, columns)
     if values.shape[0] == 0:
         (line, what), count = faults[0], len(faults)
         where = f"line {line}" if count == 1 else f"line {line} and {count - 1} more"
-        return NumberText(None, text, (Problem(shown, where, f"{what}; no line can be used"),))
+        return None, [Problem(shown, where, f"{what}; no line can be used")]
     problems = [Problem(shown, f"line {line}", f"{what}; the line is left out") for line, what in faults[:TOLD]]
     if len(faults) > TOLD:
         line, what = faults[TOLD]
@@ -106,55 +91,11 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> Numbe
     kept = rising_rows(values[:, 0])
     if not kept.all():
         problems.append(Problem(shown, f"line {lines[int(np.argmin(kept))]}", _backwards(values[:, 0], kept)))
-    return NumberText(values[kept], text, tuple(problems))
+    return values[kept], problems
 
 
-def wrong_delimiter(text: str) -> str:
-    r"""What parts the values of most of the first lines, in words, if it is not blanks; otherwise an empty text.
-
-    Examples
-    --------
-    >>> wrong_delimiter("0.1;80;40.5\n")
-    'the values are parted by semicolons; allowed: blanks'
-    >>> wrong_delimiter("0.1 80 40.5\n1.1;80;40.5\n")
-    ''
-    """
-    lines = first_lines(text, 20)
-    odd = [words for words in map(_oddly_parted, lines) if words]
-    return odd[0] if 2 * len(odd) > len(lines) else ""
-
-
-def _oddly_parted(line: str) -> str:
-    """What parts the values of a line, if it is not blanks."""
-    tokens = line.split()
-    if len(tokens) > 1 and sum(map(bool, map(_DECIMAL_COMMA.fullmatch, tokens))) * 2 > len(tokens):
-        return f"{tokens[0]!r} has a decimal comma; allowed: points"
-    for mark, words in _DELIMITERS.items():
-        parts = [part.strip() for part in line.split(mark)]
-        if len(parts) > 2 and sum(number(part) is not None for part in parts) * 2 > len(parts):
-            return f"the values are parted by {words}; allowed: blanks"
-    return ""
-
-
-def first_lines(text: str, count: int) -> list[str]:
-    """The first lines that hold something."""
-    found = []
-    for match in re.finditer(r"[^\r\n]+", text):
-        if match.group().strip():
-            found.append(match.group())
-            if len(found) == count:
-                break
-    return found
-
-
-def number(token: str) -> float | None:
-    """The number that a token is, as NumPy's reader sees it; None if it is none.
-
-    Examples
-    --------
-    >>> number("-9.5000006E-3"), number("1_0"), number("NULL")
-    (-0.0095000006, None, None)
-    """
+def _number(token: str) -> float | None:
+    """The number that a token is, as NumPy's reader sees it; None if it is none."""
     if not token.isascii() or "_" in token:
         return None
     try:
@@ -204,7 +145,7 @@ def _tolerant(text: str, columns: Sequence[Column]) -> tuple[FloatArray, list[in
         row: list[float] = []
         fault = ""
         for column in columns:
-            value = number(tokens[column.index]) if column.index < len(tokens) else None
+            value = _number(tokens[column.index]) if column.index < len(tokens) else None
             if value is None:
                 fault = _fault(tokens, column, needed)
                 break

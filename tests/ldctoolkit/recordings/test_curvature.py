@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from helpers.recordings import drive
 from ldctoolkit.recordings import extract_departures
 from ldctoolkit.recordings.curvature import SPEED_FLOOR, curvature_from_yaw_rate
 
@@ -51,12 +52,12 @@ def test_low_speed_fades_out():
     assert estimate(np.full(20, 0.01), np.zeros(20)).tolist() == [0.0] * 20
 
 
-def test_a_recording_with_yaw_rate(bump):
+def test_a_recording_with_yaw_rate():
     t = np.arange(100) * 0.1
     true = 1e-3 + 2e-4 * (t - 5.0)
     speed = 25.0 + 0.1 * (t - 5.0)
-    straight = extract_departures([bump(curvature=true, speed=speed)], vehicle_width=1.8)
-    found = extract_departures([bump(curvature=None, yaw_rate=true * speed, speed=speed)], vehicle_width=1.8)
+    straight = extract_departures([drive(curvature=true, speed=speed)], vehicle_width=1.8)
+    found = extract_departures([drive(curvature=None, yaw_rate=true * speed, speed=speed)], vehicle_width=1.8)
     assert found.provenance.curvature == "yaw_rate"
     assert found.warnings == ()
     # the window averages a straight line without bias but for its weights v^2: 1 % of speed over half a window

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
@@ -17,8 +18,8 @@ from ldctoolkit.recordings import (
     Provenance,
     Refused,
     extract_departures,
+    open_recordings,
     read_departures,
-    read_recordings,
     write_departures,
 )
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
@@ -26,15 +27,9 @@ from ldctoolkit.version import __version__
 
 
 @pytest.fixture
-def found(bump, to_frame, tmp_path):
-    frame = pl.concat(
-        [
-            to_frame(bump(recording=["left"] * 100)),
-            to_frame(bump(recording=["rechts, ä"] * 100)).with_columns(-pl.col("lane_offset")),
-        ]
-    )
-    frame.write_csv(tmp_path / "drive.csv")
-    return extract_departures(read_recordings(tmp_path / "drive.csv"), vehicle_width=1.8)
+def found(tmp_path):
+    frame_of([drive("left"), drive("rechts, ä", lane_offset=-OFFSET)]).write_csv(tmp_path / "drive.csv")
+    return extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=1.8)
 
 
 @pytest.fixture
@@ -119,7 +114,7 @@ def test_bad_columns_and_metadata(written):
     for bad, message in [
         ("{", "cannot be understood"),
         ("[]", "cannot be understood"),
-        (json.dumps(content | {"format_version": 3}), "departures table of format 3; this version reads 1 and 2"),
+        (json.dumps(content | {"format_version": 3}), "departures table of format 3; this version reads 2"),
         (json.dumps(content | {"surprise": 1}), "cannot be understood: .*surprise"),
         (json.dumps(content | {"criteria": {"vehicle_width": -1}}), "cannot be understood: vehicle_width: -1"),
         (json.dumps({k: v for k, v in content.items() if k != "refused"}), "cannot be understood: 'refused'"),

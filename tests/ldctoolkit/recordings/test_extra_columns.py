@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from helpers.recordings import drive
 from ldctoolkit.departure_columns import ExtraColumn, joined_columns
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
@@ -19,22 +20,12 @@ from ldctoolkit.recordings import (
     Problem,
     Provenance,
     Recording,
-    SourceFile,
     extract_departures,
     read_departures,
     write_departures,
 )
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
 from ldctoolkit.recordings.joined import joined_departures
-
-T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
-
-
-def drive(name: str, **changes: Any) -> Recording:
-    columns: dict[str, Any] = {"lane_offset": OFFSET, "lane_width": np.full(100, 3.6), "speed": np.full(100, 25.0)}
-    columns |= {"valid": np.ones(100, bool), "curvature": np.zeros(100)}
-    return Recording(name, T, **(columns | changes))
 
 
 def extract(*items: Recording | Problem, **preparation: Any) -> Any:
@@ -136,25 +127,6 @@ def test_foreign_columns_of_a_table(tmp_path):
     assert list(back) == ["trip", "weather"]
     np.testing.assert_array_equal(back["trip"], [7.0, np.nan])
     assert back["weather"] == ["", "rain"]
-
-
-def test_tables_of_format_1_are_read(tmp_path):
-    """They had no reader, no preparation, no problems, and no columns of the source's own."""
-    found = extract(drive("a"), drive("b"))
-    path = tmp_path / "d.parquet"
-    write_departures(path, found.departures, found.provenance)
-    content = json.loads(pl.read_parquet_metadata(path)[METADATA_KEY])
-    assert content["format_version"] == 2
-    for name in ("reader", "preparation", "problems"):
-        del content[name]
-    content["format_version"] = 1
-    content["sources"] = [{"name": "x.csv", "bytes": 3, "sha256": "0" * 64}]
-    pl.read_parquet(path).write_parquet(path, metadata={METADATA_KEY: json.dumps(content)})
-    departures, provenance = read_departures(path)
-    np.testing.assert_array_equal(departures.matrix(), found.departures.matrix())
-    assert (departures.extra, provenance.reader, provenance.preparation) == ((), "table", Preparation())
-    assert provenance.problems == ()
-    assert provenance.sources == (SourceFile("x.csv", 3, "0" * 64),)
 
 
 def test_a_preparation_that_is_not_allowed(tmp_path):

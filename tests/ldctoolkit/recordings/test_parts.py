@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.recordings import OFFSET, T, assert_same, drive
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
 from ldctoolkit.recordings import (
     Criteria,
-    OpenedRecordings,
     Preparation,
     Problem,
     Provenance,
@@ -36,14 +36,6 @@ from ldctoolkit.recordings import (
 from ldctoolkit.recordings import sources as readers
 from ldctoolkit.recordings.events import REASONS
 
-T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
-
-
-def drive(name: str) -> Recording:
-    full = np.full(100, 25.0)
-    return Recording(name, T, OFFSET, full - 21.4, full, full > 0.0, curvature=0.0 * full, source="made")
-
 
 @dataclasses.dataclass(frozen=True)
 class Part:
@@ -58,8 +50,8 @@ class Part:
             if name == "!":
                 raise RecordingError("made.txt, line 7: the file ends in a row")
             if name == "~":
-                yield dataclasses.replace(drive(name), t=-T)
-            yield Problem("made.txt", "line 3", "odd") if name == "?" else drive(name)
+                yield drive(name, t=-T)
+            yield Problem("made.txt", "line 3", "odd") if name == "?" else drive(name, source="made")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,19 +91,6 @@ def made(monkeypatch):
     readers.recording_reader.cache_clear()
 
 
-def test_the_protocols():
-    part = Part("a", ("x",))
-    assert isinstance(part, RecordingPart)
-    assert isinstance(Source((part,)), RecordingSource)
-    assert isinstance(Reader(), RecordingReader)
-    for name in reader_names():
-        reader = recording_reader(name)
-        assert isinstance(reader, RecordingReader)
-        assert 1.0 < reader.vehicle_width < 2.5
-        assert reader.step is None or 0.01 <= reader.step <= 1.0
-    assert {"table", "spmd-das1", "spmd-das2", "uah-driveset"} <= set(reader_names())
-
-
 def test_a_part_that_fails_keeps_what_it_gave():
     result = extract_part(Part("0-made.txt", ("a", "?", "b", "!", "c")), Criteria(1.8), Preparation(0.1))
     assert result.departures.recording.tolist() == ["a", "b"]
@@ -145,7 +124,7 @@ def test_opening_finds_the_reader(made, tmp_path):
     assert (other.provenance.criteria.vehicle_width, other.provenance.preparation.step) == (1.7, 0.2)
 
 
-def test_parts_one_by_one_are_the_whole(made, tmp_path, assert_same):
+def test_parts_one_by_one_are_the_whole(made, tmp_path):
     """Read anywhere, in any order, also after a trip to another process."""
     for i in range(5):
         (tmp_path / f"{i}.made").write_text(" ".join(f"r{i}{k}" for k in range(i + 1)) + " ?" * (i % 2))
@@ -221,46 +200,6 @@ def test_a_part_is_told_under_the_name_that_it_shows(shown, told):
     assert [problem.file for problem in result.problems] == [told]
 
 
-def test_several_readers_may_not_know_the_same(made, monkeypatch, tmp_path):
-    path = tmp_path / "x.made"
-    path.write_text("a")
-    table = recording_reader("table")
-    monkeypatch.setattr(type(table), "recognise", lambda self, paths: "anything")
-    with pytest.raises(RecordingError, match=r"several readers know such files \(made: made; table: anything\)"):
-        open_recordings(path)
-    assert open_recordings(path, format="made").reader.name == "made"
-
-
-@pytest.mark.parametrize(
-    ("loaded", "message"),
-    [
-        (ImportError("no module named x"), r"cannot be loaded: no module named x"),
-        (ValueError("bad"), r"cannot be loaded: ValueError: bad"),
-        (object(), r"allowed: name, title, vehicle_width, step, recognise, open"),
-        (Reader(), r"its name is 'made'; allowed: the same as here"),
-    ],
-)
-def test_readers_that_are_not_readers(monkeypatch, loaded, message):
-    class Point:
-        value = "somewhere:READER"
-
-        def load(self) -> Any:
-            if isinstance(loaded, Exception):
-                raise loaded
-            return loaded
-
-    monkeypatch.setattr(readers, "_installed", lambda: {"other": Point()})
-    readers.recording_reader.cache_clear()
-    with pytest.raises(LdcError, match=rf"format 'other' \(somewhere:READER\).*{message}"):
-        recording_reader("other")
-    readers.recording_reader.cache_clear()
-
-
-def test_opened_recordings_are_plain():
-    opened = OpenedRecordings(Reader(), Source((Part("a", ("x",)),)), "something")
-    assert len(extract_departures(opened).departures) == 1
-
-
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
@@ -330,14 +269,6 @@ def test_the_guides_reader(guide):
     assert [file.name for file in found.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
 
 
-def test_the_guides_reader_from_the_command_line(guide, capsys):
-    from studies.cli import main
-
-    log(guide / "a.lane")
-    assert main(["extract", str(guide / "a.lane"), "--workers", "1", "-o", str(guide / "d.parquet")]) == 0
-    assert "lane-logs (1 lane logs)" in capsys.readouterr().out
-
-
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (code,) = blocks("recordings.md", "python")
@@ -346,16 +277,6 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert first.startswith("table ")
     assert second == "3 1.0 minutes"
     assert (tmp_path / "departures.parquet").is_file()
-
-
-@pytest.mark.parametrize("page", ["recordings.md", "writing-a-reader.md"])
-def test_links_lead_somewhere(page):
-    text = (DOCS / page).read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([\w/.-]+)\)", text):
-        assert (DOCS / link).exists(), link
-    titles = {re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in re.findall(r"^#+ (.*)$", text, re.M)}
-    for anchor in re.findall(r"\]\(#([\w-]+)\)", text):
-        assert anchor in titles, anchor
 
 
 def test_the_page_names_everything():

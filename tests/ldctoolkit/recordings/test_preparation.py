@@ -9,30 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.recordings import OFFSET, T, assert_same, drive, frame_of
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import (
     Label,
     Preparation,
     Recording,
-    RecordingTable,
     extract_departures,
     open_recordings,
     read_departures,
     read_recordings,
     write_departures,
 )
-from ldctoolkit.recordings.extract_part import recordings_of, table_of
 from ldctoolkit.recordings.preparation import prepare
 from ldctoolkit.recordings.yaw_from_heading import NONE
-
-T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
-
-
-def drive(name: str = "a", **changes: Any) -> Recording:
-    columns: dict[str, Any] = {"t": T, "lane_offset": OFFSET, "lane_width": np.full(100, 3.6)}
-    columns |= {"speed": np.full(100, 25.0), "valid": np.ones(100, bool), "curvature": np.zeros(100)}
-    return Recording(name, **(columns | changes))
 
 
 def scale_of(found: Any) -> list[float]:
@@ -148,23 +138,15 @@ def test_absurd_numbers_do_no_harm():
             assert found.warnings[-1] == f"{NONE}: 1 of 1 recordings"
 
 
-@pytest.fixture
-def table(bump: Any) -> RecordingTable:
-    """Two recordings with a departure each, the second to the right."""
-    one, two = bump(turn_signal=0), bump(turn_signal=0, lane_offset=-OFFSET, curvature=1e-3)
-    return table_of([*recordings_of(one), *(dataclasses.replace(one, name="b") for one in recordings_of(two))])
-
-
-def test_stream_tables_and_files_are_the_same(table, to_frame, assert_same, tmp_path):
-    frame = to_frame(table)
+def test_a_stream_and_files_are_the_same(tmp_path):
+    pair = [drive(turn_signal=0), drive("b", turn_signal=0, lane_offset=-OFFSET, curvature=1e-3)]
+    frame = frame_of(pair)
     frame.write_csv(tmp_path / "d.csv")
     frame.write_parquet(tmp_path / "e.parquet")
-    whole = extract_departures([table], vehicle_width=1.8)
+    whole = extract_departures(pair, vehicle_width=1.8)
     assert len(whole.departures) == 2
     for given in (
-        recordings_of(table),
-        list(recordings_of(table)),
-        [table_of([one]) for one in recordings_of(table)],
+        iter(pair),
         read_recordings(tmp_path / "d.csv"),
         open_recordings(tmp_path / "d.csv"),
         open_recordings([tmp_path / "e.parquet"], format="table"),
@@ -174,26 +156,11 @@ def test_stream_tables_and_files_are_the_same(table, to_frame, assert_same, tmp_
         assert found.problems == ()
 
 
-def test_tables_are_prepared_as_recordings_are(table, assert_same):
-    """Whatever the step; and a sample without a time is passed over, not refused."""
-    t = table.t.copy()
-    t[[7, 160]] = np.nan
-    holed = dataclasses.replace(table, t=t)
-    for preparation in (Preparation(0.1), Preparation(0.1, nominal_lane_width=3.4), Preparation(yaw_rate_factor=2.0)):
-        one = extract_departures([holed], vehicle_width=1.8, preparation=preparation)
-        two = extract_departures(recordings_of(holed), vehicle_width=1.8, preparation=preparation)
-        assert_same(one, two)
-        assert len(one.departures) == 2
-        assert scale_of(one) == scale_of(two)
-        assert one.provenance.preparation == preparation
-
-
-def test_a_table_between_recordings_keeps_its_place(table):
-    first, second = recordings_of(table)
-    third = dataclasses.replace(first, name="c", labels=(Label("driver", "D1"),))
-    found = extract_departures([second, table_of([first]), third], vehicle_width=1.8)
-    assert found.departures.recording.tolist() == ["b", "a", "c"]
-    assert {column.name: column.values.tolist() for column in found.departures.extra} == {"driver": ["", "", "D1"]}
+def test_recordings_with_other_columns_keep_their_places():
+    third = drive("c", lane=None, labels=(Label("driver", "D1"),))
+    found = extract_departures([drive("b"), third, drive("a")], vehicle_width=1.8)
+    assert found.departures.recording.tolist() == ["b", "c", "a"]
+    assert {column.name: column.values.tolist() for column in found.departures.extra} == {"driver": ["", "D1", ""]}
 
 
 def test_the_gap_of_the_criteria_rules_resampled_recordings():
@@ -225,5 +192,5 @@ def test_a_recording_that_cannot_be_prepared_is_a_problem():
 
 
 def test_things_that_are_no_recordings():
-    with pytest.raises(InputError, match="recordings: an item is a str; allowed: Recording, RecordingTable"):
+    with pytest.raises(InputError, match="recordings: an item is a str; allowed: Recording"):
         extract_departures(["drive.csv"])  # type: ignore[list-item]

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
+from helpers.recordings import assert_same, drive, frame_of
 from ldctoolkit.departures import LEFT, RIGHT, rebuild_signals
-from ldctoolkit.recordings import Extraction, RecordingTable, extract_departures
+from ldctoolkit.recordings import Extraction, OpenedRecordings, Recording, extract_departures
 from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.table import usable_samples
+from ldctoolkit.recordings.table_reader import READER
 from ldctoolkit.scenarios import Scenarios
 
 WIDTH = 1.8
-SETTINGS = settings(max_examples=60, deadline=None)
+SETTINGS = examples(60)
 
 
-def random_table(seed: int, with_lane: bool, yaw: bool = False) -> RecordingTable:
+def random_drives(seed: int, with_lane: bool, yaw: bool = False) -> list[Recording]:
     """Recordings that wander over both lines, with holes, gaps, lane changes, jumps and turn signals.
 
     Numbers are multiples of 1/64, so sums of times are exact and samples on the line do occur.
@@ -38,35 +43,41 @@ def random_table(seed: int, with_lane: bool, yaw: bool = False) -> RecordingTabl
     bend = rng.normal(0.0, 1e-3, n)
     speed[rng.random(n) < 0.01] = np.nan
     speed += 16.0 * (rng.random(n) < 0.02)
-    return RecordingTable.from_arrays(
-        recording=np.repeat([f"r{i}" for i in range(lengths.size)], lengths),
-        t=np.concatenate([np.cumsum(part) for part in np.split(step, np.cumsum(lengths)[:-1])]),
-        lane_offset=offset if with_lane else offset - jump,
-        lane_width=lane_width,
-        speed=speed,
-        valid=rng.random(n) > 0.02,
-        curvature=None if yaw else bend,
-        yaw_rate=20.0 * bend if yaw else None,
-        lane=lane if with_lane else None,
-        turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]),
-    )
+    columns: dict[str, Any] = {
+        "t": np.concatenate([np.cumsum(part) for part in np.split(step, np.cumsum(lengths)[:-1])]),
+        "lane_offset": offset if with_lane else offset - jump,
+        "lane_width": lane_width,
+        "speed": speed,
+        "valid": rng.random(n) > 0.02,
+        "curvature": None if yaw else bend,
+        "yaw_rate": 20.0 * bend if yaw else None,
+        "lane": lane if with_lane else None,
+        "turn_signal": rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]),
+    }
+    ends = np.cumsum(lengths)
+    given = {name: None if values is None else np.split(values, ends[:-1]) for name, values in columns.items()}
+    return [
+        Recording(f"r{i}", **{name: None if values is None else values[i] for name, values in given.items()})
+        for i in range(lengths.size)
+    ]
 
 
-def extract(tables: list[RecordingTable], **criteria: Any) -> Extraction:
-    return extract_departures(tables, vehicle_width=2.0, **criteria)
+def extract(recordings: Iterable[Recording], **criteria: Any) -> Extraction:
+    return extract_departures(recordings, vehicle_width=2.0, **criteria)
 
 
-def one_by_one(table: RecordingTable) -> tuple[list[tuple[float, ...]], Counter[str]]:
+def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Counter[str]]:
     """The rules of docs/recordings.md, walked through with plain loops, for a vehicle of 2 m."""
     events: list[tuple[float, ...]] = []
     refused: Counter[str] = Counter()
-    for begin, end in zip(table.offsets[:-1], table.offsets[1:], strict=True):
-        every = np.arange(begin, end)
-        good = [i for i in every if table.usable[i]]
-        steps = np.diff(table.t[begin:end])
+    for number, table in enumerate(recordings):
+        begin, end = 0, table.samples
+        usable = usable_samples(table)
+        good = [i for i in range(end) if usable[i]]
+        steps = np.diff(table.t)
         limit = max(0.25, 2.5 * float(np.median(steps))) if steps.size else 0.25
 
-        def cause(i: int, j: int, limit: float = limit) -> str | None:
+        def cause(i: int, j: int, limit: float = limit, table: Recording = table) -> str | None:
             step = abs(table.lane_offset[j] - table.lane_offset[i])
             if table.lane is not None:
                 change = table.lane[i] != table.lane[j]
@@ -134,22 +145,22 @@ def one_by_one(table: RecordingTable) -> tuple[list[tuple[float, ...]], Counter[
             elif abs(np.polyfit(table.t[rows] - start, table.speed[rows], 1)[0]) > 9.81:
                 refused["implausible"] += 1
             else:
-                events.append((first, side, start, stop - start, len(rows)))
-    return sorted(events, key=lambda event: (event[0], -event[1])), refused
+                events.append((number, first, side, start, stop - start, len(rows)))
+    return sorted(events, key=lambda event: (event[0], event[1], -event[2])), refused
 
 
 @SETTINGS
 @given(seed=st.integers(0, 2**32 - 1), with_lane=st.booleans())
 def test_equals_the_walk_through_every_sample(seed, with_lane):
-    table = random_table(seed, with_lane)
-    events, refused = one_by_one(table)
-    found = extract([table])
+    drives = random_drives(seed, with_lane)
+    events, refused = one_by_one(drives)
+    found = extract(drives)
     d = found.departures
     assert {reason: count for reason, count in found.refused.items() if count} == dict(refused)
-    assert d.side.tolist() == [event[1] for event in events]
-    assert d.samples.tolist() == [event[4] for event in events]
-    np.testing.assert_allclose(d.start_time, [event[2] for event in events], rtol=1e-12)
-    np.testing.assert_allclose(d.T, [event[3] for event in events], rtol=1e-12)
+    assert d.side.tolist() == [event[2] for event in events]
+    assert d.samples.tolist() == [event[5] for event in events]
+    np.testing.assert_allclose(d.start_time, [event[3] for event in events], rtol=1e-12)
+    np.testing.assert_allclose(d.T, [event[-2] for event in events], rtol=1e-12)
     assert found.candidates == len(events) + sum(refused.values())
 
 
@@ -157,7 +168,7 @@ def test_the_random_tables_reach_every_reason():
     total: Counter[str] = Counter()
     for seed in range(60):
         for with_lane in (True, False):
-            found = extract([random_table(seed, with_lane)])
+            found = extract(random_drives(seed, with_lane))
             total.update(dict(found.refused.items()) | {"departures": len(found.departures)})
     missing = [name for name in (*REASONS, "departures") if not total[name]]
     # ten seconds beyond the line do not happen in walks this short; a jump without `lane` is a lane change here
@@ -167,14 +178,15 @@ def test_the_random_tables_reach_every_reason():
 @SETTINGS
 @given(seed=st.integers(0, 2**32 - 1), yaw=st.booleans())
 def test_mirror(seed, yaw):
-    table = random_table(seed, True, yaw)
-    flipped = {
-        name: None if getattr(table, name) is None else -getattr(table, name)
-        for name in ("lane_offset", "curvature", "yaw_rate", "turn_signal")
-    }
-    one, two = extract([table]), extract([dataclasses.replace(table, **flipped)])
+    drives = random_drives(seed, True, yaw)
+    names = ("lane_offset", "curvature", "yaw_rate", "turn_signal")
+    flipped = [
+        dataclasses.replace(one, **{name: -getattr(one, name) for name in names if getattr(one, name) is not None})
+        for one in drives
+    ]
+    one, two = extract(drives), extract(flipped)
     # a left and a right event may begin at the same sample only where they change places with each other
-    a, b = (np.lexsort((d.side * s, d.start_time)) for d, s in ((one.departures, 1), (two.departures, -1)))
+    a, b = (np.lexsort((d.side * s, d.start_time, d.recording)) for d, s in ((one.departures, 1), (two.departures, -1)))
     np.testing.assert_array_equal(one.departures.side[a], -two.departures.side[b])
     np.testing.assert_array_equal(one.departures.matrix()[a], two.departures.matrix()[b])
     assert one.refused == two.refused
@@ -183,36 +195,33 @@ def test_mirror(seed, yaw):
 @SETTINGS
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(-(10**6), 10**9))
 def test_shifting_time_changes_nothing_else(seed, shift):
-    table = random_table(seed, True)
-    one, two = extract([table]), extract([dataclasses.replace(table, t=table.t + shift)])
+    drives = random_drives(seed, True)
+    one, two = extract(drives), extract(dataclasses.replace(one, t=one.t + shift) for one in drives)
     np.testing.assert_array_equal(one.departures.matrix(), two.departures.matrix())
     # the clock itself resolves 1e-7 s at 1e9 s
     np.testing.assert_allclose(two.departures.start_time, one.departures.start_time + shift, rtol=1e-15, atol=1e-12)
     assert (one.refused, one.hours) == (two.refused, two.hours)
 
 
-@settings(max_examples=12, deadline=None)  # writes and parses three files each
+@examples(12)  # writes and parses three files each
 @given(seed=st.integers(0, 2**32 - 1), yaw=st.booleans(), block=st.integers(300, 8000), cut=st.integers(1, 6))
-def test_files_and_blocks_make_no_difference(tmp_path_factory, to_frame, assert_same, seed, yaw, block, cut):
-    from ldctoolkit.recordings import read_recordings
-
-    table = random_table(seed, True, yaw)
-    frame = to_frame(table)
+def test_files_and_blocks_make_no_difference(tmp_path_factory, seed, yaw, block, cut):
+    drives = [one for one in random_drives(seed, True, yaw) if np.isfinite(one.speed).any()]
     folder = tmp_path_factory.mktemp("split")
-    row = int(table.offsets[min(cut, table.names.size - 1)])
-    frame.write_csv(folder / "all.csv")
-    frame.write_parquet(folder / "all.parquet")
-    parts = [part for part in (frame[:row], frame[row:]) if part.height]
-    for i, part in enumerate(parts):
-        # optional columns may be all missing in a short part; that is refused, and another test's subject
-        part.write_parquet(folder / f"{i}.parquet")
-    whole = extract([table])
-    for paths in ([folder / "all.csv"], [folder / "all.parquet"], [folder / f"{i}.parquet" for i in range(len(parts))]):
-        if all(frame["speed"].is_finite().any() for frame in (parts if len(paths) > 1 else [frame])):
-            assert_same(whole, extract(read_recordings(paths, block_bytes=block)))  # type: ignore[arg-type]
+    cut = min(cut, len(drives) - 1)
+    files = {"all": drives, "0": drives[:cut], "1": drives[cut:]}
+    for name, some in files.items():
+        if some:
+            frame_of(some).write_csv(folder / f"{name}.csv")
+            frame_of(some).write_parquet(folder / f"{name}.parquet")
+    reader = dataclasses.replace(READER, block_bytes=block)
+    for names in (["all.csv"], ["all.parquet"], ["0.csv", "1.parquet"] if cut else []):
+        if names:
+            opened = OpenedRecordings(reader, reader.open([folder / name for name in names]), "")
+            assert_same(extract(drives), extract_departures(opened, vehicle_width=2.0))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     data=st.data(),
     rate=st.integers(10, 50),
@@ -230,7 +239,7 @@ def test_planted_departures_come_back(data, rate, side, n):
     # on the recording's clock each departure starts somewhere between two samples; the approach is as steep as the
     # parabola's own ends, the rest of the recording is quiet
     fine = rebuild_signals(planted, 1e-3)
-    columns: dict[str, list[np.ndarray]] = {"t": [], "y": [], "v": [], "c": [], "recording": []}
+    columns: dict[str, list[np.ndarray]] = {"t": [], "y": [], "v": [], "c": []}
     starts = []
     for i in range(n):
         rows = slice(fine.offsets[i], fine.offsets[i + 1])
@@ -248,13 +257,14 @@ def test_planted_departures_come_back(data, rate, side, n):
         # speed and curvature go on along their lines
         columns["v"].append(planted.v_mean[i] + planted.a_mean[i] * (np.clip(tau, -1.0, T + 1.0) - 0.5 * T))
         columns["c"].append(planted.c_0[i] + planted.dc[i] * np.clip(tau, -1.0, T + 1.0) / T)
-        columns["recording"].append(np.full(t.size, f"r{i}"))
-    flat = {name: np.concatenate(parts) for name, parts in columns.items()}
-    table = RecordingTable.from_arrays(
-        recording=flat["recording"], t=flat["t"], lane_offset=side * (flat["y"] + 0.5 * (3.6 - WIDTH)), lane_width=3.6,
-        speed=flat["v"], curvature=side * flat["c"], lane=1,
-    )  # fmt: skip
-    found = extract_departures([table], vehicle_width=WIDTH)
+    drives = [
+        drive(
+            f"r{i}", t, lane_offset=side * (columns["y"][i] + 0.5 * (3.6 - WIDTH)), speed=columns["v"][i],
+            curvature=side * columns["c"][i],
+        )
+        for i, t in enumerate(columns["t"])
+    ]  # fmt: skip
+    found = extract_departures(drives, vehicle_width=WIDTH)
     d = found.departures
     assert len(d) == n
     assert found.refused.total == 0
@@ -283,8 +293,5 @@ def test_more_samples_bring_the_duration_closer(rate):
     t = np.arange(round(12.0 * rate)) / rate
     share = (t - start) / T
     y = np.maximum(4.0 * d_y * share * (1.0 - share), -0.3)
-    table = RecordingTable.from_arrays(
-        recording=["a"] * t.size, t=t, lane_offset=y + 0.9, lane_width=3.6, speed=25.0, curvature=0.0
-    )
-    d = extract_departures([table], vehicle_width=WIDTH).departures
+    d = extract_departures([drive(t=t, lane_offset=y + 0.9)], vehicle_width=WIDTH).departures
     assert abs(d.T[0] - T) < 2.0 * 0.4 / rate**2 / T

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings import Recording
-from ldctoolkit.recordings.resample import MAX_GAP, resample
+from ldctoolkit.recordings.resample import resample
 
-SETTINGS = settings(max_examples=80, deadline=None)
+SETTINGS = examples(80)
 EPS = 1e-6
 """Share of a step that the edge of a window is wider."""
 
@@ -264,28 +265,3 @@ def test_absurd_numbers_are_no_part_of_a_median():
 def test_steps_that_are_refused(step, max_gap):
     with pytest.raises(InputError, match="allowed: more than 0, finite"):
         resample(recording([0.0, 0.1]), step, max_gap)
-
-
-def test_no_loop_over_samples():
-    """As many lines run for a hundred samples as for ten thousand."""
-    import sys
-
-    def lines(n: int) -> int:
-        rng = np.random.default_rng(0)
-        t = np.cumsum(rng.choice([0.0, 0.02, 0.04, 0.3], n))
-        one = recording(t, valid=rng.random(n) > 0.1)
-        count = 0
-
-        def trace(frame: Any, event: str, _: Any) -> Any:
-            nonlocal count
-            count += event == "line"
-            return trace if "recordings" in frame.f_code.co_filename else None
-
-        sys.settrace(trace)
-        try:
-            resample(one, 0.1, MAX_GAP)
-        finally:
-            sys.settrace(None)
-        return count
-
-    assert lines(100) == lines(10_000) > 20

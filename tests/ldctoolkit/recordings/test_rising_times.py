@@ -6,9 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.recordings.rising_times import rising_rows
 
 
@@ -21,7 +22,7 @@ def by_trial(times: list[int]) -> list[bool]:
     return []
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(st.lists(st.integers(-3, 6), max_size=11))
 def test_every_choice(times: list[int]) -> None:
     assert rising_rows(np.array(times, dtype=float)).tolist() == by_trial(times)

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ldctoolkit.errors import LdcError, RecordingError, UnknownNameError
+from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import sources
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.opened import open_recordings
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.sources import RecordingPart, RecordingSource
 
 OWN = ("spmd-das1", "spmd-das2", "table", "uah-driveset")
 WIDTHS = {"spmd-das1": (1.82, 0.1), "spmd-das2": (1.82, 0.1), "table": (1.9, None), "uah-driveset": (1.8, 0.1)}
@@ -93,22 +93,6 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         sources.recording_reader.cache_clear()
 
     return add
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_own_readers(name: str) -> None:
-    assert name in sources.reader_names()
-    reader = sources.recording_reader(name)
-    assert isinstance(reader, RecordingReader)
-    assert (reader.name, reader.vehicle_width, reader.step) == (name, *WIDTHS[name])
-    assert reader.title
-
-
-def test_an_unknown_name_gets_the_nearest() -> None:
-    with pytest.raises(UnknownNameError, match="did you mean 'spmd-das2'"):
-        sources.recording_reader("spmd_das2")
-    with pytest.raises(UnknownNameError, match="auto, spmd-das1"):
-        sources.recording_reader("matlab")
 
 
 @pytest.mark.parametrize("given", [FlatReader(), FlatReader], ids=["instance", "class"])

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.recordings import extract_departures
-
-T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
 
 
 @pytest.mark.parametrize(
@@ -34,14 +32,14 @@ OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
         ({"curvature": None, "yaw_rate": 2.0}, "the unit looks like deg/s"),
     ],
 )
-def test_a_warning_names_column_and_unit(bump, columns, words):
-    found = extract_departures([bump(**columns)], vehicle_width=1.8)
+def test_a_warning_names_column_and_unit(columns, words):
+    found = extract_departures([drive(**columns)], vehicle_width=1.8)
     assert len(found.warnings) == 1
     assert words in found.warnings[0]
 
 
-def test_all_in_mm_and_kmh(bump):
-    found = extract_departures([bump(lane_offset=1000 * OFFSET, lane_width=3600.0, speed=90.0)], vehicle_width=1.8)
+def test_all_in_mm_and_kmh():
+    found = extract_departures([drive(lane_offset=1000 * OFFSET, lane_width=3600.0, speed=90.0)], vehicle_width=1.8)
     assert [warning.split(":")[0] for warning in found.warnings] == [
         "column 'speed'",
         "column 'lane_width'",
@@ -49,10 +47,10 @@ def test_all_in_mm_and_kmh(bump):
     ]
 
 
-def test_a_vehicle_as_wide_as_the_lane(bump):
-    found = extract_departures([bump(lane_width=2.5)], vehicle_width=2.55)
+def test_a_vehicle_as_wide_as_the_lane():
+    found = extract_departures([drive(lane_width=2.5)], vehicle_width=2.55)
     assert found.warnings == ("vehicle width 2.55 m: most lanes are no wider than that",)
 
 
-def test_plausible_recordings_give_none(bump):
-    assert extract_departures([bump(speed=41.0, t=T * 10, curvature=0.05)], vehicle_width=1.8).warnings == ()
+def test_plausible_recordings_give_none():
+    assert extract_departures([drive(speed=41.0, t=T * 10, curvature=0.05)], vehicle_width=1.8).warnings == ()

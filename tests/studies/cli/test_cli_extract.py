@@ -14,11 +14,12 @@ import numpy as np
 import polars as pl
 import pytest
 
+from helpers import cli
+from helpers.fuzz import DEPARTURES, SOUND
 from ldctoolkit.errors import RecordingError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
-from studies.cli import main
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
 
@@ -45,17 +46,13 @@ Ldc = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def ldc(folder: Path, capsys: pytest.CaptureFixture[str]) -> Ldc:
-    """Run the command in this process, which is what takes no time: exit code, stdout, stderr."""
+def ldc(folder: Path) -> Ldc:
+    """Run the command: exit code, stdout, stderr."""
 
     def run(*words: object) -> tuple[int, str, str]:
-        try:
-            code = main(["extract", *map(str, words)])
-        except SystemExit as error:
-            code = int(error.code or 0)
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
+        done = cli.ldc("extract", *words, cwd=folder)
+        assert "Traceback" not in done.stderr
+        return done.returncode, done.stdout, done.stderr
 
     return run
 
@@ -127,14 +124,6 @@ def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], m
     assert re.fullmatch(r"ldc: error: [^\n]+\n", err), err
     assert message in err
     assert [path.name for path in folder.iterdir()] == ["a.csv"]
-
-
-def test_files_that_no_reader_knows(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text("one,two\n1,2\n")
-    code, out, err = ldc("a.csv", "-o", "d.parquet")
-    assert (code, out) == (2, "")
-    assert "a.csv: no reader knows such files; allowed: " in err
-    assert "spmd-das1" in err
 
 
 def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
@@ -417,3 +406,37 @@ def test_workers_are_processes_only_where_there_is_much_to_read(
     for files in (["0.csv"], ["0.csv", "1.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
         assert ldc(*files, "-o", "d.parquet")[0] == 0
     assert asked == [(None, 1, None), (None, 1, None), (None, 2, None), (None, 2, None)]
+
+
+FAULTS = {
+    "table": ("drives.csv", b"3.6", b"wide", r"drives\.csv, line 2: column 'lane_width' holds 'wide'"),
+    "spmd-das1": ("DataLane.csv", b"7,1,", b"x,1,", r"DataLane\.csv, line 2: it begins with 'x,1'"),
+    "spmd-das2": ("HV_Primary.csv", b"\n7,1,", b"\nx,1,", r"HV_Primary\.csv, line 2: it begins with 'x,1'"),
+    "uah-driveset": (
+        "PROC_LANE_DETECTION.txt",
+        b" 2 \n",
+        b" x \n",
+        r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
+    ),
+}
+
+
+@pytest.mark.parametrize("source", FAULTS)
+def test_a_fault_in_any_format_is_told_and_the_rest_is_there(folder: Path, ldc: Ldc, source: str) -> None:
+    files = SOUND[source][0]
+    for name, content in files.items():
+        (folder / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "in" / name).write_bytes(content)
+    assert ldc("in", "-o", "d.parquet")[0] == 0
+    whole = read_departures("d.parquet")[0]
+    assert whole.n == DEPARTURES[source]
+    file, good, bad, told = FAULTS[source]
+    path = next(path for path in (folder / "in").rglob("*") if path.name == file)
+    path.write_bytes(path.read_bytes().replace(good, bad, 1))
+    code, out, err = ldc("in", "-o", "d.parquet", "--format", source)
+    assert code == 3
+    assert out.startswith(f"format: {source} ")
+    assert re.search(rf"^ldc: warning: {told}", err, re.MULTILINE), err
+    departures, provenance = read_departures("d.parquet")
+    assert departures.n == whole.n - (source == "table")  # there a fault costs its recording
+    assert all(f"ldc: warning: {problem}\n" in err for problem in provenance.problems)

@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from helpers import das1, uah
 from ldctoolkit.recordings.opened import open_recordings
 from studies.extraction import run_extraction
 
-RECORDINGS = Path(__file__).parents[2] / "ldctoolkit" / "recordings"
-
-
-def maker(path: Path, name: str) -> ModuleType:
-    """A maker of files that other tests use."""
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
 
 def das1_folder(folder: Path) -> None:
-    das1 = maker(RECORDINGS / "spmd" / "das1_tables.py", "formats_das1")
     for i in range(3):
         drives = [das1.planted_drive(7 + i, trip) for trip in (1, 2)]
         # a speed of its own each, else they would be told as one trip repeated
@@ -38,11 +22,11 @@ def das1_folder(folder: Path) -> None:
 
 
 def uah_folder(folder: Path) -> None:
-    uah = maker(RECORDINGS / "uah" / "conftest.py", "formats_uah")
     for i in range(3):
         uah.make_trip(seed=i).write(folder, f"2015111017571{i}-16km-D1-NORMAL-MOTORWAY")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("format_", "make"), [("spmd-das1", das1_folder), ("uah-driveset", uah_folder)])
 def test_two_workers_write_what_one_writes(tmp_path: Path, format_: str, make: Callable[[Path], None]) -> None:
     folder = tmp_path / "in"

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import importlib.util
 import random
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +20,6 @@ KILLS = 12
 
 LONG = 600
 """Seconds that a whole extraction may take, on a machine that does other things as well and has to compile first."""
-
-DAS1_TABLES = Path(__file__).parents[2] / "ldctoolkit" / "recordings" / "spmd" / "das1_tables.py"
 
 
 def plain_tables(folder: Path) -> None:
@@ -44,31 +39,11 @@ def plain_tables(folder: Path) -> None:
     (folder / f"{FILES - 2:02d}.csv").write_text("recording,t,lane_offset,lane_width,speed\na,0,x,3.6,25\n")
 
 
-def das1_tables(folder: Path) -> None:
-    """Pairs of SPMD tables of two trips each; the last pair but one lacks the end of its lane table."""
-    spec = importlib.util.spec_from_file_location("killed_das1_tables", DAS1_TABLES)
-    assert spec is not None
-    assert spec.loader is not None
-    das1 = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = das1
-    spec.loader.exec_module(das1)
-    for i in range(FILES):
-        drives = [das1.planted_drive(10 + i, trip) for trip in (1, 2)]
-        # a speed of its own each, else they would be told as one trip repeated
-        drives = [dataclasses.replace(drive, speed=drive.speed + 0.2 * i + 0.1 * drive.trip) for drive in drives]
-        lane, _ = das1.write_tables(folder, drives, suffix=f"_{i:02d}")
-        if i == FILES - 2:
-            lane.write_bytes(lane.read_bytes()[:-20])
-
-
-MAKE: dict[str, Callable[[Path], None]] = {"table": plain_tables, "spmd-das1": das1_tables}
-
-
 @pytest.fixture(scope="module")
-def tables(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of files of the format asked for, one part each."""
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files, one part each."""
     folder = tmp_path_factory.mktemp("tables")
-    MAKE[request.param](folder)
+    plain_tables(folder)
     return folder
 
 
@@ -88,7 +63,6 @@ def count(parts: Path) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tables", MAKE, indirect=True)
 @pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 def test_kills_lose_nothing_and_leave_nothing_behind(tables: Path, tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
@@ -137,7 +111,6 @@ def test_kills_lose_nothing_and_leave_nothing_behind(tables: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tables", ["table"], indirect=True)
 def test_a_dask_cluster_gives_the_same_bits(tables: Path, tmp_path: Path) -> None:
     output = tmp_path / "d.parquet"
     recordings = open_recordings(tables)

@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import io
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
+from helpers.bits import assert_same_bits
+from helpers.examples import examples
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.extract_part import extract_items
@@ -33,29 +34,11 @@ def make_result(drive: Callable[[int], Recording]) -> Callable[[], PartResult]:
     return lambda: extract_items(items, Criteria(1.8), Preparation(step=0.1))
 
 
-def assert_same(one: Any, other: Any) -> None:
-    """The same in value, type and bits, all the way down."""
-    assert type(one) is type(other)
-    if isinstance(one, np.ndarray):
-        assert one.dtype == other.dtype
-        assert one.shape == other.shape
-        assert one.tobytes() == other.tobytes()
-    elif dataclasses.is_dataclass(one):
-        for field in dataclasses.fields(one):
-            assert_same(getattr(one, field.name), getattr(other, field.name))
-    elif isinstance(one, tuple):
-        assert len(one) == len(other)
-        for a, b in zip(one, other, strict=True):
-            assert_same(a, b)
-    else:
-        assert one == other
-
-
 @pytest.mark.parametrize("kind", ["nothing", "three drives"])
 def test_there_and_back(make_result: Callable[[], PartResult], kind: str) -> None:
     result = PartResult() if kind == "nothing" else make_result()
     content = part_bytes(result)
-    assert_same(read_part(content), result)
+    assert_same_bits(read_part(content), result)
     assert part_bytes(read_part(content)) == content
 
 
@@ -78,7 +61,7 @@ def test_what_is_not_a_part_is_refused(make_result: Callable[[], PartResult]) ->
         part_bytes(Unread("not a result"))  # type: ignore[arg-type]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_flipped_byte_is_refused_or_gives_a_result(
     make_result: Callable[[], PartResult], data: st.DataObject

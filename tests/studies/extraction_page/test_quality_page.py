@@ -16,12 +16,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from helpers.recordings import drive
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings import (
     Criteria,
     Extraction,
     Preparation,
-    RecordingTable,
     SourceFile,
     extract_departures,
     recording_reader,
@@ -415,10 +415,7 @@ def test_from_recordings_to_the_page() -> None:
     for k, side in enumerate((1, 1, 1, 1, 1, -1, -1)):
         offset += side * (0.85 + 0.3) * np.exp(-(((t - 8.0 - 10.0 * k) / 2.0) ** 4))
     offset += 1.3 * np.clip(t - 77.5, 0.0, 1.0)
-    table = RecordingTable.from_arrays(
-        recording=["trip"] * t.size, t=t, lane_offset=offset, lane_width=3.6, speed=25.0, curvature=1e-3
-    )
-    found = parsed(extract_departures([table]))
+    found = parsed(extract_departures([drive("trip", t, lane_offset=offset, curvature=1e-3, lane=None)]))
     (row,) = found.tables["By source and side"][2:]
     assert [row[i] for i in (4, 6, 7, 9)] == ["5", "1", "2", "0"]
     assert "cut by end" in found.text["refusals"]

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from helpers import round_trip as making
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.recordings.curvature import HALF_WINDOW
 
 PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
 
 
-def test_the_noise_is_the_default(making):
+def test_the_noise_is_the_default():
     noise = making.Noise()
     for words in (
         f"white, {noise.lane:g} m, then rounded to 1/{1 / noise.lane_resolution:g} m",

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers import round_trip as making
 from ldctoolkit import extract_departures, fit_scenario_model, load_model, open_recordings
 from ldctoolkit.departures import PARAMETER_NAMES
 
@@ -17,7 +18,7 @@ LARGEST = 0.03
 """Kolmogorov distance that is allowed to every parameter on each side."""
 
 
-def extracted(making, folder, drive, noise, **options):
+def extracted(folder, drive, noise, **options):
     paths = making.write_tables(folder, making.measure(drive, noise, 7, **options))
     return extract_departures(open_recordings(paths, format="spmd-das1"))
 
@@ -27,7 +28,7 @@ def check(distances, largest=LARGEST):
     assert max(row.max() for row in distances.values()) < largest, told
 
 
-def errors(making, found, drive):
+def errors(found, drive):
     """Found less planted by parameter, the pairing, and the planted parameters."""
     pairs = making.compare(found.departures, drive)
     truth = drive.planted.parameters.take(pairs.planted)
@@ -38,9 +39,10 @@ def errors(making, found, drive):
     )
 
 
-def test_marginals_come_back_with_noise(making, tmp_path):
+@pytest.mark.slow
+def test_marginals_come_back_with_noise(tmp_path):
     drive = making.drive(load_model("reference").sample(750, 750, seed=11), 5)
-    found = extracted(making, tmp_path, drive, making.Noise())
+    found = extracted(tmp_path, drive, making.Noise())
     pairs = making.compare(found.departures, drive)
     assert pairs.lost < 0.02 * 1500
     assert pairs.surplus < 0.02 * 1500
@@ -49,10 +51,10 @@ def test_marginals_come_back_with_noise(making, tmp_path):
     assert not any("yaw" in words for words in found.warnings)
 
 
-def test_sampling_alone_changes_little(making, tmp_path):
+def test_sampling_alone_changes_little(tmp_path):
     drive = making.drive(load_model("reference").sample(400, 400, seed=12), 5)
-    found = extracted(making, tmp_path, drive, making.Noise.none())
-    error, pairs, truth = errors(making, found, drive)
+    found = extracted(tmp_path, drive, making.Noise.none())
+    error, pairs, truth = errors(found, drive)
     assert pairs.surplus == 0
     assert pairs.lost <= 0.005 * 800
     slow = np.abs(error["T"]) < 0.01 + 0.01 / truth.T
@@ -64,21 +66,21 @@ def test_sampling_alone_changes_little(making, tmp_path):
     assert np.quantile(np.abs(error["dc"]) * truth.v_mean**2, 0.95) < 0.01
 
 
-def test_short_departures_keep_their_bend_where_the_road_does_not_go_on(making, tmp_path):
+def test_short_departures_keep_their_bend_where_the_road_does_not_go_on(tmp_path):
     """The curvature stays at its end values outside: what a long smoothing window would take for that inside."""
     model = load_model("reference").sample(200, 200, seed=13, given={"T": (0.7, 1.1)})
     drive = making.drive(model, 5, curvature_held=True)
-    found = extracted(making, tmp_path, drive, making.Noise.none())
-    error, _, truth = errors(making, found, drive)
+    found = extracted(tmp_path, drive, making.Noise.none())
+    error, _, truth = errors(found, drive)
     kept = 1.0 + np.sum(error["dc"] * truth.dc) / np.sum(truth.dc**2)
     assert 0.9 < kept < 1.02
 
 
-def test_what_the_vehicle_turns_itself_is_in_the_curvature(making, tmp_path):
+def test_what_the_vehicle_turns_itself_is_in_the_curvature(tmp_path):
     """The known bias of the yaw rate, in size and sign: the parabola bends back by 8 d_y/(v T)^2."""
     drive = making.drive(load_model("reference").sample(200, 200, seed=14, given={"T": (1.5, 4.0)}), 5)
-    found = extracted(making, tmp_path, drive, making.Noise.none(), own_turning=True)
-    error, _, truth = errors(making, found, drive)
+    found = extracted(tmp_path, drive, making.Noise.none(), own_turning=True)
+    error, _, truth = errors(found, drive)
     expected = -8.0 * truth.d_y / (truth.v_mean * truth.T) ** 2
     middle = error["c_0"] + 0.5 * error["dc"]
     assert np.median(middle / expected) == pytest.approx(0.9, abs=0.1)  # the window takes some of the way back in
@@ -89,7 +91,7 @@ N = 20_000
 
 
 @pytest.fixture(scope="module")
-def page_drive(making):
+def page_drive():
     return making.drive(load_model("reference").sample(N // 2, N // 2, seed=11), 5)
 
 
@@ -98,7 +100,7 @@ def section_of_page(title):
     return section
 
 
-def check_page(making, title, found, drive):
+def check_page(title, found, drive):
     """What the page says of a measurement, within what other random numbers would change."""
     section = section_of_page(title)
     pairs = making.compare(found.departures, drive)
@@ -127,20 +129,20 @@ def check_page(making, title, found, drive):
         ("The vehicle's own turning", 1.0, True, 2),
     ],
 )
-def test_the_page_says_what_is_measured(making, page_drive, tmp_path, title, factor, own_turning, rows):
+def test_the_page_says_what_is_measured(page_drive, tmp_path, title, factor, own_turning, rows):
     noise = making.Noise().times(factor) if factor else making.Noise.none()
-    found = extracted(making, tmp_path, page_drive, noise, own_turning=own_turning)
-    assert check_page(making, title, found, page_drive) == rows
+    found = extracted(tmp_path, page_drive, noise, own_turning=own_turning)
+    assert check_page(title, found, page_drive) == rows
 
 
 @pytest.mark.slow
-def test_a_model_comes_back(making, page_drive, tmp_path):
+def test_a_model_comes_back(page_drive, tmp_path):
     model = load_model("reference")
-    found = extracted(making, tmp_path, page_drive, making.Noise())
+    found = extracted(tmp_path, page_drive, making.Noise())
     pairs = making.compare(found.departures, page_drive)
     # a share of departures too few or too many moves no distribution by more than itself: the two leave half for errors
     assert pairs.lost + pairs.surplus < 0.5 * LARGEST * N
-    assert check_page(making, "With noise", found, page_drive) == 8
+    assert check_page("With noise", found, page_drive) == 8
     check(making.kolmogorov(found.departures, page_drive.planted.parameters))
     again = fit_scenario_model(found.departures, components=10, seed=1, n_init=2)
     check(making.kolmogorov(again.sample(100_000, 100_000, seed=3), model.sample(100_000, 100_000, seed=4)))

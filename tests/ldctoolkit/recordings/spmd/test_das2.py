@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers import das1, das2
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.opened import open_recordings
@@ -22,7 +23,7 @@ BOM = b"\xef\xbb\xbf"
 
 
 @pytest.fixture
-def write(tmp_path: Path, das2: Any) -> Write:
+def write(tmp_path: Path) -> Write:
     def to_file(
         lines: Sequence[str],
         name: str = "HV_Primary.csv",
@@ -50,7 +51,7 @@ def read(*paths: Path, part_bytes: int = 1 << 25) -> tuple[dict[str, Recording],
     return {one.name: one for one in recordings}, problems
 
 
-def lines_of(das1: Any, das2: Any, trip: int, rows: int = 30, cells: int = 53, **more: Any) -> list[str]:
+def lines_of(trip: int, rows: int = 30, cells: int = 53, **more: Any) -> list[str]:
     found: list[str] = das2.lines_of(das2.rows_of(das1.planted_drive(10, trip, rows=rows), **more), cells)
     return found
 
@@ -107,7 +108,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_planted_departures_come_back(shape: str, das1: Any, das2: Any, write: Write) -> None:
+def test_planted_departures_come_back(shape: str, write: Write) -> None:
     how: dict[str, Any] = dict(SHAPES[shape])
     cells, odd, mixed = how.pop("cells", 53), how.pop("odd", False), how.pop("mixed", False)
     drives = [das1.planted_drive(10, 1), das1.planted_drive(10, 2, first=-7), das1.planted_drive(11, 1)]
@@ -139,20 +140,20 @@ def test_planted_departures_come_back(shape: str, das1: Any, das2: Any, write: W
     assert [words for words in found.warnings if "yaw" in words] == []
 
 
-def test_a_yaw_rate_of_the_other_sign_is_warned_about(das1: Any, das2: Any, write: Write) -> None:
+def test_a_yaw_rate_of_the_other_sign_is_warned_about(write: Write) -> None:
     drive = das1.planted_drive(10, 1)
     other = dataclasses.replace(drive, yaw_rate=-drive.yaw_rate, heading=drive.heading)
     found = extract_departures(open_recordings([write(das2.lines_of(das2.rows_of(other)))]))
     assert any("yaw" in words for words in found.warnings)
 
 
-def test_what_is_usable(das1: Any, das2: Any, write: Write) -> None:
+def test_what_is_usable(write: Write) -> None:
     left = [900] * 30
     right, width = list(left), [f"{3600.0}"] * 30
     left[3], left[4], right[5], right[6] = 499, 500, 0, "NULL"  # type: ignore[call-overload]
     width[7], width[8], width[9], width[10] = "3050.0", "3150", "NULL", "4150.0"
     lines = lines_of(
-        das1, das2, 1, LaneTrack_Probability_Left_Exist=left, LaneTrack_Probability_Right_Exists=right,
+        1, LaneTrack_Probability_Left_Exist=left, LaneTrack_Probability_Right_Exists=right,
         LaneTrack_Lane_Width=width,
     )  # fmt: skip
     recordings, problems = read(write(lines))
@@ -160,7 +161,7 @@ def test_what_is_usable(das1: Any, das2: Any, write: Write) -> None:
     assert np.flatnonzero(~recordings["10/1"].valid).tolist() == [3, 5, 6, 7, 10]
 
 
-def test_speed_signals_and_heading(das1: Any, das2: Any, write: Write) -> None:
+def test_speed_signals_and_heading(write: Write) -> None:
     cells: dict[str, list[Any]] = {
         "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""],
         "GPS_Speed": [11.5] * 30,
@@ -168,7 +169,7 @@ def test_speed_signals_and_heading(das1: Any, das2: Any, write: Write) -> None:
         "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
         "InVehicle_Turn_Signal_Right": [1, 0, 1] + [0] * 27,
     }
-    one = read(write(lines_of(das1, das2, 1, **cells)))[0]["10/1"]
+    one = read(write(lines_of(1, **cells)))[0]["10/1"]
     np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
     assert one.turn_signal is not None
     assert one.turn_signal[:4].tolist() == [0, 1, -1, 0]
@@ -176,8 +177,8 @@ def test_speed_signals_and_heading(das1: Any, das2: Any, write: Write) -> None:
     assert np.isnan(one.heading).sum() == 9
 
 
-def test_parts_do_not_change_recordings(das1: Any, das2: Any, write: Write) -> None:
-    path = write([line for trip in range(1, 8) for line in lines_of(das1, das2, trip, rows=9 * trip)])
+def test_parts_do_not_change_recordings(write: Write) -> None:
+    path = write([line for trip in range(1, 8) for line in lines_of(trip, rows=9 * trip)])
     whole, _ = read(path)
     trips = [part.bytes for part in SpmdDas2(part_bytes=1).open([path]).parts]
     assert len(trips) == 7
@@ -216,36 +217,20 @@ FAULTS: dict[str, tuple[Callable[[list[str]], None], str, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, das1: Any, das2: Any, write: Write) -> None:
+def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -> None:
     damage, place, words = FAULTS[fault]
-    rows = lines_of(das1, das2, 1)
+    rows = lines_of(1)
     damage(rows)
-    recordings, problems = read(write([*rows, *lines_of(das1, das2, 2)]))
+    recordings, problems = read(write([*rows, *lines_of(2)]))
     check(problems, place, words)
     assert all(one.file == "HV_Primary.csv" for one in problems)
     assert recordings["10/1"].samples == 29
     assert recordings["10/2"].samples == 30
 
 
-def test_bytes_that_are_not_utf_8(das1: Any, das2: Any, write: Write) -> None:
-    path = write(lines_of(das1, das2, 1))
-    path.write_bytes(path.read_bytes().replace(b"15        ", b"15  \xff\xe9   ", 1))
-    recordings, problems = read(path)
-    check(problems, "line 2", "UTF-8")
-    assert recordings["10/1"].samples == 29
-
-
-def test_a_trip_in_several_stretches_is_put_together(das1: Any, das2: Any, write: Write) -> None:
-    one, two = lines_of(das1, das2, 1), lines_of(das1, das2, 2)
-    recordings, problems = read(write([*one[:10], *two, *one[10:]]))
-    check(problems, "line 42", "10/1")
-    whole, _ = read(write([*one, *two]))
-    np.testing.assert_array_equal(recordings["10/1"].lane_offset, whole["10/1"].lane_offset)
-
-
-def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(das1: Any, das2: Any, write: Write) -> None:
-    first = write(lines_of(das1, das2, 1) + lines_of(das1, das2, 2), "october/HV_Primary.csv")
-    second = write(lines_of(das1, das2, 3) + lines_of(das1, das2, 1)[:20], "april/HV_Primary.csv")
+def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(write: Write) -> None:
+    first = write(lines_of(1) + lines_of(2), "october/HV_Primary.csv")
+    second = write(lines_of(3) + lines_of(1)[:20], "april/HV_Primary.csv")
     recordings, problems = read(first, second)
     assert {name: one.samples for name, one in recordings.items()} == {"10/1": 30, "10/2": 30, "10/3": 30}
     assert recordings["10/1"].source == "october/HV_Primary.csv"
@@ -254,15 +239,15 @@ def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(das1: Any, das2: A
     assert "october/HV_Primary.csv, line 2" in problem.what
 
 
-def test_the_same_table_under_two_names(das1: Any, das2: Any, write: Write) -> None:
-    lines = lines_of(das1, das2, 1)
+def test_the_same_table_under_two_names(write: Write) -> None:
+    lines = lines_of(1)
     recordings, problems = read(write(lines, "a.csv"), write(lines, "b.csv"))
     assert list(recordings) == ["10/1"]
     assert [str(one) for one in problems] == ["b.csv: holds the same as a.csv, byte by byte; it is left out"]
 
 
-def test_without_a_header_most_of_the_first_lines_must_look_right(das1: Any, das2: Any, write: Write) -> None:
-    good, other = lines_of(das1, das2, 1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
+def test_without_a_header_most_of_the_first_lines_must_look_right(write: Write) -> None:
+    good, other = lines_of(1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
     with pytest.raises(RecordingError, match="rows of 45 or 53 cells"):
         read(write([*good[:9], *other], header=False))
     recordings, problems = read(write([*other[:9], *good], header=False))
@@ -293,13 +278,13 @@ ANYHOW = ("semicolons", "UTF-16")
 @pytest.mark.parametrize(
     ("fault", "header"), [*((fault, True) for fault in WHOLE), *((fault, False) for fault in ANYHOW)]
 )
-def test_a_file_that_cannot_be_used(fault: str, header: bool, das1: Any, das2: Any, write: Write) -> None:
+def test_a_file_that_cannot_be_used(fault: str, header: bool, write: Write) -> None:
     damage, words = WHOLE[fault]
-    bad = write(lines_of(das1, das2, 1), "bad.csv", header=header)
+    bad = write(lines_of(1), "bad.csv", header=header)
     bad.write_bytes(damage(bad.read_bytes()))
     with pytest.raises(RecordingError, match=words):
         read(bad)
-    good = write(lines_of(das1, das2, 2), "good.csv")
+    good = write(lines_of(2), "good.csv")
     recordings, problems = read(bad, good)
     assert list(recordings) == ["10/2"]
     [problem] = problems
@@ -307,7 +292,7 @@ def test_a_file_that_cannot_be_used(fault: str, header: bool, das1: Any, das2: A
     assert words in str(problem)
 
 
-def test_columns_that_are_not_needed_may_be_missing(das1: Any, das2: Any, write: Write) -> None:
+def test_columns_that_are_not_needed_may_be_missing(write: Write) -> None:
     rows = [
         {name: cell for name, cell in row.items() if name not in ("InVehicle_Yaw_Rate", "GPS_Valid")}
         for row in das2.rows_of(das1.planted_drive(10, 1, rows=30))
@@ -317,11 +302,3 @@ def test_columns_that_are_not_needed_may_be_missing(das1: Any, das2: Any, write:
     assert problems == []
     assert recordings["10/1"].yaw_rate is None
     assert recordings["10/1"].notes == ("no column InVehicle_Yaw_Rate, GPS_Valid",)
-
-
-def test_a_file_that_changes_after_it_was_opened(das1: Any, das2: Any, write: Write) -> None:
-    path = write(lines_of(das1, das2, 1))
-    source = SpmdDas2().open([path])
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RecordingError, match="changed"):
-        list(source.parts[0].read())

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
+from helpers import das2
+from helpers.examples import examples
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.spmd_das2 import SpmdDas2
 
@@ -89,9 +91,9 @@ def by_hand(lines: list[str]) -> tuple[dict[str, list[tuple[float, ...]]], set[i
     return trips, faulty
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@examples(150, suppress_health_check=[HealthCheck.too_slow])
 @given(rows(), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.integers(1, 3000))
-def test_against_plain_python(das2: Any, lines: list[str], end: str, ended: bool, part_bytes: int) -> None:
+def test_against_plain_python(lines: list[str], end: str, ended: bool, part_bytes: int) -> None:
     expected, faulty = by_hand(lines)
     text = das2.HEADER + end + end.join(lines) + end * ended
     with tempfile.TemporaryDirectory() as folder:

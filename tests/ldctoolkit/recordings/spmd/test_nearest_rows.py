@@ -1,9 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
 
 Rows = list[tuple[int, float]]
@@ -32,7 +33,7 @@ def columns(given_rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(left=rows, right=rows, tolerance=st.sampled_from([5.0, 0.5, 7.25, 40.0]))
 def test_the_join_is_that_of_all_pairs(left: Rows, right: Rows, tolerance: float) -> None:
     assert nearest_rows(*columns(left), *columns(right), tolerance).tolist() == by_hand(left, right, tolerance)
@@ -50,7 +51,7 @@ def test_trips_do_not_mix_however_close_their_times() -> None:
 
 
 def test_long_drives_keep_their_digits() -> None:
-    t = np.tile(np.arange(0.0, 8.64e6, 10.0), 3)
+    t = np.tile(np.arange(0.0, 8.64e6, 80.0), 3)
     trip = np.repeat(np.arange(3), t.size // 3)
     shift = np.random.default_rng(1).uniform(-4.99, 4.99, t.size).round(2)
     assert nearest_rows(trip, t, trip, t + shift, 5.0).tolist() == list(range(t.size))

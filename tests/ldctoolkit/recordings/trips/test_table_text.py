@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ldctoolkit.recordings.trips._number_kernel import plain_numbers
+from helpers.examples import examples
+from ldctoolkit.recordings.trips._text_kernels import plain_numbers
 from ldctoolkit.recordings.trips.table_text import COMPILED_FROM, read_cells
 
 COLUMNS = ("a", "b", "c", "d")
@@ -70,7 +71,7 @@ text = st.builds(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(
     text=text,
     wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]),
@@ -90,7 +91,7 @@ def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...],
         np.testing.assert_array_equal(found[name], [values[i] for _, values in rows])
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(lines=st.lists(line, max_size=12), at=st.integers(0, 12))
 def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> None:
     """What a line gives does not depend on the others: not on the way they had to be parsed."""
@@ -113,7 +114,7 @@ PLAIN = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
 def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
     text = "".join(f"7,{one},x y,{other}{end}" for one, other in rows).encode()

@@ -6,9 +6,10 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.trips import trip_index
 from ldctoolkit.recordings.trips.trip_index import Stretch, index_trips
@@ -73,7 +74,7 @@ text = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     text=text,
     block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]),
@@ -89,7 +90,7 @@ def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: 
     assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(text=st.binary(max_size=400), block_bytes=st.integers(1, 60))
 def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
     whole, parts = indexed(text), indexed(text, block_bytes=block_bytes)
@@ -101,15 +102,11 @@ def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
         assert one.line == content.count(b"\n", 0, one.begin) + 1
 
 
-def test_long_lines_do_not_depend_on_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trip_index, "LONGEST_LINE", 50)
-    text = b"".join(b"7,1," + b"1" * n + b"\n" for n in (10, 44, 45, 46, 47, 200, 10))
-    whole = indexed(text)
-    assert [fault.line for fault in whole.faults] == [5, 6, 7]
-    assert [one.lines for one in whole.stretches] == [3, 1]
-    for block_bytes in (1, 10, 49, 50, 51, 52, 100):
-        assert indexed(text, block_bytes=block_bytes) == whole
-        assert indexed(text, block_bytes=block_bytes, compiled_from=0) == whole
+@pytest.mark.parametrize("block_bytes", [1 << 16, 1 << 20])
+def test_a_line_longer_than_any_row_ends_the_file(block_bytes: int) -> None:
+    long = b"7,1," + b"1" * (3 << 20)
+    with pytest.raises(RecordingError, match=r"a.csv: line 4 is longer than 1048576 bytes"):
+        indexed(b"7,1,0\n7,1,1\n" + long + b"\n7,1,3\n", block_bytes=block_bytes)
 
 
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.uah_driveset import READER
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
 TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(lambda ks: np.sort(ks) / 32.0)
-SETTINGS = settings(max_examples=150, deadline=None)
+SETTINGS = examples(150)
 
 
 def value_by_hand(at, t, values, longest, beyond):
@@ -98,15 +99,6 @@ def test_the_recording(made, truth, tmp_path):
     assert np.ptp(turned) < 0.03  # a course holds for half a second before the first one
     assert (one.curvature, one.lane, one.turn_signal) == (None, None, None)
     assert one.notes == ()
-
-
-def test_angles_jump_within_departures(made, planted):
-    """Otherwise the fixtures do not tell whether they are unwrapped."""
-    trip = made()
-    for rows, column, turn in ((trip.accelerometers, 10, 2.0 * np.pi), (trip.gps, 7, 360.0)):
-        jumps = rows[1:, 0][np.abs(np.diff(rows[:, column])) > 0.9 * turn]
-        inside = [one for one in planted if ((one.start < jumps) & (jumps < one.start + one.T)).any()]
-        assert len(inside) == 2
 
 
 def test_yaw_in_degrees(made, tmp_path):

@@ -1,6 +1,6 @@
 """Tables DataLane and DataWsu in the schema of SPMD DAS1, made by code; departures can be planted in them.
 
-Other tests load this file by its path. Signals go in as SI numbers with the signs of ISO 8855, and come out rounded as
+Signals go in as SI numbers with the signs of ISO 8855, and come out rounded as
 the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them.
 """
 

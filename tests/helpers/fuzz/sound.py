@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import gzip
-import importlib.util
 import io
-import sys
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import polars as pl
+
+from helpers import das1, das2
 
 Files = dict[str, bytes]
 """Content of each file by its name, with folders."""
@@ -23,19 +21,7 @@ DEPARTURES = {"table": TRIPS, "spmd-das1": TRIPS, "spmd-das2": TRIPS, "uah-drive
 """In the sound files of each format: one a trip."""
 
 
-def _neighbour(name: str) -> ModuleType:
-    """A file of the tests of SPMD."""
-    place = Path(__file__).parents[2] / "spmd" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"fuzz_{name}", place)
-    if spec is None or spec.loader is None:
-        raise ImportError(place)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def _drives(das1: ModuleType) -> list:
+def _drives() -> list:
     return [
         das1.planted_drive(7, trip, [das1.Planted((-1) ** trip, 0.93, 1.5, 0.2 + 0.05 * trip)], rows=ROWS)
         for trip in range(1, TRIPS + 1)
@@ -67,8 +53,7 @@ def _table() -> tuple[Files, Files, Files]:
 
 
 def _das1() -> Files:
-    das1 = _neighbour("das1_tables")
-    drives = _drives(das1)
+    drives = _drives()
     return {
         "DataLane.csv": das1.text_of(das1.lane_frame(drives), bom=True, crlf=False),
         "DataWsu.csv": das1.text_of(das1.wsu_frame(drives), crlf=False),
@@ -76,8 +61,7 @@ def _das1() -> Files:
 
 
 def _das2() -> tuple[Files, Files]:
-    das1, das2 = _neighbour("das1_tables"), _neighbour("das2_tables")
-    rows = [row for drive in _drives(das1) for row in das2.rows_of(drive)]
+    rows = [row for drive in _drives() for row in das2.rows_of(drive)]
     with_header = "\n".join([das2.HEADER, *das2.lines_of(rows)]) + "\n"
     without = "\n".join([das2.ODD_FIRST, *das2.lines_of(rows, 45)]) + "\n"
     return {"HV_Primary.csv": with_header.encode()}, {"HV_Primary.csv": without.encode()}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from recordings_fuzz_making.check import check, recognise
-from recordings_fuzz_making.damage import WORDS, damaged, files_changed
-from recordings_fuzz_making.sound import DEPARTURES, SOUND
-from recordings_fuzz_making.write import PATHS, PLACES, open_again, put_places, write
-
+from helpers.fuzz.check import check, recognise
+from helpers.fuzz.damage import WORDS, damaged, files_changed
+from helpers.fuzz.sound import DEPARTURES, SOUND
+from helpers.fuzz.write import PATHS, PLACES, open_again, put_places, write
 from ldctoolkit.recordings import extract_departures, open_recordings
 
 __all__ = [

@@ -90,14 +90,6 @@ MARKS = (b";", b"\t", b"|", b" ", b",", b", ", b"\0")
 ENDS = (b"\r\n", b"\r", b"\n\n", b"\r\r\n", b"\n\r", b"\0\n", b" ", b"\x0b", b"\x1e")
 
 
-def _cut(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data[: a % (len(data) + 1)]
-
-
-def _cut_head(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data[a % (len(data) + 1) :]
-
-
 def _hole(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     a %= len(data) + 1
     return data[:a] + odd + data[a + b % 300 :]
@@ -113,22 +105,6 @@ def _flip(data: bytes, a: int, b: int, odd: bytes) -> bytes:
         return data
     a %= len(data)
     return data[:a] + bytes([data[a] ^ (1 << b % 8)]) + data[a + 1 :]
-
-
-def _all(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return odd * (1 + a % 4)
-
-
-def _swap_lines(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return b"\n".join(_swap(_lines(data), a, b))
-
-
-def _swap_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _rows(data, lambda rows: _swap(rows, a, b))
-
-
-def _drop_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _rows(data, lambda rows: rows[: a % (len(rows) + 1)] + rows[a % (len(rows) + 1) + b % 40 :])
 
 
 def _repeat_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
@@ -149,39 +125,6 @@ def _move_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     return _rows(data, change)
 
 
-def _reverse_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _rows(data, lambda rows: rows[::-1])
-
-
-def _shuffle_rows(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _rows(data, lambda rows: sorted(rows, key=lambda row: zlib.crc32(row, a)))
-
-
-def _cell(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _put(data, a, b, odd)
-
-
-def _first_cells(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    """In the first columns, where keys and times are."""
-    return _put(data, a, b % 3, odd)
-
-
-def _cells_below(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _put(data, a, b, odd, 1 + b % 60)
-
-
-def _whole_column(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _put(data, 1, b, odd, None)
-
-
-def _name(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _put(data, 0, b, odd)
-
-
-def _scaled_column(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _columns(data, lambda cells: _add(cells, b, FACTORS[a % len(FACTORS)], 0.0), 1)
-
-
 def _scaled_cells(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     first = 1 + a % max(len(_lines(data)), 1)
     return _columns(data, lambda cells: _add(cells, b, FACTORS[(a ^ b) % len(FACTORS)], 0.0), first, 1 + b % 50)
@@ -192,23 +135,11 @@ def _shifted_cells(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     return _columns(data, lambda cells: _add(cells, b, 1.0, FACTORS[(a ^ b) % len(FACTORS)]), first, None)
 
 
-def _drop_column(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _columns(data, lambda cells: cells.__delitem__(b % len(cells)))
-
-
-def _double_column(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _columns(data, lambda cells: cells.insert(a % (len(cells) + 1), cells[b % len(cells)]))
-
-
 def _swap_columns(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     def change(cells: list[bytes]) -> None:
         _swap(cells, a, b)
 
     return _columns(data, change, a % 2)
-
-
-def _more_cells(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _columns(data, lambda cells: cells.extend([odd] * (1 + b % 3)), a % max(len(_lines(data)), 1), 1 + b % 20)
 
 
 def _quoted(data: bytes, a: int, b: int, odd: bytes) -> bytes:
@@ -218,25 +149,9 @@ def _quoted(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     return _columns(data, change, a % max(len(_lines(data)), 1), b % 200)
 
 
-def _marks(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data.replace(_mark(data), MARKS[a % len(MARKS)])
-
-
 def _marks_in_part(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     a %= len(data) + 1
     return data[:a] + data[a : a + 500].replace(_mark(data), MARKS[b % len(MARKS)]) + data[a + 500 :]
-
-
-def _decimal_commas(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data.replace(b",", b";").replace(b".", b",") if a % 2 else data.replace(b".", b",")
-
-
-def _ends(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data.replace(b"\n", ENDS[a % len(ENDS)])
-
-
-def _encoding(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return _recoded(data, ENCODINGS[a % len(ENCODINGS)])
 
 
 def _mixed_encodings(data: bytes, a: int, b: int, odd: bytes) -> bytes:
@@ -251,27 +166,58 @@ def _zeros(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     return data[:a] + b"\0" * (b % 5000) + data[a + b % 5000 :]
 
 
-def _twice(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return data + data
-
-
 def _long(data: bytes, a: int, b: int, odd: bytes) -> bytes:
     a %= len(data) + 1
     return data[:a] + (odd or b"1")[:1] * (70_000 if b % 8 else 1_200_000) + data[a:]
 
 
-def _packed(data: bytes, a: int, b: int, odd: bytes) -> bytes:
-    return gzip.compress(data, 1, mtime=0)
-
-
 OPERATIONS: dict[str, Callable[[bytes, int, int, bytes], bytes]] = {
-    operation.__name__.strip("_"): operation
-    for operation in (
-        *(_cut, _cut_head, _hole, _insert, _flip, _all, _swap_lines, _swap_rows, _drop_rows, _repeat_rows, _move_rows),
-        *(_reverse_rows, _shuffle_rows, _cell, _first_cells, _cells_below, _whole_column, _name, _scaled_column),
-        *(_scaled_cells, _shifted_cells, _drop_column, _double_column, _swap_columns, _more_cells, _quoted, _marks),
-        *(_marks_in_part, _decimal_commas, _ends, _encoding, _mixed_encodings, _zeros, _twice, _long, _packed),
-    )
+    "cut": lambda data, a, b, odd: data[: a % (len(data) + 1)],
+    "cut_head": lambda data, a, b, odd: data[a % (len(data) + 1) :],
+    "all": lambda data, a, b, odd: odd * (1 + a % 4),
+    "swap_lines": lambda data, a, b, odd: b"\n".join(_swap(_lines(data), a, b)),
+    "swap_rows": lambda data, a, b, odd: _rows(data, lambda rows: _swap(rows, a, b)),
+    "drop_rows": lambda data, a, b, odd: _rows(
+        data, lambda rows: rows[: a % (len(rows) + 1)] + rows[a % (len(rows) + 1) + b % 40 :]
+    ),
+    "reverse_rows": lambda data, a, b, odd: _rows(data, lambda rows: rows[::-1]),
+    "shuffle_rows": lambda data, a, b, odd: _rows(data, lambda rows: sorted(rows, key=lambda row: zlib.crc32(row, a))),
+    "cell": lambda data, a, b, odd: _put(data, a, b, odd),
+    "first_cells": lambda data, a, b, odd: _put(data, a, b % 3, odd),
+    "cells_below": lambda data, a, b, odd: _put(data, a, b, odd, 1 + b % 60),
+    "whole_column": lambda data, a, b, odd: _put(data, 1, b, odd, None),
+    "name": lambda data, a, b, odd: _put(data, 0, b, odd),
+    "scaled_column": lambda data, a, b, odd: _columns(
+        data, lambda cells: _add(cells, b, FACTORS[a % len(FACTORS)], 0.0), 1
+    ),
+    "drop_column": lambda data, a, b, odd: _columns(data, lambda cells: cells.__delitem__(b % len(cells))),
+    "double_column": lambda data, a, b, odd: _columns(
+        data, lambda cells: cells.insert(a % (len(cells) + 1), cells[b % len(cells)])
+    ),
+    "more_cells": lambda data, a, b, odd: _columns(
+        data, lambda cells: cells.extend([odd] * (1 + b % 3)), a % max(len(_lines(data)), 1), 1 + b % 20
+    ),
+    "marks": lambda data, a, b, odd: data.replace(_mark(data), MARKS[a % len(MARKS)]),
+    "decimal_commas": lambda data, a, b, odd: (
+        data.replace(b",", b";").replace(b".", b",") if a % 2 else data.replace(b".", b",")
+    ),
+    "ends": lambda data, a, b, odd: data.replace(b"\n", ENDS[a % len(ENDS)]),
+    "encoding": lambda data, a, b, odd: _recoded(data, ENCODINGS[a % len(ENCODINGS)]),
+    "twice": lambda data, a, b, odd: data + data,
+    "packed": lambda data, a, b, odd: gzip.compress(data, 1, mtime=0),
+    "hole": _hole,
+    "insert": _insert,
+    "flip": _flip,
+    "repeat_rows": _repeat_rows,
+    "move_rows": _move_rows,
+    "scaled_cells": _scaled_cells,
+    "shifted_cells": _shifted_cells,
+    "swap_columns": _swap_columns,
+    "quoted": _quoted,
+    "marks_in_part": _marks_in_part,
+    "mixed_encodings": _mixed_encodings,
+    "zeros": _zeros,
+    "long": _long,
 }
 
 _MILD = ("cell", "first_cells", "scaled_cells", "scaled_column", "cells_below", "shifted_cells", "swap_rows", "flip")
