@@ -10,13 +10,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from ldctoolkit import Scenarios, controller_class
 from ldctoolkit.errors import StoreError
 from studies.design import Design
+from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
 from studies.running.faults import Faults
 from studies.running.own_laws import laws_of_this_process
 from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
-from studies.running.tasks import Done, FailedRun, Job, RunKey, TaskResult
+from studies.running.tasks import Done, Job
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file.spec import Study
@@ -180,13 +181,8 @@ def _job(study: Study, store: Store, executor: Executor, time_limit: float) -> J
     token = hashlib.sha256(f"{store.manifest.study_hash}{store.manifest.model_hash}{time.time_ns()}".encode())
     return Job(
         token=token.hexdigest()[:16],
-        vehicle=study.vehicle,
-        dt=study.simulation.dt,
+        setup=study.setup(),
         windows=study.simulation.window,
-        initial_yaw_rate=study.simulation.initial_yaw_rate,
-        options=study.plant,
-        settle=study.simulation.settle,
-        seed=study.seed,
         laws=laws_of_this_process() if executor.isolated else b"",
         time_limit=time_limit if executor.isolated else 0.0,
     )

@@ -9,14 +9,15 @@ from collections import OrderedDict
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, LdcError, Scenarios
+from ldctoolkit import EventStatus, LdcError, Scenarios
 from ldctoolkit.law_errors import raised
 from ldctoolkit.simulation import Outcome, Run, Takeover, drive, drive_many
 from ldctoolkit.simulation.runs import recorded_run
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
+from studies.results import FailedRun, TaskResult
 from studies.running.steadiness import first_departures, kept_state
-from studies.running.tasks import Done, FailedRun, Job, Task, TaskResult
+from studies.running.tasks import Done, Job, Task
 
 _TAKEOVERS_KEPT = 8
 
@@ -48,16 +49,7 @@ class Simulator:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
                 oldest, _ = self._takeovers.popitem(last=False)
                 self._few.pop(oldest, None)
-            self._takeovers[key] = Takeover.build(
-                scenarios,
-                BicycleModel(self.job.vehicle, convention),
-                y_s=y_s,
-                dt=self.job.dt,
-                initial_yaw_rate=self.job.initial_yaw_rate,
-                options=self.job.options,
-                seed=self.job.seed,
-                settle=self.job.settle,
-            )
+            self._takeovers[key] = Takeover.build(scenarios, self.job.setup.under(convention), y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
@@ -119,7 +111,7 @@ class Simulator:
         task, design = room.task, room.task.designs[i]
         key = _key(design.y_s, task.convention, task.scenarios)
         if key not in self._few:
-            self._few[key] = first_departures(takeover, self.job.initial_yaw_rate, self.job.settle)
+            self._few[key] = first_departures(takeover)
         rows, few = self._few[key]
         if not rows.size:
             return
@@ -165,7 +157,7 @@ class _Room:
             self._takeover, self._recorded = over, run.columns(windows)
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
             # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
-            self._commands = int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
+            self._commands = int(np.sum(over.steps))
         values, rows = self.values[:, i], over.rows
         values[:] = self._recorded
         run.fill(values, windows)

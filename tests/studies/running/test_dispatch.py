@@ -183,7 +183,7 @@ def test_what_is_stored_of_a_failing_design_is_no_accident(
 ) -> None:
     """The pieces before the first one that it fails on, however often it is run."""
     study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
-    from studies.running.runner import study_model
+    from studies.runner import study_model
 
     speeds = study_model(study).sample(20, 20, seed=study.seed).v_mean
     FAST[0] = float(np.sort(speeds)[-3])

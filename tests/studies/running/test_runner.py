@@ -152,7 +152,7 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     case = read_results(tmp_path / "a").cases[0]
     assert case.law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
     # one command a sample: from each trigger to the end of the horizon, the last step may be shorter
-    takeover = Takeover.build(read_results(tmp_path / "a").scenarios, BicycleModel(study.vehicle), y_s=0.1, dt=0.05)
+    takeover = Takeover.build(read_results(tmp_path / "a").scenarios, study.setup(), y_s=0.1)
     driven = takeover.triggered.T - takeover.start
     assert mpc["commands"] == sum(int(np.ceil(round(float(t) / 0.05, 6))) + 60 for t in driven)
 
