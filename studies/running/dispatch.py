@@ -18,8 +18,7 @@ from studies.running.faults import Faults
 from studies.running.in_order import InOrder
 from studies.running.merge import Merge
 from studies.running.pieces import Piece
-from studies.running.simulate_designs import Simulator
-from studies.running.simulation_task import SimulationTask
+from studies.running.simulate_designs import SimulationTask, Simulator
 from studies.running.tasks import Done, Job, Task
 
 SECONDS_A_TASK: Final = 0.5

@@ -16,7 +16,7 @@ from ldctoolkit.errors import StoreError
 from studies import Study
 from studies.runner import study_model
 from studies.running import worker
-from studies.running.simulation_task import SimulationTask
+from studies.running.simulate_designs import SimulationTask
 from studies.running.tasks import Job
 from studies.storage.folder_lock import locked
 

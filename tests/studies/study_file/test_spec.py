@@ -19,7 +19,7 @@ from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.plant_options import PlantOptions
 from studies import Case, Design, Study
-from studies.design_space.grid import EntryError, expand
+from studies.design_space.law_space import EntryError, expand
 from studies.study_file.plant_table import differences, plant_settings
 from studies.study_file.ready import catalog_names, load_study
 
