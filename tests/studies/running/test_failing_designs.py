@@ -116,7 +116,7 @@ def assert_same_bits(one: StudyResults, other: StudyResults) -> None:
         np.testing.assert_array_equal(a.companions.travel, b.companions.travel)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_each_fault_is_named_and_the_others_run(make_study: MakeStudy, tmp_path: Path, workers: int) -> None:
     study = study_with(make_study, *FAULTS)
     results = run_study(study, directory=tmp_path / "all", workers=workers)
@@ -336,7 +336,10 @@ def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
     return MemoryLaw("settles" if self.K in (2.0, 3.0) else "no more", (self.K, plant.model.convention))
 
 
-@pytest.mark.parametrize(("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), (2, 1, [2, 3, 1])])
+@pytest.mark.parametrize(
+    ("workers", "block_size", "K"),
+    [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=pytest.mark.slow)],
+)
 def test_each_design_is_asked_whether_it_keeps_state(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
 ) -> None:
@@ -351,8 +354,7 @@ def test_each_design_is_asked_whether_it_keeps_state(
         assert re.fullmatch(FAULTS["state"], one.reason)
 
 
-@pytest.mark.parametrize("plant", [{}, {"speed": "profile"}, {"residuals": {"bandwidth": 1.0}}])
-@pytest.mark.parametrize("yaw_rate", ["path", "zero"])
+@pytest.mark.parametrize(("yaw_rate", "plant"), [("path", {}), ("zero", {"speed": "profile"})])
 def test_a_law_without_memory_passes_on_every_plant(
     make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]
 ) -> None:
