@@ -21,6 +21,7 @@ from studies import Study, StudyResults, rank_study, read_results, run_study
 from studies.cli import main
 from studies.report import ReportInput, write_report
 
+SLOW = pytest.mark.slow
 MakeStudy = Callable[..., Study]
 pytestmark = pytest.mark.usefixtures("laws", "broken_laws")
 
@@ -116,7 +117,7 @@ def assert_same_bits(one: StudyResults, other: StudyResults) -> None:
         np.testing.assert_array_equal(a.companions.travel, b.companions.travel)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=SLOW)])
 def test_each_fault_is_named_and_the_others_run(make_study: MakeStudy, tmp_path: Path, workers: int) -> None:
     study = study_with(make_study, *FAULTS)
     results = run_study(study, directory=tmp_path / "all", workers=workers)
@@ -338,7 +339,7 @@ def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
 
 @pytest.mark.parametrize(
     ("workers", "block_size", "K"),
-    [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=pytest.mark.slow)],
+    [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)],
 )
 def test_each_design_is_asked_whether_it_keeps_state(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
