@@ -156,8 +156,6 @@ class TaskResult:
         Wall time inside the laws' own steps.
     commands : (k,) int
         Scenarios times samples that they gave a command for.
-    kernel_seconds : float [s]
-        Wall time inside the closed loop, all designs together.
     seconds : float [s]
         Wall time of the whole task.
     """
@@ -169,7 +167,6 @@ class TaskResult:
     failed_solves: npt.NDArray[np.int32]
     law_seconds: FloatArray
     commands: IntArray
-    kernel_seconds: float = 0.0
     seconds: float = 0.0
 
     def take(self, places: list[int]) -> TaskResult:

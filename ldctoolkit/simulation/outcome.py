@@ -202,27 +202,21 @@ class Run:
         if window not in get_args(Window):
             raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
         over, rows = self.takeover, self.takeover.rows
-        uncorrected = over.S_uncorrected if window == "departure" else over.S_uncorrected - over.S_before
-        S = uncorrected.copy()
-        if self.area is not None:
-            S[rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
+        values = self.columns((window,))
+        self.fill(values, (window,))
         status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
         failed[rows] = self.failed_solves
-        columns = {}
-        for field in dataclasses.fields(metrics.Companions):
-            column = getattr(over.recorded, field.name).copy()
-            column[rows] = getattr(self.companions, field.name)
-            columns[field.name] = column
+        names = (field.name for field in dataclasses.fields(metrics.Companions))
         return Outcome(
             window=window,
-            S=S,
-            S_uncorrected=uncorrected,
+            S=values[0],
+            S_uncorrected=values[1],
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            companions=metrics.Companions(**columns),
+            companions=metrics.Companions(**dict(zip(names, values[2:], strict=True))),
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,

@@ -49,11 +49,6 @@ class Campaign:
         Of a task; 0 for none.
     block_size : int, optional
         Designs in a task.
-
-    Attributes
-    ----------
-    kernel_seconds, task_seconds : float [s]
-        Wall time inside the closed loop, and in tasks altogether, summed over workers.
     """
 
     def __init__(
@@ -71,7 +66,6 @@ class Campaign:
     ) -> None:
         self.study, self.scenarios, self.prefixes = study, scenarios, prefixes
         self.store, self.table = store, table
-        self.kernel_seconds = self.task_seconds = 0.0
         self._executor, self._progress = executor, progress
         self._block_size = block_size
         self._job = _job(study, store, executor, time_limit)
@@ -134,8 +128,6 @@ class Campaign:
     def _collect(self, done: Done) -> None:
         if done.result.keys:
             self._waiting.append(done.result)
-            self.kernel_seconds += done.result.kernel_seconds
-            self.task_seconds += done.result.seconds
             self._progress.advance(done.result.status.size)
         self._failed += done.failed
         rows = sum(result.status.size for result in self._waiting)

@@ -51,7 +51,6 @@ class Simulator:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
         self._few: dict[Key, tuple[npt.NDArray[np.int64], Takeover]] = {}
-        self._kernel_seconds = 0.0
 
     def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
@@ -67,7 +66,6 @@ class Simulator:
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, gives what no law may give, or keeps state, has failed."""
         started = time.perf_counter()
-        self._kernel_seconds = 0.0
         room = _Room(task)
         reasons: dict[int, str] = {}
         for first, last in _same_threshold(task.designs):
@@ -86,7 +84,7 @@ class Simulator:
                     if i not in reasons and room.law_seconds[i]:
                         self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        result = room.result(self._kernel_seconds, time.perf_counter() - started)
+        result = room.result(time.perf_counter() - started)
         failed = tuple(FailedRun((task.designs[i].id, task.convention), task.piece, why) for i, why in reasons.items())
         return Done(result if len(ran) == len(task.designs) else result.take(ran), failed)
 
@@ -97,16 +95,14 @@ class Simulator:
             takeover = self.takeover(design.y_s, task.convention, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
-        return room.result(0.0, 0.0)
+        return room.result(0.0)
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
         convention = room.task.convention
         controllers = [design.controller(convention) for design in room.task.designs[first:last]]
-        started = time.perf_counter()
-        runs = list(drive_many(controllers, takeover, threads=1))
-        self._kernel_seconds += time.perf_counter() - started
-        for i, run in zip(range(first, last), runs, strict=True):
+        # all of them before any is taken in: what one raises leaves the others as they were
+        for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
             room.put(i, run)
 
     def _alone(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
@@ -189,7 +185,7 @@ class _Room:
         """Columns, values, status and failed solves of one design in some scenarios."""
         return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
 
-    def result(self, kernel_seconds: float, seconds: float) -> TaskResult:
+    def result(self, seconds: float) -> TaskResult:
         """All of it."""
         keys = tuple((design.id, self.task.convention) for design in self.task.designs)
         return TaskResult(
@@ -200,7 +196,6 @@ class _Room:
             self.failed_solves,
             self.law_seconds,
             self.commands,
-            kernel_seconds,
             seconds,
         )
 
