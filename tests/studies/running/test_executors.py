@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import concurrent.futures
 import contextlib
 import dataclasses
@@ -265,22 +264,6 @@ def listen(executor: Executor, seconds: float) -> None:
 
 
 LOST = "the connection to the scheduler is lost; what was stored is kept: run it again"
-
-
-@pytest.mark.parametrize(
-    ("status", "outcome"),
-    [
-        ("cancelled", concurrent.futures.CancelledError()),
-        ("cancelled", asyncio.CancelledError()),
-        ("finished", OSError("the connection broke off")),
-    ],
-)
-def test_a_result_that_went_with_the_scheduler_is_told_as_such(client: FakeClient, status: str, outcome: Any) -> None:
-    executor = connected()
-    executor.start(a_task())
-    client.futures[0].end(status, outcome)
-    with pytest.raises(ClusterError, match=LOST):
-        executor.wait()
 
 
 def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> None:

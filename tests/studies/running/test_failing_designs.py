@@ -15,9 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, SteeringLaw, gain, register, registry
 from ldctoolkit.errors import StoreError
-from studies import Study, StudyResults, rank_study, read_results, run_study
+from studies import Study, rank_study, read_results, run_study
 from studies.cli import main
 from studies.report import ReportInput, write_report
 
@@ -109,27 +110,19 @@ def without_few(warnings: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(warning for warning in warnings if not warning.startswith("Intervals are too short"))
 
 
-def assert_same_bits(one: StudyResults, other: StudyResults) -> None:
-    assert one.designs == other.designs
-    for a, b in zip(one.cases, other.cases, strict=True):
-        for name in ("S", "S_uncorrected", "status", "failed_solves"):
-            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-        np.testing.assert_array_equal(a.companions.travel, b.companions.travel)
-
-
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=SLOW)])
 def test_each_fault_is_named_and_the_others_run(make_study: MakeStudy, tmp_path: Path, workers: int) -> None:
     study = study_with(make_study, *FAULTS)
     results = run_study(study, directory=tmp_path / "all", workers=workers)
     alone = run_study(make_study(design=GOOD), directory=tmp_path / "alone", workers=1)
-    assert_same_bits(results, alone)
+    assert_same_results(results, alone)
     assert [one.design.law for one in results.failed] == [f"broken_{how}" for how in FAULTS]
     for one, pattern in zip(results.failed, FAULTS.values(), strict=True):
         assert re.fullmatch(pattern, one.reason), one.reason
         assert one.sentence.startswith(f"design {one.design.id} (Broken {one.design.law[7:]}, y_s=0.05 m): ")
     again = read_results(tmp_path / "all")
     assert again.failed == results.failed
-    assert_same_bits(again, results)
+    assert_same_results(again, results)
 
 
 def test_one_design_of_a_law_may_fail_alone(make_study: MakeStudy, tmp_path: Path) -> None:

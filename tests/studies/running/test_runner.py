@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.results import assert_same_results
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -31,22 +32,6 @@ from studies.storage.store import Store
 pytestmark = pytest.mark.usefixtures("laws")
 
 MakeStudy = Callable[..., Study]
-FIELDS = ("S", "S_uncorrected", "status", "failed_solves")
-
-
-def assert_same_bits(a: StudyResults, b: StudyResults) -> None:
-    assert a.designs == b.designs
-    np.testing.assert_array_equal(a.scenarios.matrix(), b.scenarios.matrix())
-    for one, other in zip(a.cases, b.cases, strict=True):
-        assert one.case == other.case
-        for name in FIELDS:
-            left, right = getattr(one, name), getattr(other, name)
-            assert left.dtype == right.dtype
-            np.testing.assert_array_equal(left, right)
-        for name in COMPANION_UNITS:
-            left, right = getattr(one.companions, name), getattr(other.companions, name)
-            assert left.dtype == right.dtype == np.float64
-            np.testing.assert_array_equal(left, right)
 
 
 @pytest.fixture
@@ -68,8 +53,8 @@ def test_no_number_depends_on_how_the_work_is_split(
     settings: dict[str, object], make_study: MakeStudy, reference: StudyResults, tmp_path: Path
 ) -> None:
     folder = tmp_path / "other"
-    assert_same_bits(run_study(make_study(), directory=folder, **settings), reference)  # type: ignore[arg-type]
-    assert_same_bits(read_results(folder), reference)
+    assert_same_results(run_study(make_study(), directory=folder, **settings), reference)  # type: ignore[arg-type]
+    assert_same_results(read_results(folder), reference)
 
 
 def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyResults) -> None:
@@ -79,7 +64,7 @@ def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyRe
             outcome = simulate(
                 design.controller(case.case.convention),
                 reference.scenarios,
-                vehicle=BicycleModel(study.vehicle, case.case.convention),
+                setup=study.setup(case.case.convention),
                 y_s=design.y_s,
                 window=case.case.window,
             )
@@ -114,8 +99,8 @@ def test_no_drawn_number_depends_on_how_the_work_is_split(make_study: MakeStudy,
     """Noise, mismatch and residuals belong to the scenario, whoever drives it; another seed draws others."""
     study = make_study(plant=EVERYTHING_DRAWN)
     one = run_study(study, directory=tmp_path / "a", workers=1, block_size=100)
-    assert_same_bits(run_study(study, directory=tmp_path / "b", workers=1, block_size=1), one)
-    assert_same_bits(read_results(tmp_path / "b"), one)
+    assert_same_results(run_study(study, directory=tmp_path / "b", workers=1, block_size=1), one)
+    assert_same_results(read_results(tmp_path / "b"), one)
     ideal = run_study(make_study(), directory=tmp_path / "d", workers=1)
     assert not np.array_equal(ideal.cases[0].S[1], one.cases[0].S[1])
     design = study.designs[1]
@@ -197,7 +182,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
         after = read_manifest(tmp_path / "s")
     finally:
         registry.forget("metered")
-    assert_same_bits(resumed, whole)
+    assert_same_results(resumed, whole)
     assert whole.cases[0].failed_solves.any()
     assert 1000.0 < after.wall_time_s < 1600.0
     assert after.created == "2020-01-01T00:00:00+00:00"
@@ -254,7 +239,7 @@ def test_scenarios_that_cannot_be_driven_are_stored_as_such(
     monkeypatch.setattr(ScenarioModel, "sample", wild)
     study = make_study(plant={"speed": "profile", "residuals": {"v": True}})
     results = run_study(study, directory=tmp_path, workers=1)
-    assert_same_bits(read_results(tmp_path), results)
+    assert_same_results(read_results(tmp_path), results)
     for case in results.cases:
         invalid = case.status == EventStatus.INVALID
         assert invalid.tolist() == [[i % 4 == 1 for i in range(12)]] * len(study.designs)
@@ -289,8 +274,8 @@ def test_a_study_resumes_where_it_was_stopped(
     monkeypatch.setattr(simulate_designs, "drive_many", counting(drives))
     again = run_study(make_study(), directory=tmp_path / "s", workers=1)
     assert len(drives) == 14
-    assert_same_bits(again, reference)
-    assert_same_bits(read_results(tmp_path / "s"), reference)
+    assert_same_results(again, reference)
+    assert_same_results(read_results(tmp_path / "s"), reference)
     assert read_manifest(tmp_path / "s").finished
 
     run_study(make_study(title="new words"), directory=tmp_path / "s", workers=1)
@@ -310,7 +295,7 @@ def test_a_law_that_only_this_process_knows_reaches_the_workers(make_study: Make
     try:
         study = make_study(design=[{"law": "local", "gains": {"N": [1, 2, 3]}}])
         one = run_study(study, directory=tmp_path / "a", workers=1)
-        assert_same_bits(run_study(study, directory=tmp_path / "b", workers=2, block_size=1), one)
+        assert_same_results(run_study(study, directory=tmp_path / "b", workers=2, block_size=1), one)
     finally:
         registry.forget("local")
 
@@ -341,12 +326,12 @@ def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: Stu
     assert {path.name for path in (folder / "results").iterdir()} == before
     assert [d.id for d in results.designs] == [d.id for d in fewer.designs]
     np.testing.assert_array_equal(results.cases[0].S, reference.cases[0].S[[0, 5, 6]])
-    assert_same_bits(read_results(folder), results)
+    assert_same_results(read_results(folder), results)
     more = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": [0.1, 0.3], "gains": {"r_delta": [50, 500]}}])
     run_study(more, directory=folder, workers=1)
     added = {path.name for path in (folder / "results").iterdir()} - before
     assert len(added) == 1
-    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
+    assert_same_results(run_study(make_study(), directory=folder, workers=1), reference)
 
 
 def test_failed_solves_are_kept(make_study: MakeStudy, tmp_path: Path) -> None:
@@ -423,9 +408,9 @@ def test_a_broken_part_is_named_and_computed_anew(
         part.write_bytes(b"")
     with pytest.raises(StoreError, match=rf"{part.name}: broken: .*run the study into this folder again"):
         read_results(folder)
-    assert_same_bits(run_study(make_study(), directory=folder, workers=1), reference)
+    assert_same_results(run_study(make_study(), directory=folder, workers=1), reference)
     assert f"{part.name}: broken" in caplog.text
-    assert_same_bits(read_results(folder), reference)
+    assert_same_results(read_results(folder), reference)
 
 
 @pytest.mark.parametrize(
