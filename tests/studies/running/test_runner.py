@@ -122,6 +122,13 @@ def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Pat
     assert (longer.companions.travel > shorter.companions.travel).any()
 
 
+def commands_of(study: Study, y_s: float, results: StudyResults) -> int:
+    """One a sample: from each trigger to the end of the horizon, the last step of a departure may be shorter."""
+    takeover = Takeover.build(results.scenarios, study.setup(), y_s=y_s)
+    driven = takeover.triggered.T - takeover.start
+    return sum(int(np.ceil(round(float(t) / 0.05, 6))) + 60 for t in driven)
+
+
 def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_path: Path) -> None:
     """The same runs give the same file, byte by byte; the times, which no second run gives again, stand apart."""
     import polars as pl
@@ -143,10 +150,7 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     assert lqr["law_seconds"] == 0
     case = read_results(tmp_path / "a").cases[0]
     assert case.law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
-    # one command a sample: from each trigger to the end of the horizon, the last step may be shorter
-    takeover = Takeover.build(read_results(tmp_path / "a").scenarios, study.setup(), y_s=0.1)
-    driven = takeover.triggered.T - takeover.start
-    assert mpc["commands"] == sum(int(np.ceil(round(float(t) / 0.05, 6))) + 60 for t in driven)
+    assert mpc["commands"] == commands_of(study, 0.1, read_results(tmp_path / "a"))
 
 
 def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
@@ -192,7 +196,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
         json.loads((tmp_path / folder / "timing.json").read_text())["designs"][study.designs[0].id]["consistent"]
         for folder in ("s", "whole")
     ]
-    assert 0 < first < times[0]["commands"] == times[1]["commands"]
+    assert 0 < first < times[0]["commands"] == times[1]["commands"] == commands_of(study, 0.0, whole)
     assert 500.0 < times[0]["law_seconds"] < 600.0
 
 
