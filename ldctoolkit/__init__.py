@@ -15,6 +15,7 @@ from ldctoolkit.recordings import (
 from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, plot_departure, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
@@ -38,6 +39,7 @@ __all__ = [
     "RecordedPath",
     "ScenarioModel",
     "Scenarios",
+    "Setup",
     "SolverCalls",
     "SteeringLaw",
     "VehicleParameters",

@@ -1,10 +1,123 @@
-"""Checks that frozen option values share."""
+"""Declared options: one line on a frozen dataclass's field gives its default, unit, limits and what it is.
+
+Checks, the keys of a study file and the settings that a report lists follow from the declaration.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any, Final
 
-from ldctoolkit.errors import InputError, plain
+from ldctoolkit.errors import InputError, nearest, plain
+
+_KEY = "ldctoolkit.option"
+
+MOST_SEED: Final = 2**63 - 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """What is known of an option.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit, ``"1"`` for a pure number.
+    above, least, most : float or None
+        It has to be > `above`, >= `least`, <= `most`.
+    choices : tuple of str
+        Allowed words; empty for a number or a switch.
+    usual : (float, float) or None
+        The narrower range that a study file allows.
+    kind : type or None
+        Of a table of options that is absent by default.
+    description : str
+        A few words; of a plant's option, for where it is not ideal.
+    """
+
+    unit: str = "1"
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+    choices: tuple[str, ...] = ()
+    usual: tuple[float, float] | None = None
+    kind: type | None = None
+    description: str = ""
+
+
+def declaration(**limits: Any) -> dict[str, Declaration]:
+    """Metadata of a dataclass field, from the fields of `Declaration`."""
+    return {_KEY: Declaration(**limits)}
+
+
+def declared(default: float | bool | None, **limits: Any) -> Any:
+    """Declare a number or a switch as a dataclass field.
+
+    Parameters
+    ----------
+    default : float, bool or None
+        None where the option may be absent.
+    **limits
+        Fields of `Declaration`.
+
+    Examples
+    --------
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class Lamp:
+    ...     power: float = declared(5.0, unit="W", above=0.0)
+    ...     def __post_init__(self) -> None:
+    ...         check_declared(self, "lamp")
+    >>> Lamp(power=-1)
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.InputError: lamp.power: -1; allowed: a finite number > 0
+    """
+    return dataclasses.field(default=default, metadata=declaration(**limits))
+
+
+def declaration_of(field: dataclasses.Field[Any]) -> Declaration:
+    """The declaration of a dataclass's field; that of a pure number where there is none."""
+    found: Declaration = field.metadata.get(_KEY, Declaration())
+    return found
+
+
+def kind_of(field: dataclasses.Field[Any]) -> type | None:
+    """The dataclass of a field that is a table of options itself; None for any other."""
+    made: Any = field.default_factory
+    return declaration_of(field).kind if made is dataclasses.MISSING else made
+
+
+def check_declared(owner: Any, table: str = "") -> None:
+    """Check every declared number, word and switch of a frozen value, and make the numbers floats.
+
+    Raises
+    ------
+    InputError
+        Naming ``table.key``, the value and what is allowed.
+    """
+    for field in dataclasses.fields(owner):
+        if _KEY in field.metadata:
+            _check(owner, field, f"{table}.{field.name}" if table else field.name)
+
+
+def _check(owner: Any, field: dataclasses.Field[Any], where: str) -> None:
+    value, limits, kind = getattr(owner, field.name), declaration_of(field), kind_of(field)
+    if value is None and field.default is None:
+        return
+    if kind is not None:
+        if not isinstance(value, kind):
+            none = ", or None" if field.default is None else ""
+            raise InputError(f"{where}: {value!r}; allowed: an instance of {kind.__name__}{none}")
+    elif limits.choices:
+        if value not in limits.choices:
+            raise InputError(f"{where}: {value!r}; {nearest(str(value), limits.choices)}")
+    elif isinstance(field.default, bool):
+        if not isinstance(value, bool):
+            raise InputError(f"{where}: {value!r}; allowed: true or false")
+    else:
+        number = checked_number(where, value, above=limits.above, least=limits.least, most=limits.most)
+        object.__setattr__(owner, field.name, number)
 
 
 def is_number(value: object) -> bool:
@@ -12,23 +125,35 @@ def is_number(value: object) -> bool:
     return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
 
 
-def number(
-    owner: object,
-    table: str,
-    name: str,
-    *,
-    above: float | None = None,
-    least: float | None = None,
-    most: float | None = None,
-) -> None:
-    """Check a number of a frozen value and make it a float."""
-    value = plain(getattr(owner, name))
+def checked_number(
+    where: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
+) -> float:
+    """A finite number within limits, as a float.
+
+    Raises
+    ------
+    InputError
+        Naming `where`, the value and what is allowed.
+    """
+    value = plain(value)
     bounds = [f"{sign} {bound:g}" for sign, bound in ((">", above), (">=", least), ("<=", most)) if bound is not None]
-    allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
-    inside = is_number(value)
-    inside = inside and (above is None or value > above)
-    inside = inside and (least is None or value >= least)
-    inside = inside and (most is None or value <= most)
-    if not inside:
-        raise InputError(f"{table}.{name}: {value!r}; allowed: {allowed}")
-    object.__setattr__(owner, name, float(value))
+    if not is_number(value) or not (
+        (above is None or value > above) and (least is None or value >= least) and (most is None or value <= most)
+    ):
+        allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
+        raise InputError(f"{where}: {value!r}; allowed: {allowed}")
+    return float(value)
+
+
+def checked_seed(seed: object) -> int:
+    """The seed as an int.
+
+    Raises
+    ------
+    InputError
+        If it is not a whole number from 0 to 2^63 - 1.
+    """
+    whole = plain(seed)
+    if isinstance(whole, bool) or not isinstance(whole, int) or not 0 <= whole <= MOST_SEED:
+        raise InputError(f"seed: {seed!r}; allowed: a whole number from 0 to 2^63 - 1")
+    return whole

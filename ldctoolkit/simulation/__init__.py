@@ -4,12 +4,10 @@ from ldctoolkit.simulation.closed_loop import BOUND, drive, drive_many
 from ldctoolkit.simulation.departure_plot import plot_departure
 from ldctoolkit.simulation.outcome import Outcome, Run, Trajectories, Window
 from ldctoolkit.simulation.simulate import simulate
-from ldctoolkit.simulation.takeover import SETTLE, InitialYawRate, Takeover
+from ldctoolkit.simulation.takeover import Takeover
 
 __all__ = [
     "BOUND",
-    "SETTLE",
-    "InitialYawRate",
     "Outcome",
     "Run",
     "Takeover",

@@ -28,8 +28,7 @@ from ldctoolkit.simulation.runs import (
     run_of_state,
     trajectories_of,
 )
-from ldctoolkit.simulation.tables import BOUND, Tables, law_tables, times_of
-from ldctoolkit.simulation.takeover import Takeover
+from ldctoolkit.simulation.takeover import BOUND, Tables, Takeover, law_tables, times_of
 
 IntArray = npt.NDArray[np.int64]
 
@@ -132,7 +131,7 @@ def _drive_linear(
     from ldctoolkit.simulation.kernel.lane_table import LANES
 
     tables = takeover.tables
-    options = takeover.options
+    options = takeover.setup.options
     if not (options.drives_exactly and options.sensors.ideal):
         return [_drive_each(law, tables, rows, threads) for law in laws]
     d, m = len(laws), takeover.m
@@ -167,7 +166,7 @@ def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: 
     over, state, table, times = tables.over, tables.state(), law_tables([law])[0], times_of(law)
     chosen, found = places(over, rows)
     paths = tables.paths(chosen, state)
-    ideal = over.options.drives_exactly and over.options.sensors.ideal
+    ideal = over.setup.options.drives_exactly and over.setup.options.sensors.ideal
     driven = np.sort(chosen) if ideal else np.arange(over.m)
 
     def work(first: int, last: int) -> None:

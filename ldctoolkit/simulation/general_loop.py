@@ -14,8 +14,7 @@ from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run
 from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, places, run_of_state, trajectories_of
 from ldctoolkit.simulation.solver_log import SolverLog
-from ldctoolkit.simulation.tables import Tables
-from ldctoolkit.simulation.takeover import Takeover
+from ldctoolkit.simulation.takeover import Tables, Takeover
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -69,7 +68,7 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
                 batch, going = batch[going], np.arange(going.size)
         running = batch[going]
         seen, ahead = plant.look(sample, running, times)
-        t = takeover.start[batch] + sample * takeover.dt
+        t = takeover.start[batch] + sample * takeover.setup.dt
         previous = _spread(state[running, data.COMMAND], going, batch.size)
         x = _spread(seen, going, batch.size)
         preview = Preview(_spread(ahead[0], going, batch.size), _spread(ahead[1], going, batch.size))

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Mismatch, Tyres
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.simulation.random_streams import RandomStream, checked_seed, uniforms
+from ldctoolkit.simulation.random_streams import RandomStream, uniforms
 from ldctoolkit.vehicle import Convention, SteadyState, VehicleParameters
 from ldctoolkit.vehicle.bicycle import checked_speeds, error_dynamics_matrices, steady_cornering
 

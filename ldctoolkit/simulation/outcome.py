@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit import metrics
 from ldctoolkit.control import EventStatus
+from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Takeover
@@ -93,9 +95,7 @@ class Outcome:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        from ldctoolkit.simulation.outcome_display import outcome_html
-
-        return outcome_html(self)
+        return _outcome_html(self)
 
     @property
     def deepest(self) -> FloatArray:
@@ -202,30 +202,83 @@ class Run:
         if window not in get_args(Window):
             raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
         over, rows = self.takeover, self.takeover.rows
-        uncorrected = over.S_uncorrected if window == "departure" else over.S_uncorrected - over.S_before
-        S = uncorrected.copy()
-        if self.area is not None:
-            S[rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
+        values = self.columns((window,))
+        self.fill(values, (window,))
         status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
         failed[rows] = self.failed_solves
-        columns = {}
-        for field in dataclasses.fields(metrics.Companions):
-            column = getattr(over.recorded, field.name).copy()
-            column[rows] = getattr(self.companions, field.name)
-            columns[field.name] = column
+        names = (field.name for field in dataclasses.fields(metrics.Companions))
         return Outcome(
             window=window,
-            S=S,
-            S_uncorrected=uncorrected,
+            S=values[0],
+            S_uncorrected=values[1],
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            companions=metrics.Companions(**columns),
+            companions=metrics.Companions(**dict(zip(names, values[2:], strict=True))),
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,
             solver_log=self.solver_log.renamed(rows),
             side=over.scenarios.side,
         )
+
+
+# no ground and no text colour of its own: the notebook's theme, light or dark, sets them
+_CELL = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
+_NAMES = {
+    EventStatus.OK: "taken over and driven to the end",
+    EventStatus.NEVER_TRIGGERED: "never triggered",
+    EventStatus.SOLVER_FAILED: "solver failed",
+    EventStatus.DIVERGED: "diverged",
+    EventStatus.TIMED_OUT: "timed out",
+    EventStatus.INVALID: "cannot be driven",
+    EventStatus.CRASHED: "crashed",
+}
+_FAILURES = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
+
+
+def _outcome_html(outcome: Outcome) -> str:
+    """An outcome as escaped HTML without script; means leave out scenarios that cannot be driven."""
+    n = outcome.S.size
+    title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {outcome.window} window"
+    rows = "".join(
+        f'<tr><th scope="row" style="text-align:left;font-weight:normal;{_CELL}">{html.escape(name)}</th>'
+        f'<td style="text-align:right;white-space:nowrap;{_CELL}">{html.escape(value)}</td></tr>'
+        for name, value in _lines(outcome)
+    )
+    return (
+        f'<div style="overflow-x:auto"><div><b>{html.escape(title)}</b></div>'
+        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><tbody>{rows}</tbody></table></div>'
+    )
+
+
+def _lines(outcome: Outcome) -> Iterator[tuple[str, str]]:
+    every = outcome.status != EventStatus.INVALID
+    yield from _scores(outcome, every, "")
+    if outcome.side is not None:
+        for side, name in ((LEFT, "left"), (RIGHT, "right")):
+            rows = every & (outcome.side == side)
+            if rows.any():
+                yield from _scores(outcome, rows, f", {name} ({int(rows.sum()):,})")
+    deepest = outcome.deepest[every]
+    if deepest.size and np.isfinite(deepest).any():
+        row = int(np.flatnonzero(every)[np.nanargmax(deepest)])
+        yield "deepest beyond the line", f"{outcome.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")
+    for status in EventStatus:
+        count = outcome.count(status)
+        if count:
+            yield _NAMES[status], f"{count:,}"
+    yield "failures", f"{sum(outcome.count(status) for status in _FAILURES):,}"
+    if outcome.failed_solves.any():
+        yield "commands from a fallback", f"{int(outcome.failed_solves.sum()):,}"
+
+
+def _scores(outcome: Outcome, rows: npt.NDArray[np.bool_], where: str) -> Iterator[tuple[str, str]]:
+    if not rows.any():
+        return
+    S, S_0 = float(np.mean(outcome.S[rows])), float(np.mean(outcome.S_uncorrected[rows]))
+    change = f", {100.0 * (S / S_0 - 1.0):+.1f} %".replace("-", "\u2212") if S_0 > 0 else ""
+    yield f"mean S with control{where}", f"{S:.4f} m s{change}"
+    yield f"mean S without control{where}", f"{S_0:.4f} m s"

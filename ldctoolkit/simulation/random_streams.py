@@ -6,17 +6,14 @@ No draw depends on another, so neither on the order of scenarios nor on which ot
 from __future__ import annotations
 
 import enum
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
+from ldctoolkit.option_checks import checked_seed
 
 FloatArray = npt.NDArray[np.float64]
-
-MOST_SEED: Final = 2**63 - 1
-"""Largest seed."""
 
 
 class RandomStream(enum.IntEnum):
@@ -108,20 +105,6 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
     seed, numbers, out = _checked(seed, index, count)
     fill_normals(seed, numbers, int(stream), out)
     return out
-
-
-def checked_seed(seed: int) -> int:
-    """The seed as an int.
-
-    Raises
-    ------
-    InputError
-        If it is not a whole number from 0 to 2^63 - 1.
-    """
-    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not (whole and 0 <= int(seed) <= MOST_SEED):
-        raise InputError(f"seed: {seed!r}; allowed: a whole number from 0 to 2^63 - 1")
-    return int(seed)
 
 
 def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, npt.NDArray[np.int64], FloatArray]:

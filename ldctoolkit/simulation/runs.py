@@ -94,7 +94,7 @@ def run_of_scores(
     trajectories: Trajectories | None,
 ) -> Run:
     """A run from scores (columns, m), who diverged (m,), and failed commands (m,)."""
-    edge = takeover.model.parameters.edge_offset
+    edge = takeover.setup.vehicle.edge_offset
     status = _status(diverged, failed)
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)

@@ -8,9 +8,10 @@ from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import SETTLE, InitialYawRate, Setup
 from ldctoolkit.simulation.closed_loop import drive
 from ldctoolkit.simulation.outcome import Outcome, Window
-from ldctoolkit.simulation.takeover import SETTLE, InitialYawRate, Takeover
+from ldctoolkit.simulation.takeover import Takeover
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 
@@ -18,6 +19,7 @@ def simulate(
     controller: Controller,
     scenarios: Scenarios,
     *,
+    setup: Setup | None = None,
     vehicle: VehicleParameters | BicycleModel | None = None,
     y_s: float = 0.2,
     dt: float = 0.05,
@@ -37,6 +39,8 @@ def simulate(
         The design.
     scenarios : Scenarios
         n departures.
+    setup : Setup, optional
+        Instead of `vehicle`, `dt`, `initial_yaw_rate`, `options`, `seed` and `settle`.
     vehicle : VehicleParameters or BicycleModel, optional
         Table I by default; a `BicycleModel` also chooses the convention.
     y_s : float [m]
@@ -86,14 +90,16 @@ def simulate(
     if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
         raise InputError(f"vehicle: {vehicle!r}; allowed: VehicleParameters(...), BicycleModel(...), or None")
     model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())
-    takeover = Takeover.build(
-        scenarios,
-        model,
-        y_s=y_s,
+    single = Setup(
+        vehicle=model.parameters,
+        convention=model.convention,
+        options=PlantOptions() if options is None else options,
+        seed=seed,
         dt=dt,
         initial_yaw_rate=initial_yaw_rate,
-        options=options,
-        seed=seed,
         settle=settle,
     )
+    if setup is not None and single != Setup():
+        raise InputError("setup: given together with values that it holds; allowed: one of the two")
+    takeover = Takeover.build(scenarios, single if setup is None else setup, y_s=y_s)
     return drive(controller, takeover, trajectories=trajectories, threads=threads).outcome(window)

@@ -5,33 +5,35 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import TYPE_CHECKING, Literal, get_args
+import threading
+from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import InputError, nearest, plain
+from ldctoolkit.control import LinearLaw
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
-from ldctoolkit.option_checks import is_number
-from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.option_checks import checked_number
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.setup import Setup
+from ldctoolkit.simulation.kalman import filter_gain
+from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.mismatch import TrueVehicles, true_vehicles
-from ldctoolkit.simulation.random_streams import checked_seed
+from ldctoolkit.simulation.random_streams import RandomStream, normals
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
-from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle import Plant, discretize
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
-
-if TYPE_CHECKING:
-    from ldctoolkit.simulation.tables import Tables
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-InitialYawRate = Literal["path", "zero"]
 
-SETTLE = 3.0
-"""How long [s] the loop goes on after the departure by default, to see whether it settles."""
+BOUND = 20.0
+"""|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
 
-LONGEST_SETTLE = 60.0
+JERK_WINDOW = 0.5
+"""Moving average [s] of the lateral jerk (ISO 11270)."""
+
 
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
@@ -45,18 +47,10 @@ class Takeover:
     ----------
     scenarios : Scenarios
         All n.
-    model : BicycleModel
-        The nominal vehicle, which every design is made for.
-    options : PlantOptions
-        In what the plant differs from the ideal one.
+    setup : Setup
+        Vehicle, plant, clock and seed.
     y_s : float [m]
         Trigger threshold.
-    dt : float [s]
-        Sample time of the controller.
-    seed : int
-        Of everything that is drawn.
-    settle : int
-        Whole samples for which the loop goes on after the departure.
     valid : (n,) bool
         Scenarios that can be driven at all.
     path : UncorrectedPath
@@ -88,12 +82,8 @@ class Takeover:
     """
 
     scenarios: Scenarios
-    model: BicycleModel
-    options: PlantOptions
+    setup: Setup
     y_s: float
-    dt: float
-    seed: int
-    settle: int
     valid: npt.NDArray[np.bool_]
     path: UncorrectedPath
     rows: IntArray
@@ -122,9 +112,13 @@ class Takeover:
     @functools.cached_property
     def tables(self) -> Tables:
         """What the compiled loops read; built once for all designs."""
-        from ldctoolkit.simulation.tables import Tables
-
         return Tables.of(self)
+
+    @property
+    def steps(self) -> IntArray:
+        """Steps to the end of the settling horizon, a last shorter one of the departure included, (m,)."""
+        settle = math.ceil(self.setup.settle / self.setup.dt - 1e-9)
+        return self.full_steps + settle + (self.rest > 0.0)
 
     @functools.cached_property
     def recorded(self) -> Companions:
@@ -132,7 +126,7 @@ class Takeover:
         T = self.path.scenarios.T
         measured = {
             "deepest": self.path.deepest(T),
-            "dtle": -self.path.front_deepest(T, self.model.parameters.l_f),
+            "dtle": -self.path.front_deepest(T, self.setup.vehicle.l_f),
             "t_back": T,
         }
         columns = {name: measured.get(name, np.zeros(T.size)) for name in COMPANION_UNITS}
@@ -146,41 +140,20 @@ class Takeover:
     @functools.cached_property
     def front_before(self) -> FloatArray:
         """Deepest position of the front axle's edge before the trigger, (m,) [m]."""
-        return self.driven.front_deepest(self.start, self.model.parameters.l_f)
+        return self.driven.front_deepest(self.start, self.setup.vehicle.l_f)
 
     @classmethod
-    def build(
-        cls,
-        scenarios: Scenarios,
-        model: BicycleModel,
-        *,
-        y_s: float,
-        dt: float,
-        initial_yaw_rate: InitialYawRate = "path",
-        options: PlantOptions | None = None,
-        seed: int = 0,
-        settle: float = SETTLE,
-    ) -> Takeover:
+    def build(cls, scenarios: Scenarios, setup: Setup, *, y_s: float) -> Takeover:
         """Prepare scenarios for a trigger threshold; shared by every design with that threshold.
 
         Parameters
         ----------
         scenarios : Scenarios
             n departures.
-        model : BicycleModel
-            Vehicle, lane and convention.
+        setup : Setup
+            How they are driven.
         y_s : float [m]
             Trigger threshold, >= 0.
-        dt : float [s]
-            Sample time of the controller, > 0.
-        initial_yaw_rate : {"path", "zero"}
-            de_psi/dt at the trigger: that of the recorded path, (d2y/dt2)/v, or zero.
-        options : PlantOptions, optional
-            The ideal plant by default.
-        seed : int
-            Of what is drawn for each scenario.
-        settle : float [s]
-            How long the loop goes on after the departure, 0 to 60, rounded up to whole samples.
 
         Returns
         -------
@@ -189,12 +162,10 @@ class Takeover:
         Raises
         ------
         InputError
-            For a threshold, step or option outside what is allowed.
+            For a threshold outside what is allowed.
         """
-        options = PlantOptions() if options is None else options
-        y_s, dt, settle = (_number(name, value) for name, value in (("y_s", y_s), ("dt", dt), ("settle", settle)))
-        _check(model, options, y_s, dt, settle, initial_yaw_rate)
-        seed = checked_seed(seed)
+        y_s = checked_number("y_s", y_s, least=0.0)
+        model, options, dt, seed = setup.model, setup.options, setup.dt, setup.seed
         offset = model.parameters.edge_offset
         whole = UncorrectedPath.of(scenarios, options.residuals, seed)
         valid = drivable(whole)
@@ -220,18 +191,14 @@ class Takeover:
 
         v = driven.speed(start)
         rate, bend = driven.lateral_rate(start), driven.lateral_acceleration(start)
-        yaw_error = bend / v if initial_yaw_rate == "path" else np.zeros_like(v)
+        yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
         x_0 = np.column_stack([driven.lateral(start) + offset, rate, np.arctan2(rate, v), yaw_error])
         vehicles = true_vehicles(model.parameters, options.mismatch, options.tyres, driven.scenarios, seed)
         delta_0 = vehicles.steady_state(v, model.convention).delta * (v * driven.curvature(start) + bend / v)
         return cls(
             scenarios=scenarios,
-            model=model,
-            options=options,
+            setup=setup,
             y_s=y_s,
-            dt=dt,
-            seed=seed,
-            settle=math.ceil(settle / dt - 1e-9),
             valid=valid,
             path=path,
             rows=rows,
@@ -275,31 +242,177 @@ def _harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
     return dataclasses.replace(scenarios, **columns)
 
 
-def _number(name: str, value: object) -> float:
-    given = plain(value)
-    if not is_number(given):
-        raise InputError(f"{name}: {given!r}; allowed: a finite number")
-    return float(given)
+@dataclasses.dataclass(frozen=True)
+class Tables:
+    """A takeover as the compiled loops see it; the columns are named in `kernel.data`.
+
+    Attributes
+    ----------
+    over : Takeover
+    setting : (s,)
+        Numbers that hold for every scenario.
+    scene : (m, c)
+        A row a scenario.
+    """
+
+    over: Takeover
+    setting: FloatArray
+    scene: FloatArray
+    spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, over: Takeover) -> Self:
+        """Everything that designs share."""
+        from ldctoolkit.simulation.kernel import entry
+
+        setting = data.setting_row(over.setup, modes=over.driven.modes_v.shape[1], bound=BOUND, window=JERK_WINDOW)
+        scene = _scene(over)
+        entry.before(scene, setting)
+        return cls(over, setting, scene)
+
+    @functools.cached_property
+    def exact(self) -> FloatArray:
+        """The ideal plant over a whole step, (m, `data.EXACT`)."""
+        over = self.over
+        if over.setup.options.mismatch.ideal:
+            step = over.plant.step
+        else:
+            step = discretize(*over.vehicles.matrices(over.plant.v, over.setup.convention), over.setup.dt)
+        columns = [step.A[:, i, j] for i in range(4) for j in (1, 2, 3)]
+        columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
+        return _side_by_side([*columns, step.area_delta, step.area_r_0, step.area_r_1])
+
+    @functools.cached_property
+    def scene_to_T(self) -> FloatArray:
+        """The same scenarios without a settling horizon."""
+        scene = self.scene.copy()
+        scene[:, data.STEPS] = scene[:, data.FULL] + (scene[:, data.REST] > 0.0)
+        return scene
+
+    def state(self) -> FloatArray:
+        """Working rows of one run, without paths."""
+        lengths = [int(self.setting[column]) for column in (data.COMMANDS, data.FRAMES, data.RING)]
+        state = np.zeros((self.over.m, data.STATE + lengths[0] + 2 * lengths[1] + 2 * lengths[2]))
+        state[:, data.SLOT] = -1.0
+        return state
+
+    def spare_state(self) -> FloatArray:
+        """Rows that one thread's calls may use again and again: nothing in them is read before it is written."""
+        if not hasattr(self.spare, "state"):
+            self.spare.state = self.state()
+        rows: FloatArray = self.spare.state
+        return rows
+
+    def spare_room(self, size: int) -> FloatArray:
+        """At least `size` numbers, to be used like `spare_state`: fresh memory costs more than filling it."""
+        if not hasattr(self.spare, "room") or self.spare.room.size < size:
+            self.spare.room = np.empty(size)
+        room: FloatArray = self.spare.room
+        return room
+
+    def paths(self, chosen: IntArray, state: FloatArray) -> FloatArray:
+        """Room for the paths of the scenarios `chosen` (c,), by their place among the m: (c, entries, columns)."""
+        state[chosen, data.SLOT] = np.arange(chosen.size)
+        longest = int(self.scene[chosen, data.STEPS].max(initial=0)) + 2
+        return np.full((chosen.size, longest, data.PATH), np.nan)
 
 
-def _check(
-    model: BicycleModel, options: PlantOptions, y_s: float, dt: float, settle: float, initial_yaw_rate: str
-) -> None:
-    if not y_s >= 0:
-        raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
-    if not dt > 0:
-        raise InputError(f"dt: {dt!r} s; allowed: a finite number > 0")
-    if not 0 <= settle <= LONGEST_SETTLE:
-        raise InputError(f"settle: {settle!r} s; allowed: 0 to {LONGEST_SETTLE:g}")
-    if not isinstance(options, PlantOptions):
-        raise InputError(f"options: {options!r}; allowed: PlantOptions(...)")
-    if initial_yaw_rate not in get_args(InitialYawRate):
-        raise InputError(
-            f"initial_yaw_rate: {initial_yaw_rate!r}; {nearest(str(initial_yaw_rate), get_args(InitialYawRate))}"
+def _side_by_side(columns: list[FloatArray]) -> FloatArray:
+    return np.ascontiguousarray(np.column_stack(columns), dtype=np.float64)
+
+
+def _scene(over: Takeover) -> FloatArray:
+    p, setup, car, v, m = over.triggered, over.setup, over.vehicles, over.plant.v, over.m
+    l_f, l_r = setup.vehicle.l_f, setup.vehicle.l_r
+    A, B, E = car.matrices(v, setup.convention)
+    lateral = 2.0 * (car.C_af + car.C_ar) / car.m
+    yaw = 2.0 * (car.C_af * l_f**2 + car.C_ar * l_r**2) / car.I_z
+    columns = {
+        data.START: over.start,
+        data.T_END: p.T,
+        data.FULL: over.full_steps,
+        data.REST: over.rest,
+        data.STEPS: over.steps,
+        data.SIDE: p.side,
+        data.INDEX: p.index,
+        data.SPEED: v,
+        data.V_MEAN: p.v_mean,
+        data.A_MEAN: p.a_mean,
+        data.C_0: p.c_0,
+        data.DC: p.dc,
+        data.DELTA_0: over.delta_0,
+        data.FASTEST: np.maximum(lateral, yaw),
+        data.C_AF: car.C_af,
+        data.C_AR: car.C_ar,
+        data.L_F: l_f,
+        data.L_R: l_r,
+        data.MASS: car.m,
+        data.I_Z: car.I_z,
+        data.MU: car.mu,
+        data.PRINTED: 4.0 * car.C_ar * l_r / car.m if setup.convention == "as_printed" else 0.0,
+        data.CURVATURE_BIAS: _curvature_bias(over),
+        data.B_1: B[:, 1],
+        data.B_3: B[:, 3],
+        data.E_1: E[:, 1],
+        data.E_3: E[:, 3],
+    }
+    columns |= {first + j: A[:, i, j + 1] for first, i in ((data.A_11, 1), (data.A_31, 3)) for j in range(3)}
+    tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
+    scene = np.zeros((m, data.SCENE + sum(part.shape[1] for part in tail)))
+    for column, values in columns.items():
+        scene[:, column] = values
+    scene[:, data.X_0 : data.X_0 + 4] = over.x_0
+    scene[:, data.SCENE :] = np.concatenate(tail, axis=1)
+    return scene
+
+
+def _curvature_bias(over: Takeover) -> FloatArray:
+    """Constant error of the previewed curvature, outward."""
+    sensors = over.setup.options.sensors
+    bias = np.full(over.m, sensors.curvature_bias)
+    if sensors.curvature_noise > 0:
+        bias += (
+            sensors.curvature_noise * normals(over.setup.seed, over.triggered.index, RandomStream.CURVATURE, 1)[:, 0]
         )
-    options.sensors.in_samples(dt)
-    if model.convention != "consistent" and not options.tyres.ideal:
-        raise InputError(
-            f"convention: {model.convention!r} with tyres.model {options.tyres.model!r}; the printed matrix is linear; "
-            "allowed: 'consistent'"
-        )
+    return np.asarray(over.triggered.side * bias, dtype=np.float64)
+
+
+def _earlier_frames(over: Takeover) -> FloatArray:
+    """(e_y, e_psi) of the recorded path in the frames before the trigger that still reach the law, latest first."""
+    sensors, dt = over.setup.options.sensors, over.setup.dt
+    period, late = sensors.in_samples(dt)
+    frames = np.zeros((over.m, 2 * -(-late // period)))
+    for j in range(frames.shape[1] // 2):
+        t = over.start - (j + 1) * period * dt
+        frames[:, 2 * j] = over.driven.lateral(t) + over.setup.vehicle.edge_offset
+        frames[:, 2 * j + 1] = np.arctan2(over.driven.lateral_rate(t), over.driven.speed(t))
+    return frames
+
+
+def _filter(over: Takeover) -> FloatArray:
+    """The Kalman filter's gain and model; no columns without one."""
+    sensors, step = over.setup.options.sensors, over.plant.step
+    if sensors.kalman is None:
+        return np.zeros((over.m, 0))
+    gain = filter_gain(over.plant, sensors.kalman, sensors.in_samples(over.setup.dt)[0])
+    parts = (gain.reshape(-1, 8), step.A.reshape(-1, 16), step.B, step.E_0, step.E_1)
+    return np.concatenate(parts, axis=1)
+
+
+def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> FloatArray:
+    """Linear laws with equally many lookahead times for the compiled loops, (d, m, `data.LAW` + 2 p); into `room`."""
+    shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * laws[0].preview_times.size)
+    size = math.prod(shape)
+    tables = np.empty(shape) if room is None else room[:size].reshape(shape)
+    for table, law in zip(tables, laws, strict=True):
+        table[:, data.LAW_F : data.LAW_U] = law.F
+        table[:, data.LAW_U] = law.f_u
+        table[:, data.LAW_I] = 0.0 if law.f_i is None else law.f_i
+        table[:, data.LAW :: 2] = law.G_yaw_rate
+        table[:, data.LAW + 1 :: 2] = law.G_heading
+    return tables
+
+
+def times_of(law: LinearLaw) -> FloatArray:
+    """Lookahead times (p,) [s]."""
+    return np.ascontiguousarray(law.preview_times, dtype=np.float64)

@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from ldctoolkit import departures as dep
 from ldctoolkit.departures import DepartureParameters
+from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.simulation.random_streams import RandomStream, checked_seed, normals
+from ldctoolkit.simulation.random_streams import RandomStream, normals
 
 if TYPE_CHECKING:
     from ldctoolkit.simulation._residual_kernels import Path

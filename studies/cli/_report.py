@@ -116,8 +116,7 @@ def _robustness(
     if not results.designs or not results.drivable().scenarios.n:
         return None
     from studies.robustness.robustness import RobustnessTask
-    from studies.robustness.setting import Setting
     from studies.robustness.stored import robustness_of, stored_of
 
-    task = RobustnessTask.of(results, ranking, Setting.of(study, ranking.case))
+    task = RobustnessTask.of(results, ranking, study.setup())
     return robustness_of(folder, task) if drive else stored_of(folder, task)

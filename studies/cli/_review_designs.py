@@ -149,7 +149,7 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
-    from studies.running.runner import study_model
+    from studies.runner import study_model
 
     designs = _chosen(study.designs, chosen.only)
     wanted, conventions = study.scenarios, study.simulation.convention
@@ -164,24 +164,19 @@ def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
 def _of_convention(
     study: Study, designs: list[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
 ) -> Iterator[Subject]:
-    from ldctoolkit import BicycleModel
     from ldctoolkit.simulation import Takeover
 
-    settings = study.simulation
-    model = BicycleModel(study.vehicle, convention)
-    options = _plant(chosen, study.plant)
-    dt = settings.dt if chosen.dt is None else chosen.dt
-    triggers = {
-        y_s: Takeover.build(scenarios, model, y_s=y_s, dt=settings.dt, options=study.plant, seed=study.seed)
-        for y_s in sorted({design.y_s for design in designs})
-    }
+    setup = study.setup(convention)
+    options = _plant(chosen, setup.options)
+    dt = setup.dt if chosen.dt is None else chosen.dt
+    triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
     speeds = _speeds(chosen, _range(list(triggers.values())))
     groups: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
         groups.setdefault((design.law, design.gains), []).append(design)
     for same in groups.values():
         thresholds = [design.y_s for design in same]
-        arguments: dict[str, Any] = {"model": model, "dt": dt, "options": options, "y_s": max(thresholds)}
+        arguments: dict[str, Any] = {"model": setup.model, "dt": dt, "options": options, "y_s": max(thresholds)}
         if speeds is not None:
             arguments["speeds"] = speeds
         angles = _angles([triggers[y_s] for y_s in thresholds])

@@ -64,7 +64,7 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.cli._results import print_rankings, write_ranking
     from studies.cli._summary import json_summary
     from studies.ranking.ranking import rank_study
-    from studies.running.runner import TIME_LIMIT, run_study
+    from studies.runner import TIME_LIMIT, run_study
     from studies.storage.manifest import read_manifest
     from studies.study_file.ready import load_study
 

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from studies.compare_page import figures, sentences, table
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
-from studies.ranking.sentences import SCORE
+from studies.ranking.ranking import SCORE
 from studies.report.embedded.packed import script_json
 from studies.report.rendering import asset, render
 from studies.report.section import Drawing

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 from typing import Final
+
+import numpy as np
 
 from studies.comparison.paired_verdicts import PairedDifferences, Verdict
 from studies.comparison.shared_scenarios import SharedScenarios
@@ -18,6 +21,11 @@ PHRASES: Final = {
     Verdict.SAME: "the same",
 }
 """Verdict -> how a sentence says it."""
+
+TOP: Final = 20
+"""Rows, of the primary case."""
+
+_CELL: Final = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,8 +120,6 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        from studies.comparison.comparison_display import comparison_html
-
         return comparison_html(self)
 
     @property
@@ -138,3 +144,46 @@ class Comparison:
         nothing = "not compared" if first.raced_elsewhere else "no winner"
         winners = nothing if first.winners is None else PHRASES[first.winners.verdict]
         return f"{shared}; {told}{failed}; the new winner against the old one: {winners}."
+
+
+def comparison_html(comparison: Comparison, top: int = TOP) -> str:
+    """A comparison as HTML without script.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    top : int
+        Rows.
+
+    Returns
+    -------
+    str
+        Everything in it is escaped.
+    """
+    case = comparison.cases[0]
+    names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
+    headings = "".join(f'<th scope="col" style="text-align:left;{_CELL}">{html.escape(name)}</th>' for name in names)
+    rows = "".join(_row(case, i) for i in case.order[:top])
+    differs = "".join(f"<br>{html.escape(text)}" for text in comparison.differences)
+    warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in comparison.warnings)
+    more = len(case) - min(top, len(case))
+    return (
+        f'<div style="overflow-x:auto"><div><b>{html.escape(comparison.old_name)} &rarr; '
+        f"{html.escape(comparison.new_name)}</b><br>{html.escape(comparison.summary)}{differs}{warnings}</div>"
+        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><thead><tr>{headings}</tr></thead>'
+        f"<tbody>{rows}</tbody></table>{f'<div>and {more:,} more</div>' if more else ''}</div>"
+    )
+
+
+def _row(case: CaseComparison, i: int) -> str:
+    S = case.S
+    interval = f"{S.low[i]:+.4f} to {S.high[i]:+.4f}" if np.isfinite(S.low[i] + S.high[i]) else "too few changed"
+    numbers = (f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}", f"{S.difference[i]:+.4g}", interval)
+    cells = (str(S.verdict[i]), case.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
+    # only a design's label may break
+    styles = (_CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
+    shown = (
+        f'<td style="text-align:left;{style}">{html.escape(cell)}</td>'
+        for style, cell in zip(styles, cells, strict=True)
+    )
+    return f"<tr>{''.join(shown)}</tr>"

@@ -1,4 +1,4 @@
-"""The space of one law's designs: its trigger threshold, its gains, and which gains count only under a condition."""
+"""The space of one law's designs: what each entry of a study file stands for, and which gains count when."""
 
 from __future__ import annotations
 
@@ -6,19 +6,256 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from ldctoolkit.errors import InputError
+import numpy as np
+
+from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.design_space.dimensions import Choices, Dimension
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
 THRESHOLD: Final = "y_s"
 """Name of the trigger threshold among the dimensions."""
+
+RANGE_KEYS: Final = ("count", "from", "scale", "to")
+MOST_VALUES: Final = 10_000
+"""Largest number of values of one entry; more is a slip of the pen."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Choices:
+    """A list of values, one or more.
+
+    Attributes
+    ----------
+    values : tuple of float, int, str or bool
+        Different values, in the order written.
+
+    Examples
+    --------
+    >>> Choices(("osqp", "daqp")).at(0.7)
+    'daqp'
+    """
+
+    values: tuple[GainValue, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of different values."""
+        return len(self.values)
+
+    def at(self, share: float) -> GainValue:
+        """The value at a share of the list, every value over an equal part.
+
+        Parameters
+        ----------
+        share : float
+            From 0 to 1.
+        """
+        return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Span:
+    """Every number between two ends, or every whole one; both ends belong to it.
+
+    Attributes
+    ----------
+    first, last : float
+        The ends as written, in either order, different.
+    scale : {"linear", "log"}
+        What is even: the numbers, or their logarithms (then both ends have one sign).
+    whole : bool
+        Whole numbers only; the ends are whole.
+
+    Examples
+    --------
+    >>> Span(0.01, 1.0, "log").at(0.5)
+    0.1
+    >>> [Span(1, 3, "linear", whole=True).at(share) for share in (0.0, 0.5, 1.0)]
+    [1, 2, 3]
+    """
+
+    first: float
+    last: float
+    scale: Literal["linear", "log"] = "linear"
+    whole: bool = False
+
+    @property
+    def low(self) -> float:
+        """The smaller end."""
+        return min(self.first, self.last)
+
+    @property
+    def high(self) -> float:
+        """The larger end."""
+        return max(self.first, self.last)
+
+    @property
+    def size(self) -> int | None:
+        """Number of different values; None where there is no end to them."""
+        return int(self.high - self.low) + 1 if self.whole else None
+
+    def at(self, share: float) -> GainValue:
+        """The value at a share of the way from the first end to the last.
+
+        Parameters
+        ----------
+        share : float
+            From 0 to 1.
+        """
+        a, b = float(self.first), float(self.last)
+        if self.whole:
+            # half a number beyond each end: the ends get as much room as the others
+            low, high = (a - 0.5, b + 0.5) if a < b else (a + 0.5, b - 0.5)
+            return int(min(max(round(_between(low, high, share, self.scale)), self.low), self.high))
+        return min(max(rounded(_between(a, b, share, self.scale)), self.low), self.high)
+
+
+Dimension = Choices | Span
+
+
+def rounded(value: float) -> float:
+    """A number with twelve significant digits: 0.3 and not 0.30000000000000004 in names and identities.
+
+    Examples
+    --------
+    >>> rounded(0.1 + 0.2)
+    0.3
+    """
+    return float(f"{value:.12g}") + 0.0
+
+
+def _between(a: float, b: float, share: float, scale: Literal["linear", "log"]) -> float:
+    if scale == "linear":
+        return a * (1 - share) + b * share
+    logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
+    return math.copysign(math.exp(logarithm), a)
+
+
+class EntryError(InputError):
+    """An entry of a study file is wrong; `path` says where inside the entry."""
+
+    def __init__(self, path: str, message: str) -> None:
+        super().__init__(message)
+        self.path = path
+
+
+def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
+    """The dimension of a design space that one entry stands for.
+
+    Parameters
+    ----------
+    entry : scalar, list or table
+        As in `expand`; a table without ``count`` holds all numbers between its ends.
+    scale : {"linear", "log"}
+        Spacing of a table that does not say.
+    whole : bool
+        Whole numbers only, of a table.
+
+    Returns
+    -------
+    Choices or Span
+
+    Raises
+    ------
+    EntryError
+        As in `expand`.
+
+    Examples
+    --------
+    >>> read_entry({"from": 0.1, "to": 0.3})
+    Span(first=0.1, last=0.3, scale='linear', whole=False)
+    """
+    if not isinstance(entry, dict) or "count" in entry:
+        return Choices(expand(entry, scale, whole=whole))
+    first, last, spacing = _ends(entry, scale)
+    if first == last:
+        raise EntryError("", f"from and to are both {first!r}; allowed: two different numbers")
+    return Span(first, last, spacing, whole)
+
+
+def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
+    """The values of one entry, in the order written, each once.
+
+    Parameters
+    ----------
+    entry : scalar, list or table
+        A table is ``{from, to, count, scale}``, both ends included.
+    scale : {"linear", "log"}
+        Spacing of a table that does not say.
+    whole : bool
+        Round the values of a table to whole numbers.
+
+    Returns
+    -------
+    tuple
+
+    Raises
+    ------
+    EntryError
+        For an empty list, or a table with a wrong key or value.
+
+    Examples
+    --------
+    >>> expand({"from": 0.1, "to": 0.3, "count": 3})
+    (0.1, 0.2, 0.3)
+    >>> expand([1, 2, 2])
+    (1, 2)
+    """
+    if isinstance(entry, dict):
+        values = _range(entry, scale, whole)
+    elif isinstance(entry, list | tuple):
+        if not entry:
+            raise EntryError("", "an empty list; allowed: one value or more")
+        if len(entry) > MOST_VALUES:
+            raise EntryError("", f"{len(entry)} values; allowed: at most {MOST_VALUES}")
+        values = list(entry)
+    else:
+        values = [entry]
+    seen: list[Any] = []
+    for value in values:
+        # True == 1 in Python, not in a study file
+        if not any(value == other and type(value) is type(other) for other in seen):
+            seen.append(value)
+    return tuple(seen)
+
+
+def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
+    first, last, scale = _ends(entry, scale)
+    if "count" not in entry:
+        raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
+    count = entry["count"]
+    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MOST_VALUES:
+        raise EntryError(".count", f"{count!r}; allowed: a whole number from 2 to {MOST_VALUES}")
+    points = np.geomspace(first, last, count) if scale == "log" else np.linspace(first, last, count)
+    values = [rounded(value) for value in points.tolist()]
+    values[0], values[-1] = float(first), float(last)  # the ends stay as written
+    return [round(value) for value in values] if whole else values
+
+
+def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
+    """Ends and spacing of a table."""
+    for key in entry:
+        if key not in RANGE_KEYS:
+            raise EntryError(f".{key}", f"no such key; {nearest(key, RANGE_KEYS)}")
+    for key in ("from", "to"):
+        if key not in entry:
+            raise EntryError(f".{key}", "missing; a range is written {from = ..., to = ..., count = ...}")
+        value = entry[key]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise EntryError(f".{key}", f"{value!r}; allowed: a finite number")
+    first, last = entry["from"], entry["to"]
+    one_sign = (first > 0) == (last > 0) and first != 0 and last != 0
+    chosen = entry.get("scale", scale if one_sign else "linear")
+    if chosen not in ("linear", "log"):
+        raise EntryError(".scale", f"{chosen!r}; {nearest(str(chosen), ('linear', 'log'))}")
+    if chosen == "log" and not one_sign:
+        raise EntryError(".scale", f"'log' from {first!r} to {last!r}; allowed: both ends of one sign, neither zero")
+    return first, last, "log" if chosen == "log" else "linear"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from studies.racing.race_rounds import prefix_rows, schedule
 from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME, separable
+from studies.running.pieces import prefix_rows, schedule
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

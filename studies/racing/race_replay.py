@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.racing.race import race_round
-from studies.racing.race_rounds import prefix_rows, schedule
+from studies.running.pieces import prefix_rows, schedule
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

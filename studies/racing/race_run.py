@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from studies.design import Design
 from studies.racing.race import race_round
-from studies.racing.race_log import write_race
 from studies.ranking.baseline import find_baseline
 from studies.results import Dropped, Race
 from studies.running.campaign import Campaign
+from studies.storage.race_log import write_race
 
 
 def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:

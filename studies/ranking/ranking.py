@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import html
+import re
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,24 @@ from studies.study_file.spec import Study
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+SCORE: Final = (
+    "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"
+)
+"""What every score means; no full stop, the window may follow."""
+
+TOP: Final = 20
+"""Rows; the winner and the baseline follow where they are further down."""
+
+_BAR: Final = 120
+"""Width of the interval bars [px]."""
+
+# no ground and no text colour of its own: the notebook's theme, light or dark, sets them
+_CELL: Final = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
+_LEFT: Final = f"text-align:left;{_CELL}"
+_RIGHT: Final = f"text-align:right;white-space:nowrap;{_CELL}"
+
+_MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -97,8 +117,6 @@ class Ranking(CaseFigures, Inference, FreshScores):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        from studies.ranking.ranking_display import ranking_html
-
         return ranking_html(self)
 
     @property
@@ -328,3 +346,203 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
             "Designs with different y_s are not comparable here; use the departure window."
         )
     yield from warnings_of(case, designs)
+
+
+def ranking_sentences(ranking: Ranking) -> Iterator[str]:
+    """The winner and its score, its gain over no control and over the baseline, the set of best, what is not ranked.
+
+    Parameters
+    ----------
+    ranking : Ranking
+
+    Yields
+    ------
+    str
+        Plain text, not escaped; it holds titles of laws.
+    """
+    yield _winner(ranking)
+    if ranking.winner is not None:
+        yield from _gains(ranking, ranking.winner)
+    yield from _set_of_best(ranking)
+    if ranking.ranked < len(ranking):
+        left = len(ranking) - ranking.ranked
+        yield f"{_count(left, 'design')} of {len(ranking):,} not ranked: a requirement is missed."
+    if ranking.failed:
+        yield f"{_count(len(ranking.failed), 'design')} failed, without figures."
+    if ranking.given_up:
+        yield f"{_count(ranking.given_up, 'design')} given up in a race before."
+
+
+def failures(ranking: Ranking, place: int) -> int:
+    """Scenarios of a design in which its law did not do its work."""
+    counts = (ranking.solver_failed, ranking.diverged, ranking.timed_out, ranking.crashed)
+    return sum(int(count[place]) for count in counts)
+
+
+def marks(ranking: Ranking, place: int) -> tuple[str, ...]:
+    """What a design is called beside its rank: winner, set of best, Pareto, baseline, and what it misses."""
+    found = []
+    if place == ranking.winner:
+        found.append("winner")
+    elif ranking.set_of_best[place]:
+        found.append("set of best")
+    if ranking.pareto[place]:
+        found.append("Pareto")
+    if place == ranking.baseline:
+        found.append("baseline")
+    return (*found, *(f"misses {text}" for text in ranking.unmet[place]))
+
+
+def _winner(ranking: Ranking) -> str:
+    i, level = ranking.winner, f"{100.0 * ranking.confidence:g} % interval"
+    if i is None:
+        if not ranking.ranked:
+            return "No design meets the requirements: none is ranked and none wins."
+        if ranking.survivors_only:
+            return "There is no winner: this case was not raced, and the best design may have been given up."
+        return "There is no winner: no finalist meets the requirements on the fresh scenarios."
+    label = ranking.designs[i].label
+    if np.isfinite(ranking.fresh_S[i]):
+        return (
+            f"Winner: {label}, mean S {ranking.fresh_S[i]:.4f} m s on {ranking.fresh_scenarios:,} fresh scenarios "
+            f"({level} {ranking.fresh_low[i]:.4f} to {ranking.fresh_high[i]:.4f})."
+        )
+    between = f" ({level} {ranking.S_low[i]:.4f} to {ranking.S_high[i]:.4f})" if np.isfinite(ranking.S_low[i]) else ""
+    return f"Winner: {label}, mean S {ranking.S[i]:.4f} m s{between}."
+
+
+def _gains(ranking: Ranking, i: int) -> Iterator[str]:
+    b, fresh_share = ranking.baseline, float(ranking.fresh_reduction[i])
+    known = b is not None and b != i and np.isfinite(fresh_share)
+    if b is not None and known:
+        other = "no control" if ranking.designs[b].is_baseline else ranking.designs[b].label
+        yield f"On the same scenarios that is {_change(fresh_share)} than {other} ({ranking.fresh_S[b]:.4f} m s)."
+    share = float(ranking.reduction[i])
+    told = b is not None and known and ranking.designs[b].is_baseline
+    if np.isfinite(share) and not told and not ranking.designs[i].is_baseline:
+        if np.isfinite(ranking.fresh_S[i]):
+            yield (
+                f"On the scenarios that designs were chosen on it has mean S {ranking.S[i]:.4f} m s, {_change(share)} "
+                f"than no control ({ranking.S_uncorrected[i]:.4f} m s)."
+            )
+        else:
+            yield f"That is {_change(share)} than no control ({ranking.S_uncorrected[i]:.4f} m s)."
+    if b is None or b == i:
+        return
+    fresh = bool(np.isfinite(ranking.fresh_baseline_difference[i]))
+    name = "fresh_baseline_difference" if fresh else "baseline_difference"
+    value, low, high = (float(getattr(ranking, name + end)[i]) for end in ("", "_low", "_high"))
+    if np.isfinite(low):
+        where = "on the fresh scenarios" if fresh else "for all designs at once"
+        yield (
+            f"Difference to the baseline, {ranking.designs[b].label}: {value:+.4f} m s (interval {low:+.4f} to "
+            f"{high:+.4f}, {where})."
+        )
+
+
+def _set_of_best(ranking: Ranking) -> Iterator[str]:
+    size = int(ranking.set_of_best.sum())
+    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+        return
+    level = f"{100.0 * ranking.confidence:g} % confidence"
+    if size > 1:
+        yield f"Set of best: {size:,} designs, which these scenarios do not tell apart; it holds the best with {level}."
+    else:
+        yield f"Set of best: one design; with {level} no other ranked design is better."
+
+
+def _change(reduction: float) -> str:
+    return f"{100.0 * abs(reduction):.1f} % {'less' if reduction >= 0 else 'more'}"
+
+
+def _count(number: int, one: str) -> str:
+    return f"{number:,} {one}{'' if number == 1 else 's'}"
+
+
+def ranking_html(ranking: Ranking, top: int = TOP) -> str:
+    """A ranking as HTML without script.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    top : int
+        Rows.
+
+    Returns
+    -------
+    str
+        Everything in it is escaped.
+    """
+    places = list(range(min(top, len(ranking))))
+    places += sorted({p for p in (ranking.winner, ranking.baseline) if p is not None and p >= len(places)})
+    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
+    said = "<br>".join(html.escape(_MINUS.sub("\u2212", sentence)) for sentence in ranking_sentences(ranking))
+    warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in ranking.warnings)
+    level = f"{100 * ranking.confidence:g} % interval"
+    headings = "".join(
+        f'<th scope="col" style="{style}">{html.escape(text)}</th>'
+        for text, style in (
+            ("rank", _RIGHT),
+            ("design", _LEFT),
+            ("mean S [m s]", _RIGHT),
+            (level, _LEFT),
+            ("to the best [m s]", _RIGHT),
+            ("reduction", _RIGHT),
+            ("failed", _RIGHT),
+            ("", _LEFT),
+        )
+    )
+    most = _right_end(ranking, places)
+    rows = "".join(_row(ranking, place, most) for place in places)
+    more = len(ranking) - len(places)
+    foot = f"<div>and {more:,} more</div>" if more > 0 else ""
+    return (
+        f'<div style="overflow-x:auto"><div><b>{html.escape(title)}</b><br>{said}{warnings}</div>'
+        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><thead><tr>{headings}</tr></thead>'
+        f"<tbody>{rows}</tbody></table>{foot}</div>"
+    )
+
+
+def _right_end(ranking: Ranking, places: list[int]) -> float:
+    ends = np.concatenate([ranking.S[places], ranking.S_high[places]])
+    ends = ends[np.isfinite(ends)]
+    return max(float(ends.max()), 1e-12) if ends.size else 1.0
+
+
+def _row(ranking: Ranking, i: int, most: float) -> str:
+    away = "–" if i == 0 else f"{ranking.difference[i]:+.4f}".replace("-", "\u2212")  # noqa: RUF001
+    weight = ";font-weight:bold" if i == ranking.winner else ""
+    cells = (
+        (_RIGHT, str(ranking.rank[i]) if ranking.rank[i] else "–"),  # noqa: RUF001
+        (_LEFT + weight, html.escape(ranking.designs[i].label)),
+        (_RIGHT + weight, f"{ranking.S[i]:.4f}"),
+        (
+            f"{_LEFT};white-space:nowrap",
+            _bar(float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), most),
+        ),
+        (_RIGHT, away),
+        (_RIGHT, _percent(float(ranking.reduction[i]))),
+        (_RIGHT, str(failures(ranking, i) or "–")),  # noqa: RUF001
+        (_LEFT, html.escape(", ".join(marks(ranking, i)))),
+    )
+    return "<tr>" + "".join(f'<td style="{style}">{cell}</td>' for style, cell in cells) + "</tr>"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %".replace("-", "\u2212") if np.isfinite(share) else "–"  # noqa: RUF001
+
+
+def _bar(value: float, low: float, high: float, most: float) -> str:
+    """The interval as a line and the mean as a point, to the scale of all rows; the numbers are its title."""
+    if not np.isfinite(low + high):
+        return "–"  # noqa: RUF001
+    left, right, at = (round(_BAR * min(max(one / most, 0.0), 1.0), 1) for one in (low, high, value))
+    text = f"{low:.4f} to {high:.4f}".replace("-", "\u2212")
+    width = max(round(right - left, 1), 1.0)
+    line = f"position:absolute;top:6px;height:2px;left:{left:g}px;width:{width:g}px;background:currentColor"
+    point = f"position:absolute;top:3px;width:3px;height:8px;left:{at - 1.5:g}px;background:#0072B2"
+    return (
+        f'<span title="{text}" style="display:inline-block;position:relative;width:{_BAR}px;height:14px;'
+        f'border-bottom:1px solid rgba(128,128,128,.35)"><span style="{line}"></span>'
+        f'<span style="{point}"></span></span> {text}'
+    )

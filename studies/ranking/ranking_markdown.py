@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from studies.ranking.markdown_text import markdown_table, markdown_text
-from studies.ranking.sentences import SCORE, failures, marks, ranking_sentences
+from studies.ranking.ranking import SCORE, failures, marks, ranking_sentences
 from studies.storage.files import write_text
 
 if TYPE_CHECKING:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation import InitialYawRate
-from ldctoolkit.vehicle import VehicleParameters
+from ldctoolkit import Setup
 from studies.results import StudyResults
 
 if TYPE_CHECKING:
@@ -32,18 +30,8 @@ class ReportInput:
         Scores of all designs.
     rankings : tuple of Ranking
         One per case, in the order of ``results.cases``; the first is the primary one.
-    vehicle : VehicleParameters
-        Vehicle that was driven; example paths are simulated again with it.
-    dt : float [s]
-        Sample time of the controllers.
-    initial_yaw_rate : {"path", "zero"}
-        As in the study.
-    options : PlantOptions
-        What differs from the ideal plant.
-    settle : float [s]
-        How long the loop went on after the departure's end.
-    seed : int
-        Of what was drawn for each scenario.
+    setup : Setup
+        How scenarios were driven, in the first convention; example paths are simulated again with it.
     settings : tuple of (name, value)
         The study's settings, seeds and hashes, in the order to be shown.
     versions : tuple of (name, version)
@@ -80,12 +68,7 @@ class ReportInput:
     study_name: str
     results: StudyResults
     rankings: tuple[Ranking, ...]
-    vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
-    dt: float = 0.05
-    initial_yaw_rate: InitialYawRate = "path"
-    options: PlantOptions = dataclasses.field(default_factory=PlantOptions)
-    settle: float = 3.0
-    seed: int = 0
+    setup: Setup = dataclasses.field(default_factory=Setup)
     settings: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     model_notes: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import WARNING
 from studies.storage.stored_model import read_model
-from studies.study_file.plant_table import plant_settings
+from studies.study_file.plant_table import plant_settings, simulation_settings
 from studies.study_file.spec import Study
 from studies.study_file.toml_text import toml_text
 
@@ -62,12 +62,7 @@ def report_input(
         study_name=study.name,
         results=results,
         rankings=rankings,
-        vehicle=study.vehicle,
-        dt=study.simulation.dt,
-        initial_yaw_rate=study.simulation.initial_yaw_rate,
-        options=study.plant,
-        settle=study.simulation.settle,
-        seed=study.seed,
+        setup=study.setup(),
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
@@ -99,11 +94,9 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "scenarios", f"{study.scenarios.left} left, {study.scenarios.right} right"
     yield "seed", str(study.seed)
     yield "designs", str(len(study.designs))
-    yield "sample time dt", f"{study.simulation.dt:g} s"
     yield "windows of S", ", ".join(study.simulation.window)
     yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
-    yield "initial yaw rate", study.simulation.initial_yaw_rate
-    yield "settling after the end", f"{study.simulation.settle:g} s"
+    yield from simulation_settings(study.setup())
     yield "plant", "ideal" if study.plant.ideal else "not ideal"
     yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
     units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}

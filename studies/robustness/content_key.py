@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Final
 
 import ldctoolkit
 from studies.robustness.plants import OtherPlant
-from studies.robustness.setting import Setting
 
 if TYPE_CHECKING:
-    from ldctoolkit import Scenarios
+    from ldctoolkit import Scenarios, Setup
+    from studies.results import Case
     from studies.robustness.chosen_designs import ChosenDesigns
 
 _FORMAT: Final = 2
 """To be raised with whatever changes the numbers or the file."""
 
 
-def content_key(chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setting: Setting) -> str:
+def content_key(
+    chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setup: Setup, case: Case
+) -> str:
     """Sixteen hexadecimal digits.
 
     Parameters
@@ -28,7 +30,8 @@ def content_key(chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: 
     chosen : ChosenDesigns
     plants : sequence of OtherPlant
     scenarios : Scenarios
-    setting : Setting
+    setup : Setup
+    case : Case
 
     Returns
     -------
@@ -40,7 +43,8 @@ def content_key(chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: 
         [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
         [chosen.slow, chosen.unsafe, chosen.more],
         [dataclasses.asdict(plant) for plant in plants],
-        dataclasses.asdict(setting),
+        dataclasses.asdict(setup),
+        dataclasses.asdict(case),
     ]
     content = hashlib.sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode())
     for field in dataclasses.fields(scenarios):

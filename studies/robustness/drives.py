@@ -8,14 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.law_errors import raised
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
-from studies.results import FAILED_STATUSES, status_among
-from studies.robustness.setting import Setting
+from studies.results import FAILED_STATUSES, Case, status_among
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,7 +60,7 @@ def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
 
 
 def drive_on_plants(
-    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setting: Setting
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, case: Case
 ) -> Drives:
     """Drive every design on every plant; each by itself, so that no number depends on another.
 
@@ -73,7 +72,9 @@ def drive_on_plants(
         p of them.
     scenarios : Scenarios
         n of them.
-    setting : Setting
+    setup : Setup
+        In the convention of the case; its own plant does not count.
+    case : Case
 
     Returns
     -------
@@ -82,7 +83,7 @@ def drive_on_plants(
     Raises
     ------
     InputError
-        For a plant that does not go with the setting.
+        For a plant that does not go with the setup.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -92,10 +93,10 @@ def drive_on_plants(
         takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
         for i, design in enumerate(designs):
             if design.y_s not in takeovers:
-                takeovers[design.y_s] = setting.takeover(scenarios, design.y_s, options)
+                takeovers[design.y_s] = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
             over = takeovers[design.y_s]
             try:
-                outcome = drive(design.controller(setting.case.convention), over).outcome(setting.case.window)
+                outcome = drive(design.controller(case.convention), over).outcome(case.window)
             except Exception as error:  # a controller may be anybody's code
                 failed.append((k, i, raised(error)))
                 continue

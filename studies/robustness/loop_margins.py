@@ -13,9 +13,8 @@ from ldctoolkit.law_errors import raised
 from ldctoolkit.review import SPEEDS, Finding, review
 
 if TYPE_CHECKING:
-    from ldctoolkit import Controller
+    from ldctoolkit import Controller, Setup
     from ldctoolkit.simulation import Takeover
-    from studies.robustness.setting import Setting
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -63,13 +62,13 @@ def trigger_speeds(takeovers: Iterable[Takeover]) -> FloatArray:
     return np.linspace(low, high, POINTS if high > low else 1)
 
 
-def loop_margins(controller: Controller, setting: Setting, v: FloatArray) -> LoopMargins:
+def loop_margins(controller: Controller, setup: Setup, v: FloatArray) -> LoopMargins:
     """The margins of a design on the study's plant.
 
     Parameters
     ----------
     controller : Controller
-    setting : Setting
+    setup : Setup
     v : (k,) [m/s]
 
     Returns
@@ -78,7 +77,7 @@ def loop_margins(controller: Controller, setting: Setting, v: FloatArray) -> Loo
         What the design raises is a note.
     """
     try:
-        found = review(controller, model=setting.model, dt=setting.dt, options=setting.options, speeds=v)
+        found = review(controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v)
     except Exception as error:  # a controller may be anybody's code
         return _without(v, (f"No linear loop: {raised(error)}",))
     notes = tuple(finding.sentence for finding in found.findings if _matters(finding))

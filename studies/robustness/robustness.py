@@ -10,18 +10,18 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus
 from ldctoolkit.departures import LEFT
+from ldctoolkit.simulation import Takeover
 from studies.ranking.row_blocks import row_means
-from studies.results import FAILED_STATUSES, status_among
+from studies.results import FAILED_STATUSES, Case, status_among
 from studies.robustness.chosen_designs import ChosenDesigns, chosen_designs
 from studies.robustness.content_key import content_key
 from studies.robustness.drives import Drives, drive_on_plants, first_of_each_side
 from studies.robustness.loop_margins import LoopMargins, loop_margins, trigger_speeds
 from studies.robustness.paired_interval import SAME, paired_means
 from studies.robustness.plants import OtherPlant, impossible, other_plants
-from studies.robustness.setting import Setting
 
 if TYPE_CHECKING:
-    from ldctoolkit import Scenarios
+    from ldctoolkit import Scenarios, Setup
     from studies.ranking.ranking import Ranking
     from studies.results import StudyResults
 
@@ -132,17 +132,20 @@ class RobustnessTask:
         The study's own first.
     left_out : tuple of (title, reason)
     scenarios : Scenarios
-    setting : Setting
+    setup : Setup
+        In the convention of the case.
+    case : Case
     """
 
     chosen: ChosenDesigns
     plants: tuple[OtherPlant, ...]
     left_out: tuple[tuple[str, str], ...]
     scenarios: Scenarios
-    setting: Setting
+    setup: Setup
+    case: Case
 
     @classmethod
-    def of(cls, results: StudyResults, ranking: Ranking, setting: Setting, per_side: int = PER_SIDE) -> RobustnessTask:
+    def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
         """The task that a study sets.
 
         Parameters
@@ -150,27 +153,28 @@ class RobustnessTask:
         results : StudyResults
         ranking : Ranking
             Of one of its cases.
-        setting : Setting
-            Of the same case.
+        setup : Setup
+            Of the study.
         per_side : int
             Scenarios of each side, at most.
         """
+        setup = setup.under(ranking.case.convention)
         scenarios = first_of_each_side(results.drivable().scenarios, per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
-        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setting.options)
+        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options)
         plants, left_out = [own], []
-        for plant in other_plants(setting.options, setting.dt):
-            reason = impossible(plant, setting.case.convention, has_residuals)
+        for plant in other_plants(setup.options, setup.dt):
+            reason = impossible(plant, setup.convention, has_residuals)
             if reason:
                 left_out.append((plant.title, reason))
             else:
                 plants.append(plant)
-        return cls(chosen_designs(ranking), tuple(plants), tuple(left_out), scenarios, setting)
+        return cls(chosen_designs(ranking), tuple(plants), tuple(left_out), scenarios, setup, ranking.case)
 
     @property
     def key(self) -> str:
         """Sixteen hexadecimal digits that stand for all of it."""
-        return content_key(self.chosen, self.plants, self.scenarios, self.setting)
+        return content_key(self.chosen, self.plants, self.scenarios, self.setup, self.case)
 
 
 def work_out(task: RobustnessTask) -> Robustness:
@@ -184,17 +188,17 @@ def work_out(task: RobustnessTask) -> Robustness:
     -------
     Robustness
     """
-    chosen, setting = task.chosen, task.setting
-    drives = drive_on_plants(chosen.designs, [plant.options for plant in task.plants], task.scenarios, setting)
+    chosen, setup = task.chosen, task.setup
+    drives = drive_on_plants(chosen.designs, [plant.options for plant in task.plants], task.scenarios, setup, task.case)
     # every plant and design on the same scenarios, or their means could not be compared
     known = np.isfinite(drives.S)
     ran = np.any(known, axis=2)
     rows = np.all(known[ran], axis=0)
     drives = Drives(drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows], drives.raised)
     side = task.scenarios.side[rows]
-    takeovers = [setting.takeover(task.scenarios, y_s, setting.options) for y_s in _thresholds(chosen)]
+    takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in _thresholds(chosen)]
     v = trigger_speeds(takeovers)
-    margins = tuple(loop_margins(design.controller(setting.case.convention), setting, v) for design in chosen.designs)
+    margins = tuple(loop_margins(design.controller(setup.convention), setup, v) for design in chosen.designs)
     contends = np.array(chosen.contends, dtype=np.bool_)
     S = _means(drives.S)
     failed = status_among(drives.status, FAILED_STATUSES)

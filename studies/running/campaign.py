@@ -10,13 +10,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from ldctoolkit import Scenarios, controller_class
 from ldctoolkit.errors import StoreError
 from studies.design import Design
+from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
 from studies.running.faults import Faults
 from studies.running.own_laws import laws_of_this_process
 from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
-from studies.running.tasks import Done, FailedRun, Job, RunKey, TaskResult
+from studies.running.tasks import Done, Job
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file.spec import Study
@@ -48,11 +49,6 @@ class Campaign:
         Of a task; 0 for none.
     block_size : int, optional
         Designs in a task.
-
-    Attributes
-    ----------
-    kernel_seconds, task_seconds : float [s]
-        Wall time inside the closed loop, and in tasks altogether, summed over workers.
     """
 
     def __init__(
@@ -70,7 +66,6 @@ class Campaign:
     ) -> None:
         self.study, self.scenarios, self.prefixes = study, scenarios, prefixes
         self.store, self.table = store, table
-        self.kernel_seconds = self.task_seconds = 0.0
         self._executor, self._progress = executor, progress
         self._block_size = block_size
         self._job = _job(study, store, executor, time_limit)
@@ -133,8 +128,6 @@ class Campaign:
     def _collect(self, done: Done) -> None:
         if done.result.keys:
             self._waiting.append(done.result)
-            self.kernel_seconds += done.result.kernel_seconds
-            self.task_seconds += done.result.seconds
             self._progress.advance(done.result.status.size)
         self._failed += done.failed
         rows = sum(result.status.size for result in self._waiting)
@@ -180,13 +173,8 @@ def _job(study: Study, store: Store, executor: Executor, time_limit: float) -> J
     token = hashlib.sha256(f"{store.manifest.study_hash}{store.manifest.model_hash}{time.time_ns()}".encode())
     return Job(
         token=token.hexdigest()[:16],
-        vehicle=study.vehicle,
-        dt=study.simulation.dt,
+        setup=study.setup(),
         windows=study.simulation.window,
-        initial_yaw_rate=study.simulation.initial_yaw_rate,
-        options=study.plant,
-        settle=study.simulation.settle,
-        seed=study.seed,
         laws=laws_of_this_process() if executor.isolated else b"",
         time_limit=time_limit if executor.isolated else 0.0,
     )

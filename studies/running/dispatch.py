@@ -12,14 +12,14 @@ import numpy as np
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.vehicle import Convention
 from studies.design import NO_CONTROL, Design
+from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.executors.protocol import Ended, Executor, Fault
 from studies.running.faults import Faults
 from studies.running.in_order import InOrder
 from studies.running.merge import Merge
 from studies.running.pieces import Piece
-from studies.running.simulate_designs import Simulator
-from studies.running.simulation_task import SimulationTask
-from studies.running.tasks import Done, FailedRun, Job, RunKey, Task, TaskResult
+from studies.running.simulate_designs import SimulationTask, Simulator
+from studies.running.tasks import Done, Job, Task
 
 SECONDS_A_TASK: Final = 0.5
 """Enough to hide the cost of sending a task, little enough to spread slow designs and to lose little with a worker."""

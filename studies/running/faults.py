@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from typing import Final
 
 from ldctoolkit.errors import LdcError
+from studies.results import RunKey
 from studies.running.executors.protocol import Ended, Executor, Fault, Work
-from studies.running.tasks import RunKey, Task
+from studies.running.tasks import Task
 
 _STRIKES: Final = 2
 """A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""

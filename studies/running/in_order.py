@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator
 
-from studies.running.tasks import RunKey, TaskResult
+from studies.results import RunKey, TaskResult
 
 
 class InOrder:

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from studies.running.tasks import RunKey, Task, TaskResult
+from studies.results import RunKey, TaskResult
+from studies.running.tasks import Task
 
 
 class Merge:

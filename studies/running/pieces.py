@@ -7,13 +7,20 @@ processes, not even in the last bit of a law whose sums depend on how many scena
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from studies.racing.race import prefix_rows
+from ldctoolkit.errors import InputError
 
 IntArray = npt.NDArray[np.int64]
+
+FIRST_ROUND: Final = 100
+"""Scenarios of the first round: with fewer, tails as far out as many designs need are guesswork."""
+
+_WORTH_A_ROUND = 1.5
+"""A round is held where it leaves out a third of all scenarios or more; a later one would save little."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,3 +68,74 @@ class Prefixes:
             # even shares of both sides would change no number; stretches are simpler to name
             found += [Piece(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
         return tuple(found)
+
+
+def schedule(n: int) -> tuple[int, ...]:
+    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end.
+
+    Parameters
+    ----------
+    n : int
+        Scenarios of the study.
+
+    Returns
+    -------
+    tuple of int
+        Rising, the last one n; n alone where there are too few for a race.
+
+    Raises
+    ------
+    InputError
+        If n is not a positive whole number.
+
+    Examples
+    --------
+    >>> schedule(2000)
+    (100, 200, 400, 800, 2000)
+    >>> schedule(120)
+    (120,)
+    """
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+        raise InputError(f"n: {n!r}; allowed: a whole number >= 1")
+    sizes, size = [], FIRST_ROUND
+    while size * _WORTH_A_ROUND <= n:
+        sizes.append(size)
+        size *= 2
+    return (*sizes, int(n))
+
+
+def prefix_rows(side: IntArray, m: int) -> IntArray:
+    """The scenarios of a round: the first ones of each side, as many as is its share.
+
+    Parameters
+    ----------
+    side : (n,) int
+        Of all scenarios.
+    m : int
+        How many scenarios, 1 to n.
+
+    Returns
+    -------
+    (m,) int
+        Rising positions; those of a smaller m are among them.
+
+    Raises
+    ------
+    InputError
+        If m is outside 1 to n.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> prefix_rows(np.array([1, 1, 1, 1, -1, -1]), 3)
+    array([0, 1, 4])
+    """
+    side = np.asarray(side)
+    if not 1 <= m <= side.size:
+        raise InputError(f"m: {m!r}; allowed: 1 to {side.size}, the number of scenarios")
+    which, counts = np.unique(side, return_counts=True)
+    # cumulative shares, rounded: each count rises with m, and together they make m
+    ends = np.floor(np.cumsum(counts) * m / side.size + 0.5).astype(np.int64)
+    taken = np.diff(ends, prepend=0)
+    rows = [np.flatnonzero(side == one)[:count] for one, count in zip(which, taken, strict=True)]
+    return np.sort(np.concatenate(rows))

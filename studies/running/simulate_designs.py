@@ -1,24 +1,36 @@
-"""The work of one worker: designs on some scenarios, from plain data."""
+"""The work of one worker: designs on some scenarios, from plain data, as a task that an executor can run."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import threading
 import time
 from collections import OrderedDict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, LdcError, Scenarios
+from ldctoolkit import EventStatus, LdcError, Scenarios, controller_class, register, registry
 from ldctoolkit.law_errors import raised
 from ldctoolkit.simulation import Outcome, Run, Takeover, drive, drive_many
 from ldctoolkit.simulation.runs import recorded_run
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
+from studies.results import FailedRun, TaskResult
 from studies.running.steadiness import first_departures, kept_state
-from studies.running.tasks import Done, FailedRun, Job, Task, TaskResult
+from studies.running.tasks import Done, Job, Task
 
 _TAKEOVERS_KEPT = 8
+
+_JOBS_KEPT = 2
+
+_WARM_LAWS = ("preview_proportional", "pid")
+"""A law of each kind of loop: linear, and step by step."""
+
+_lock = threading.Lock()
+_warm: set[str] = set()
 
 _NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)
 """What ends a study even where it comes out of a law."""
@@ -39,7 +51,6 @@ class Simulator:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
         self._few: dict[Key, tuple[npt.NDArray[np.int64], Takeover]] = {}
-        self._kernel_seconds = 0.0
 
     def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
@@ -48,23 +59,13 @@ class Simulator:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
                 oldest, _ = self._takeovers.popitem(last=False)
                 self._few.pop(oldest, None)
-            self._takeovers[key] = Takeover.build(
-                scenarios,
-                BicycleModel(self.job.vehicle, convention),
-                y_s=y_s,
-                dt=self.job.dt,
-                initial_yaw_rate=self.job.initial_yaw_rate,
-                options=self.job.options,
-                seed=self.job.seed,
-                settle=self.job.settle,
-            )
+            self._takeovers[key] = Takeover.build(scenarios, self.job.setup.under(convention), y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
     def run(self, task: Task) -> Done:
         """Every design of a task; one whose law raises, gives what no law may give, or keeps state, has failed."""
         started = time.perf_counter()
-        self._kernel_seconds = 0.0
         room = _Room(task)
         reasons: dict[int, str] = {}
         for first, last in _same_threshold(task.designs):
@@ -83,7 +84,7 @@ class Simulator:
                     if i not in reasons and room.law_seconds[i]:
                         self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        result = room.result(self._kernel_seconds, time.perf_counter() - started)
+        result = room.result(time.perf_counter() - started)
         failed = tuple(FailedRun((task.designs[i].id, task.convention), task.piece, why) for i, why in reasons.items())
         return Done(result if len(ran) == len(task.designs) else result.take(ran), failed)
 
@@ -94,16 +95,14 @@ class Simulator:
             takeover = self.takeover(design.y_s, task.convention, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
-        return room.result(0.0, 0.0)
+        return room.result(0.0)
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
         convention = room.task.convention
         controllers = [design.controller(convention) for design in room.task.designs[first:last]]
-        started = time.perf_counter()
-        runs = list(drive_many(controllers, takeover, threads=1))
-        self._kernel_seconds += time.perf_counter() - started
-        for i, run in zip(range(first, last), runs, strict=True):
+        # all of them before any is taken in: what one raises leaves the others as they were
+        for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
             room.put(i, run)
 
     def _alone(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
@@ -119,7 +118,7 @@ class Simulator:
         task, design = room.task, room.task.designs[i]
         key = _key(design.y_s, task.convention, task.scenarios)
         if key not in self._few:
-            self._few[key] = first_departures(takeover, self.job.initial_yaw_rate, self.job.settle)
+            self._few[key] = first_departures(takeover)
         rows, few = self._few[key]
         if not rows.size:
             return
@@ -165,7 +164,7 @@ class _Room:
             self._takeover, self._recorded = over, run.columns(windows)
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
             # scenarios times samples that there is a command for; one that diverges counts as if driven to the end
-            self._commands = int(np.sum(over.full_steps + over.settle + (over.rest > 0)))
+            self._commands = int(np.sum(over.steps))
         values, rows = self.values[:, i], over.rows
         values[:] = self._recorded
         run.fill(values, windows)
@@ -186,7 +185,7 @@ class _Room:
         """Columns, values, status and failed solves of one design in some scenarios."""
         return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
 
-    def result(self, kernel_seconds: float, seconds: float) -> TaskResult:
+    def result(self, seconds: float) -> TaskResult:
         """All of it."""
         keys = tuple((design.id, self.task.convention) for design in self.task.designs)
         return TaskResult(
@@ -197,7 +196,6 @@ class _Room:
             self.failed_solves,
             self.law_seconds,
             self.commands,
-            kernel_seconds,
             seconds,
         )
 
@@ -211,3 +209,58 @@ def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
     y_s = np.array([design.y_s for design in designs])
     ends = [0, *(np.flatnonzero(np.diff(y_s)) + 1).tolist(), len(designs)]
     return list(itertools.pairwise(ends))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SimulationTask(Task):
+    """A `Task` that an executor can run. Tasks of one job in one place share their simulator, hence takeovers."""
+
+    @property
+    def time_limit(self) -> float:
+        """Of the job [s]."""
+        return self.job.time_limit
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Make the job's own controllers known, and load the compiled loops: the time limit counts a law's own time."""
+        simulators = _simulators(kept)
+        if self.job.token not in simulators:
+            while len(simulators) >= _JOBS_KEPT:
+                del simulators[next(iter(simulators))]
+            _learn(self.job.laws)
+        _warm_up(_simulator(simulators, self.job), self)
+
+    def run(self, kept: dict[str, Any]) -> Done:
+        """Drive the designs."""
+        return _simulator(_simulators(kept), self.job).run(self)
+
+
+def _simulators(kept: dict[str, Any]) -> dict[str, Simulator]:
+    simulators: dict[str, Simulator] = kept.setdefault("simulators", {})
+    return simulators
+
+
+def _simulator(simulators: dict[str, Simulator], job: Job) -> Simulator:
+    if job.token not in simulators:
+        simulators[job.token] = Simulator(job)
+    return simulators[job.token]
+
+
+def _learn(laws: bytes) -> None:
+    """Make controllers known that no installed package offers."""
+    if not laws:
+        return
+    import cloudpickle
+
+    for law in cloudpickle.loads(laws):
+        with _lock:
+            registry.forget(law.name)  # of an earlier job
+            register(law)
+
+
+def _warm_up(chosen: Simulator, task: Task) -> None:
+    if task.job.token in _warm or not task.job.time_limit:
+        return
+    takeover = chosen.takeover(task.designs[0].y_s, task.convention, task.scenarios.take([0]))
+    for name in _WARM_LAWS:
+        drive(controller_class(name)(), takeover, threads=1)
+    _warm.add(task.job.token)

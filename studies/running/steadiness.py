@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.metrics import COMPANION_UNITS
-from ldctoolkit.simulation import InitialYawRate, Outcome, Takeover
+from ldctoolkit.simulation import Outcome, Takeover
 
 IntArray = npt.NDArray[np.int64]
 
@@ -24,19 +24,10 @@ _SAME_COMPANION = 1e-6
 """Of the companions: peaks and rates magnify what S averages."""
 
 
-def first_departures(takeover: Takeover, initial_yaw_rate: InitialYawRate, settle: float) -> tuple[IntArray, Takeover]:
+def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
     """The first few departures that trigger: their row numbers (k,), and a takeover of them alone."""
     rows = np.sort(takeover.rows)[:_DEPARTURES]
-    return rows, Takeover.build(
-        takeover.scenarios.take(rows),
-        takeover.model,
-        y_s=takeover.y_s,
-        dt=takeover.dt,
-        initial_yaw_rate=initial_yaw_rate,
-        options=takeover.options,
-        seed=takeover.seed,
-        settle=settle,
-    )
+    return rows, Takeover.build(takeover.scenarios.take(rows), takeover.setup, y_s=takeover.y_s)
 
 
 def kept_state(

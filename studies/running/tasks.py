@@ -9,18 +9,14 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Scenarios, VehicleParameters
+from ldctoolkit import Scenarios, Setup
 from ldctoolkit.metrics import COMPANION_UNITS
-from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation import InitialYawRate, Window
+from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
+from studies.results import FailedRun, TaskResult
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-RunKey = tuple[str, str]
-"""Identifier of a design and a convention: what one simulation is called."""
 
 _numbers = itertools.count()
 
@@ -33,16 +29,9 @@ class Job:
     ----------
     token : str
         Tells one job from another.
-    vehicle : VehicleParameters
-    dt : float [s]
+    setup : Setup
+        Of the first convention; tasks name theirs.
     windows : tuple of {"departure", "control"}
-    initial_yaw_rate : {"path", "zero"}
-    options : PlantOptions
-        What differs from the ideal plant.
-    settle : float [s]
-        How long the loop goes on after a departure's end.
-    seed : int
-        Of what is drawn for each scenario.
     laws : bytes
         Controller classes that no installed package offers; empty where there are none.
     time_limit : float [s]
@@ -50,13 +39,8 @@ class Job:
     """
 
     token: str
-    vehicle: VehicleParameters
-    dt: float
+    setup: Setup
     windows: tuple[Window, ...]
-    initial_yaw_rate: InitialYawRate
-    options: PlantOptions
-    settle: float
-    seed: int
     laws: bytes = b""
     time_limit: float = 0.0
 
@@ -125,83 +109,6 @@ class Task:
 
     def _with(self, **changes: object) -> Self:
         return dataclasses.replace(self, number=next(_numbers), **changes)  # type: ignore[arg-type]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class TaskResult:
-    """Results of k designs on m scenarios.
-
-    Attributes
-    ----------
-    keys : tuple of (str, str)
-        Design id and convention, k of them.
-    rows : (m,) int
-        Row numbers of the scenarios in the study.
-    values : (c, k, m)
-        `Job.columns`.
-    status : (k, m) int8
-    failed_solves : (k, m) int32
-    law_seconds : (k,) [s]
-        Wall time inside the laws' own steps.
-    commands : (k,) int
-        Scenarios times samples that they gave a command for.
-    kernel_seconds : float [s]
-        Wall time inside the closed loop, all designs together.
-    seconds : float [s]
-        Wall time of the whole task.
-    """
-
-    keys: tuple[RunKey, ...]
-    rows: IntArray
-    values: FloatArray
-    status: npt.NDArray[np.int8]
-    failed_solves: npt.NDArray[np.int32]
-    law_seconds: FloatArray
-    commands: IntArray
-    kernel_seconds: float = 0.0
-    seconds: float = 0.0
-
-    def take(self, places: list[int]) -> TaskResult:
-        """The same for some of the designs."""
-        return dataclasses.replace(
-            self,
-            keys=tuple(self.keys[i] for i in places),
-            values=self.values[:, places],
-            status=self.status[places],
-            failed_solves=self.failed_solves[places],
-            law_seconds=self.law_seconds[places],
-            commands=self.commands[places],
-        )
-
-    def sorted_by_row(self) -> TaskResult:
-        """The same with rising row numbers."""
-        order = np.argsort(self.rows)
-        return dataclasses.replace(
-            self,
-            rows=self.rows[order],
-            values=self.values[:, :, order],
-            status=self.status[:, order],
-            failed_solves=self.failed_solves[:, order],
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class FailedRun:
-    """A run that a law's own fault ended.
-
-    Attributes
-    ----------
-    key : (str, str)
-        Design id and convention.
-    piece : int
-        Number of the piece of scenarios in which it did.
-    reason : str
-        One sentence.
-    """
-
-    key: RunKey
-    piece: int
-    reason: str
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

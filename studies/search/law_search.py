@@ -12,8 +12,7 @@ import numpy as np
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.design_space.dimensions import Choices, Dimension, Span, rounded
-from studies.design_space.law_space import LawSpace
+from studies.design_space.law_space import Choices, Dimension, LawSpace, Span, rounded
 from studies.study_file.ranking_settings import SearchSettings
 
 _STREAM: Final = 0x73656172

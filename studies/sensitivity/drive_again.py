@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, LdcError
+from ldctoolkit import EventStatus, LdcError
 from ldctoolkit.law_errors import raised
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
@@ -48,16 +48,7 @@ def drive_designs(
     """
     found: dict[Design, FloatArray | str] = {}
     for y_s in dict.fromkeys(design.y_s for design in designs):
-        takeover = Takeover.build(
-            results.scenarios,
-            BicycleModel(study.vehicle, case.case.convention),
-            y_s=y_s,
-            dt=study.simulation.dt,
-            initial_yaw_rate=study.simulation.initial_yaw_rate,
-            options=study.plant,
-            seed=study.seed,
-            settle=study.simulation.settle,
-        )
+        takeover = Takeover.build(results.scenarios, study.setup(case.case.convention), y_s=y_s)
         for design in designs:
             if design.y_s == y_s:
                 found[design] = _counted(design, takeover, case)

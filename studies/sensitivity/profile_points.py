@@ -10,8 +10,7 @@ import numpy as np
 from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.design_space.dimensions import Choices, Span
-from studies.design_space.law_space import THRESHOLD
+from studies.design_space.law_space import THRESHOLD, Choices, Span
 from studies.results import StudyResults
 from studies.sensitivity.sensitivity import gain_value
 from studies.study_file.spec import Study

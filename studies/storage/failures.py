@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ldctoolkit.errors import StoreError
-from studies.running.tasks import RunKey
+from studies.results import RunKey
 from studies.storage.files import write_text
 
 FAILURES = "failures.json"

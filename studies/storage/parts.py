@@ -20,7 +20,7 @@ from ldctoolkit import EventStatus
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS
 from ldctoolkit.simulation import Window
-from studies.running.tasks import TaskResult
+from studies.results import TaskResult
 from studies.storage.files import parse_parquet, read_bytes, stored_file
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, Companions
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
-from studies.results import CaseResults, FailedDesign, StudyResults
-from studies.running.tasks import RunKey, TaskResult
+from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from studies.storage.shared_rows import SharedRows
 from studies.storage.stored_columns import PartIndex, StoredColumn
 from studies.storage.timing import LawTime

@@ -29,15 +29,14 @@ from pathlib import Path
 from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
-from studies.racing.race_log import read_race
-from studies.results import StudyResults
-from studies.running.tasks import FailedRun, RunKey, TaskResult
+from studies.results import FailedRun, RunKey, StudyResults, TaskResult
 from studies.storage.ahead import ahead
 from studies.storage.design_table import DESIGNS, read_designs, write_designs
 from studies.storage.failures import FAILURES, read_failures, write_failures
 from studies.storage.files import read_scenarios, scenario_table, write_parquet
 from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
 from studies.storage.parts import PATTERN, checked_content, parse_part, write_part
+from studies.storage.race_log import read_race
 from studies.storage.run_table import AllFailedError, RunTable
 from studies.storage.stored_columns import PartIndex
 from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times

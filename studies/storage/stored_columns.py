@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import StoreError
-from studies.running.tasks import RunKey, TaskResult
+from studies.results import RunKey, TaskResult
 from studies.storage.ahead import ahead
 from studies.storage.parts import read_column
 

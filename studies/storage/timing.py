@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ldctoolkit.errors import StoreError
-from studies.running.tasks import RunKey
+from studies.results import RunKey
 from studies.storage.files import write_text
 
 FILE_NAME = "timing.json"

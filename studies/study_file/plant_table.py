@@ -1,4 +1,4 @@
-"""The table ``[plant]`` of a study file: read into `PlantOptions`, and told to a reader again."""
+"""The declared options of plant and simulation: read from a study file, and shown to a reader again."""
 
 from __future__ import annotations
 
@@ -6,50 +6,12 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, Final
 
+from ldctoolkit import Setup
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.plant_options import (
-    Actuator,
-    KalmanFilter,
-    Mismatch,
-    PlantOptions,
-    Residuals,
-    Sensors,
-    Tyres,
-)
+from ldctoolkit.option_checks import declaration_of, kind_of
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.setup import simulation_options
 from studies.study_file._part import fail
-
-_TABLES: Final[dict[str, type]] = {
-    "actuator": Actuator,
-    "mismatch": Mismatch,
-    "tyres": Tyres,
-    "sensors": Sensors,
-    "kalman": KalmanFilter,
-    "residuals": Residuals,
-}
-"""Key that holds a table of its own -> what the table is read into."""
-
-UNITS: Final = {
-    "actuator.delta_max": "rad",
-    "actuator.rate_max": "rad/s",
-    "actuator.lag": "s",
-    "actuator.delay": "s",
-    "sensors.e_y_noise": "m",
-    "sensors.e_psi_noise": "rad",
-    "sensors.e_y_bias": "m",
-    "sensors.e_psi_bias": "rad",
-    "sensors.e_y_step": "m",
-    "sensors.e_psi_step": "rad",
-    "sensors.period": "s",
-    "sensors.delay": "s",
-    "sensors.curvature_bias": "1/m",
-    "sensors.curvature_noise": "1/m",
-    "sensors.kalman.q_y": "m/s^2/sqrt(Hz)",
-    "sensors.kalman.q_psi": "rad/s^2/sqrt(Hz)",
-    "sensors.kalman.r_y": "m",
-    "sensors.kalman.r_psi": "rad",
-    "residuals.bandwidth": "Hz",
-}
-"""Key -> unit; a key that is not here is a pure number or a word."""
 
 _ALWAYS_TOLD: Final = ("tyres", "sensors.kalman", "residuals")
 """Tables whose defaults say something as soon as the table is used."""
@@ -87,14 +49,14 @@ def read_plant(entry: Any) -> Any:
 
 
 def _read(kind: type, table: dict[str, Any], prefix: str) -> Any:
-    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    fields = {field.name: field for field in dataclasses.fields(kind)}
     given = {}
     for key, entry in table.items():
         path = f"{prefix}{key}"
-        if key not in defaults:
-            raise fail(path, f"no such key; {nearest(str(key), defaults)}")
-        inner = _TABLES.get(key)
-        if inner is None or (entry is None and defaults[key] is None):
+        if key not in fields:
+            raise fail(path, f"no such key; {nearest(str(key), fields)}")
+        inner = kind_of(fields[key])
+        if inner is None or (entry is None and fields[key].default is None):
             given[key] = entry
         elif isinstance(entry, dict):
             given[key] = _read(inner, entry, f"{path}.")
@@ -108,19 +70,37 @@ def differences(options: PlantOptions) -> tuple[str, ...]:
 
     Examples
     --------
+    >>> from ldctoolkit.plant_options import Actuator
     >>> differences(PlantOptions(speed="profile", actuator=Actuator(lag=0.1)))
     ('the speed follows its profile', 'a steering actuator')
     """
-    words = {
-        "the speed follows its profile": options.speed == "profile",
-        "a steering actuator": not options.actuator.ideal,
-        "vehicles that differ from the one that the laws were designed on": not options.mismatch.ideal,
-        "saturating tyres": not options.tyres.ideal,
-        "a lane camera with a Kalman filter": options.sensors.kalman is not None,
-        "a lane camera": options.sensors.kalman is None and not options.sensors.ideal,
-        "residuals of the recorded path": not options.residuals.ideal,
-    }
-    return tuple(text for text, holds in words.items() if holds)
+    found = []
+    for field in _not_ideal(options):
+        value = getattr(options, field.name)
+        inside = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+        further = [declaration_of(one).description for one in inside if getattr(value, one.name) is not None]
+        found.append(" with ".join([declaration_of(field).description, *filter(None, further)]))
+    return tuple(found)
+
+
+def _not_ideal(options: PlantOptions) -> Iterator[dataclasses.Field[Any]]:
+    ideal = PlantOptions()
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if not getattr(value, "ideal", value == getattr(ideal, field.name)):
+            yield field
+
+
+def simulation_settings(setup: Setup) -> Iterator[tuple[str, str]]:
+    """What each option of the simulation is, and its value with its unit.
+
+    Examples
+    --------
+    >>> list(simulation_settings(Setup()))[0]
+    ('sample time dt', '0.05 s')
+    """
+    for field in simulation_options():
+        yield declaration_of(field).description, _text(getattr(setup, field.name), field)
 
 
 def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
@@ -136,15 +116,16 @@ def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
 
     Examples
     --------
+    >>> from ldctoolkit.plant_options import Actuator
     >>> list(plant_settings(PlantOptions(actuator=Actuator(rate_max=0.5))))
     [('actuator.rate_max', '0.5 rad/s')]
     """
-    if options.speed != "frozen":
-        yield "speed", options.speed
-    for name in ("actuator", "mismatch", "tyres", "sensors", "residuals"):
-        part = getattr(options, name)
-        if not part.ideal:
-            yield from _told(part, name)
+    for field in _not_ideal(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _told(value, field.name)
+        else:
+            yield field.name, _text(value, field)
 
 
 def _told(part: Any, path: str) -> Iterator[tuple[str, str]]:
@@ -153,12 +134,13 @@ def _told(part: Any, path: str) -> Iterator[tuple[str, str]]:
         if dataclasses.is_dataclass(value):
             yield from _told(value, key)
         elif value is not None and (path in _ALWAYS_TOLD or value != field.default):
-            yield key, _text(value, UNITS.get(key, ""))
+            yield key, _text(value, field)
 
 
-def _text(value: Any, unit: str) -> str:
+def _text(value: Any, field: dataclasses.Field[Any]) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple):
         return " to ".join(f"{end:g}" for end in value)
-    return f"{value:g} {unit}".rstrip() if isinstance(value, float) else str(value)
+    unit = declaration_of(field).unit
+    return f"{value:g} {unit}".removesuffix(" 1") if isinstance(value, float) else str(value)

@@ -8,8 +8,9 @@ import hashlib
 import json
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -17,14 +18,16 @@ from pydantic import (
     Field,
     PrivateAttr,
     ValidationError,
+    create_model,
     model_validator,
 )
 
 from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, StudyError, nearest
+from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation import SETTLE, InitialYawRate, Window
-from ldctoolkit.simulation.takeover import LONGEST_SETTLE
+from ldctoolkit.setup import Setup, simulation_options
+from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import CONVENTION_GAIN, Design
 from studies.design_space.design_block import DesignBlock, check_blocks
@@ -55,28 +58,35 @@ def _file_name(name: str) -> str:
     return name
 
 
-class SimulationSettings(Part):
-    """``[simulation]``: how designs are driven and scored; the cases are windows x conventions.
+class CaseSettings(Part):
+    """Which cases designs are scored in: windows x conventions.
 
     Attributes
     ----------
-    dt : float [s]
-        Sample time of the controller.
     window : tuple of {"departure", "control"}
         Windows of S; the first is the primary one.
     convention : tuple of {"consistent", "as_printed"}
         Readings of the paper; the first is the primary one.
-    initial_yaw_rate : {"path", "zero"}
-        de_psi/dt at the trigger.
-    settle : float [s]
-        How long the loop goes on after the departure's end; S does not count it, overshoot and comfort do.
     """
 
-    dt: float = Field(default=0.05, ge=1e-3, le=1.0)
     window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
     convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
-    initial_yaw_rate: InitialYawRate = "path"
-    settle: float = Field(default=SETTLE, ge=0.0, le=LONGEST_SETTLE)
+
+
+def _options() -> Iterator[tuple[str, Any]]:
+    """The options of the simulation, as `Setup` declares them, for pydantic."""
+    hints = get_type_hints(Setup)
+    for field in simulation_options():
+        limits = declaration_of(field)
+        least, most = limits.usual or (limits.least, limits.most)
+        yield field.name, (hints[field.name], Field(default=field.default, gt=limits.above, ge=least, le=most))
+
+
+if TYPE_CHECKING:
+    SimulationSettings = CaseSettings
+else:
+    SimulationSettings = create_model("SimulationSettings", __base__=CaseSettings, **dict(_options()))
+    """``[simulation]``: the cases, and the simulation options of a `Setup`."""
 
 
 class ReportSettings(Part):
@@ -200,22 +210,14 @@ class Study(Part):
         )
 
     @model_validator(mode="after")
-    def _whole_samples(self) -> Self:
-        try:
-            self.plant.sensors.in_samples(self.simulation.dt)
-        except InputError as error:
-            path, _, message = str(error).partition(": ")
-            raise fail(f"plant.{path}", message.replace("the sample time dt", "simulation.dt")) from None
-        return self
-
-    @model_validator(mode="after")
-    def _printed_tyres(self) -> Self:
-        model = self.plant.tyres.model
-        if model != "linear" and "as_printed" in self.simulation.convention:
-            message = (
-                f"{model!r} with simulation.convention 'as_printed'; the printed matrix is linear; allowed: 'linear'"
-            )
-            raise fail("plant.tyres.model", message)
+    def _setups(self) -> Self:
+        for convention in self.simulation.convention:
+            try:
+                self.setup(convention)
+            except InputError as error:
+                path, _, message = str(error).partition(": ")
+                table = "simulation" if path in type(self.simulation).model_fields else "plant"
+                raise fail(f"{table}.{path}", message.replace("the sample time dt", "simulation.dt")) from None
         return self
 
     @classmethod
@@ -286,6 +288,16 @@ class Study(Part):
     def cases(self) -> tuple[Case, ...]:
         """Windows x conventions; the first is the primary case."""
         return tuple(Case(w, c) for w in self.simulation.window for c in self.simulation.convention)
+
+    def setup(self, convention: Convention | None = None) -> Setup:
+        """What all runs of the study share, in one of its conventions; the first by default."""
+        return Setup(
+            vehicle=self.vehicle,
+            convention=convention or self.simulation.convention[0],
+            options=self.plant,
+            seed=self.seed,
+            **{field.name: getattr(self.simulation, field.name) for field in simulation_options()},
+        )
 
     @property
     def model_path(self) -> Path:

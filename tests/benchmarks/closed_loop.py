@@ -24,11 +24,10 @@ import control
 import numpy as np
 
 from controllers import LQR, PreviewProportional
-from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, SteeringLaw
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.mixture.sources import usable_cores
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
-from ldctoolkit.vehicle import BicycleModel
 
 SCENARIOS, DESIGNS = 10_000, 1_000
 
@@ -72,9 +71,9 @@ def numpy_tables(over: Takeover) -> Any:
         return (*vectors, matrix, step.area_delta.copy(), step.area_r_0.copy(), step.area_r_1.copy())
 
     v = over.plant.v
-    A, B, E = over.model.matrices(v)
+    A, B, E = over.setup.model.matrices(v)
     lateral = *(np.ascontiguousarray(A[:, 1, j]) for j in (1, 2, 3)), np.ascontiguousarray(B[:, 1]), E[:, 1] + v
-    return columns(over.plant.step), columns(over.model.discretize(v, over.rest)), lateral
+    return columns(over.plant.step), columns(over.setup.model.discretize(v, over.rest)), lateral
 
 
 def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: bool) -> np.ndarray:
@@ -84,8 +83,8 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
     step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
     """
     law = linear_law(design, over)
-    dt, v, p = over.dt, over.plant.v, over.triggered
-    edge, l_f = over.model.parameters.edge_offset, over.model.parameters.l_f
+    dt, v, p = over.setup.dt, over.plant.v, over.triggered
+    edge, l_f = over.setup.vehicle.edge_offset, over.setup.vehicle.l_f
 
     whole, last, (a_1, a_2, a_3, b_1, e_1) = tables
     F = [np.ascontiguousarray(law.F[:, i]) for i in range(4)]
@@ -93,7 +92,7 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
     m = over.m
     x = [over.x_0[:, i].copy() for i in range(4)]
     u, S = over.delta_0.copy(), np.zeros(m)
-    steps = over.full_steps + (over.settle if companions else 0)
+    steps = over.full_steps + (round(over.setup.settle / over.setup.dt) if companions else 0)
     if companions:
         deep, front, over_line = x[0].copy(), x[0] + l_f * x[2], -x[0]
         back, peak, jerk, angle, rate, effort, travel = (np.zeros(m) for _ in range(7))
@@ -169,7 +168,7 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
 def forced_response_loop(design: Controller, over: Takeover, rows: range) -> None:
     """One `control.forced_response` call a scenario, on the closed loop sampled with dt, from the trigger to T."""
     law = linear_law(design, over)
-    dt, step = over.dt, over.plant.step
+    dt, step = over.setup.dt, over.plant.step
     for i in rows:
         gains = np.concatenate([law.G_yaw_rate[i], law.G_heading[i]])
         closed = step.A[i] + np.outer(step.B[i], law.F[i])
@@ -247,7 +246,7 @@ OPTIONS = {
 
 def measure_memory() -> None:
     """Run 1,000 designs on 10,000 scenarios, keep every per-scenario number, and print seconds and peak memory."""
-    over = Takeover.build(scenarios(SCENARIOS), BicycleModel(), y_s=0.1, dt=0.05)
+    over = Takeover.build(scenarios(SCENARIOS), Setup(), y_s=0.1)
     list(drive_many([PreviewProportional()], over))
     gains = np.linspace(-0.05, -0.001, DESIGNS)
     start = time.perf_counter()
@@ -299,9 +298,9 @@ def main() -> None:
         measure_memory()
         return
     header()
-    many, model = scenarios(SCENARIOS), BicycleModel()
-    event = Takeover.build(many, model, y_s=0.1, dt=0.05, settle=0.0)
-    whole = Takeover.build(many, model, y_s=0.1, dt=0.05)
+    many = scenarios(SCENARIOS)
+    event = Takeover.build(many, Setup(settle=0.0), y_s=0.1)
+    whole = Takeover.build(many, Setup(), y_s=0.1)
     event_tables, whole_tables = numpy_tables(event), numpy_tables(whole)
     for design in (PreviewProportional(), LQR()):
         check(drive(design, event).area, numpy_loop(design, event, event_tables, companions=False))
@@ -337,7 +336,7 @@ def main() -> None:
     cost = seconds(lambda: drive(Stepped(), whole), 2)
     print(f"| ideal plant, the law called step by step | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
     for name, options in OPTIONS.items():
-        real = Takeover.build(many, model, y_s=0.1, dt=0.05, options=options)
+        real = Takeover.build(many, Setup(options=options), y_s=0.1)
         run = drive(LQR(), real)
         cost = seconds(lambda real=real: drive(LQR(), real), 2)
         lost = int((run.status == EventStatus.DIVERGED).sum())
@@ -345,8 +344,8 @@ def main() -> None:
             f"| {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |" + (f" <!-- {lost} diverged -->" if lost else ""),
             flush=True,
         )
-    for name, build in (("ideal plant", None), ("all options", REAL)):
-        cost = seconds(lambda build=build: Takeover.build(many, model, y_s=0.1, dt=0.05, options=build).tables, 2)
+    for name, plant in (("ideal plant", PlantOptions()), ("all options", REAL)):
+        cost = seconds(lambda plant=plant: Takeover.build(many, Setup(options=plant), y_s=0.1).tables, 2)
         print(f"| takeover, once for all designs: {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
 
     answer = subprocess.run([sys.executable, __file__, "--memory"], capture_output=True, text=True, check=True)

@@ -20,9 +20,8 @@ from closed_loop import machine, scenarios, seconds
 from controllers import LinearMPC
 from controllers._mpc_law import MPCLaw, Rung
 from controllers.riccati import regulator
-from ldctoolkit import Controller, EventStatus, SteeringLaw
+from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw
 from ldctoolkit.simulation import Takeover, drive
-from ldctoolkit.vehicle import BicycleModel
 
 SCENARIOS, EVERY = 2_000, 10
 DESIGN = LinearMPC(horizon=20, delta_max=0.15, rate_max=0.3)
@@ -139,13 +138,13 @@ class WatchedLaw(SteeringLaw):
 
 def takeover(rows: slice | np.ndarray = slice(None)) -> Takeover:
     """Of scenarios that trigger, with a steering angle at the trigger that the limits can reach."""
-    many, model = scenarios(3_000), BicycleModel()
-    over = Takeover.build(many, model, y_s=0.1, dt=0.05, settle=0.0)
+    many, setup = scenarios(3_000), Setup(settle=0.0)
+    over = Takeover.build(many, setup, y_s=0.1)
     outcome = drive(DESIGN, over).outcome("departure")
     good = np.flatnonzero(outcome.status == EventStatus.OK)[:SCENARIOS]
     if good.size < SCENARIOS:
         raise RuntimeError("too few scenarios trigger")
-    return Takeover.build(many.take(good[rows]), model, y_s=0.1, dt=0.05, settle=0.0)
+    return Takeover.build(many.take(good[rows]), setup, y_s=0.1)
 
 
 def score(design: Controller, over: Takeover) -> np.ndarray:
@@ -202,7 +201,7 @@ def main() -> None:
 
 
 def reordered(over: Takeover, rows: np.ndarray) -> Takeover:
-    return Takeover.build(over.scenarios.take(rows), over.model, y_s=0.1, dt=0.05, settle=0.0)
+    return Takeover.build(over.scenarios.take(rows), over.setup, y_s=0.1)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ from closed_loop import machine
 
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.simulation import Takeover, drive_many
-from ldctoolkit.vehicle import BicycleModel
 from studies import Study
 from studies.design import Design
 from studies.racing.race import prefix_rows, race_round, schedule
@@ -36,14 +35,7 @@ def scores(study: Study, designs: Sequence[Design], scenarios: Scenarios) -> np.
     order = sorted(range(len(designs)), key=lambda i: designs[i].y_s)
     for y_s, group in itertools.groupby(order, key=lambda i: designs[i].y_s):
         rows = list(group)
-        over = Takeover.build(
-            scenarios,
-            BicycleModel(study.vehicle),
-            y_s=y_s,
-            dt=study.simulation.dt,
-            initial_yaw_rate=study.simulation.initial_yaw_rate,
-            settle=study.simulation.settle,
-        )
+        over = Takeover.build(scenarios, study.setup(), y_s=y_s)
         for i, run in zip(rows, drive_many([designs[i].controller() for i in rows], over, threads=1), strict=True):
             outcome = run.outcome("departure")
             failed = np.isin(outcome.status, FAILED_STATUSES)

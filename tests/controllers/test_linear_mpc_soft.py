@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from controllers import LinearMPC
 from controllers._mpc_condensing import Wanted, block_starts, limits
 from controllers._mpc_law import MPCLaw, MPCState, Rung
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, load_model, simulate
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, Setup, load_model, simulate
 from ldctoolkit.simulation import Takeover, drive
 
 DT = 0.05
@@ -239,7 +239,7 @@ def test_lateral_acceleration_stays_within_its_limit(solver: str) -> None:
 
 def reachable(over: Takeover, i: int, design: LinearMPC) -> bool:
     """Whether commands from the trigger on can keep angle, rate and a_y inside their limits, by linear programming."""
-    N, dt, step, v = design.horizon, over.dt, over.plant.step, over.plant.v[i]
+    N, dt, step, v = design.horizon, over.setup.dt, over.plant.step, over.plant.v[i]
     A_c, B_c, E_c = (each[i] for each in over.plant.model.matrices(over.plant.v))
     p = over.triggered
     t = over.start[i] + dt * np.arange(N + 1)
@@ -275,7 +275,7 @@ def test_lateral_acceleration_stays_within_its_limit_wherever_that_is_feasible(
     """On departures of the bundled model; a linear program says where the limit cannot be met from the trigger on."""
     r_delta, delta_max, rate_max = limits
     scenarios = load_model("reference").sample(100, 100, seed=4)
-    over = Takeover.build(scenarios, BicycleModel(), y_s=0.1, dt=DT, settle=3.0)
+    over = Takeover.build(scenarios, Setup(dt=DT), y_s=0.1)
     without = LinearMPC(solver="daqp", r_delta=r_delta, delta_max=delta_max, rate_max=rate_max)
     limited = dataclasses.replace(without, a_y_max=3.0)
     # a scenario that starts beyond the angle's limit has its commands from elsewhere

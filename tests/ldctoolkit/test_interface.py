@@ -190,19 +190,6 @@ def test_plain_fields_run_but_have_no_place_in_studies() -> None:
         register(Tuned)
 
 
-def test_values_are_checked_though_post_init_is_overridden() -> None:
-    @frozen
-    class Silent(Base):
-        K: float = K()
-
-        def __post_init__(self) -> None:
-            pass
-
-    check_controller(Silent(K=-0.3))
-    with pytest.raises(InputError, match=r"mistaken\.K: 7; allowed: a number from -1 to 0 rad/rad"):
-        check_controller(Silent(K=7))
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [

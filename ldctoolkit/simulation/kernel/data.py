@@ -7,7 +7,13 @@ scenarios come in the takeover's order. Nothing that is imported here needs the 
 
 from __future__ import annotations
 
+import math
 from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.setup import Setup
 
 # columns of a scenario: constant over a run
 START: Final = 0  # [s] trigger
@@ -155,3 +161,56 @@ SETTINGS: Final = (
     FRAMES,
     RING,
 ) = range(len(SETTINGS))
+
+
+def setting_row(setup: Setup, *, modes: int, bound: float, window: float) -> npt.NDArray[np.float64]:
+    """The numbers of a run that hold for every scenario, in the order of `SETTINGS`.
+
+    Parameters
+    ----------
+    setup : Setup
+    modes : int
+        Columns of the speed residual.
+    bound : float [m]
+        |e_y| that counts as diverged.
+    window : float [s]
+        Of the moving average of the jerk.
+    """
+    actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
+    whole = math.floor(actuator.delay / dt + 1e-9)
+    part = actuator.delay - whole * dt
+    period, late = sensors.in_samples(dt)
+    values = {
+        "dt": dt,
+        "offset": setup.vehicle.edge_offset,
+        "l_f": setup.vehicle.l_f,
+        "bound": bound,
+        "window": window / dt,
+        "profile": setup.options.speed == "profile",
+        "saturating": not setup.options.tyres.ideal,
+        "shape": setup.options.tyres.shape,
+        "delta_max": math.inf if actuator.delta_max is None else actuator.delta_max,
+        "rate_max": math.inf if actuator.rate_max is None else actuator.rate_max,
+        "lag": actuator.lag,
+        "delay_samples": whole,
+        "delay_part": part if part > 1e-9 * dt else 0.0,
+        "modes": modes,
+        "earlier": -(-late // period),
+        "camera": not sensors.ideal,
+        "period": period,
+        "late": late,
+        "noise_y": sensors.e_y_noise,
+        "noise_psi": sensors.e_psi_noise,
+        "bias_y": sensors.e_y_bias,
+        "bias_psi": sensors.e_psi_bias,
+        "step_y": sensors.e_y_step,
+        "step_psi": sensors.e_psi_step,
+        "curvature_gain": sensors.curvature_gain,
+        "seed_low": setup.seed & 0xFFFFFFFF,
+        "seed_high": setup.seed >> 32,
+        "filtered": sensors.kalman is not None,
+        "commands": whole + 2,
+        "frames": 0 if sensors.ideal else late + period + 1,
+        "ring": 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
+    }
+    return np.array([values[name] for name in SETTINGS], dtype=np.float64)

@@ -61,9 +61,9 @@ def grids(dt: float) -> list[Grid]:
 
 def weight(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...], every: int) -> float:
     """Bytes of the paths in the page, at most."""
-    T, step = context.scenarios.T[[pick.row for pick in picks]], every * context.report.dt
+    T, step = context.scenarios.T[[pick.row for pick in picks]], every * context.report.setup.dt
     recorded = 2.0 * (T / step + 2.0)
-    driven = 3.0 * ((T + context.report.settle) / step + 2.0)
+    driven = 3.0 * ((T + context.report.setup.settle) / step + 2.0)
     return float(_BYTES * (recorded.sum() + sum(driven[: most_departures(one)].sum() for one in designs)))
 
 
@@ -104,13 +104,13 @@ def embedded_departures(context: Context, replayed: Replay, every: int) -> dict[
         and end at T. Facts are (c, p) as stored.
     """
     return {
-        "step": every * context.report.dt,
+        "step": every * context.report.setup.dt,
         "resolution": {"y": RESOLUTION["y"], "delta": 1e-3, "a_y": RESOLUTION["a_y"]},
-        "far": -2.0 * context.report.vehicle.edge_offset,
+        "far": -2.0 * context.report.setup.vehicle.edge_offset,
         "numbers": [int(context.scenarios.index.min()), int(context.scenarios.index.max())],
         "departures": _departures(replayed),
-        "recorded": _recorded(replayed, every * context.report.dt),
-        "paths": _paths(replayed, every, context.report.dt),
+        "recorded": _recorded(replayed, every * context.report.setup.dt),
+        "paths": _paths(replayed, every, context.report.setup.dt),
         "facts": _facts(context, replayed),
         "own_window": context.case.case.window == "control",
         "words": [STATUS_WORDS[status] for status in sorted(STATUS_WORDS)],

@@ -43,7 +43,7 @@ def fitted_departures(context: Context, designs: tuple[Chosen, ...]) -> tuple[in
     """
     kept = tuple(one for one in designs if not one.further)
     every, picks = 1, picked_departures(context, kept, 0)
-    for grid in grids(context.report.dt):
+    for grid in grids(context.report.setup.dt):
         every, picks = grid.every, picked_departures(context, kept, grid.count)
         if weight(context, picks, kept, every) <= BUDGET:
             break

@@ -56,7 +56,7 @@ def _example(
         reduction,
         t,
         replayed.recorded.take([k]).lateral(t[None, :])[0],
-        -2.0 * context.report.vehicle.edge_offset,
+        -2.0 * context.report.setup.vehicle.edge_offset,
         tuple(_path(context, paths, k) for paths in drawn),
     )
 

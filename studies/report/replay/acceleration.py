@@ -38,7 +38,7 @@ def path_acceleration(
     -----
     The steering angle jumps at a sample only where the actuator is at once and without a part of a sample as delay.
     """
-    actuator, dt = over.options.actuator, over.dt
+    actuator, dt = over.setup.options.actuator, over.setup.dt
     part = actuator.delay - np.floor(actuator.delay / dt + 1e-9) * dt
     jumps = actuator.lag == 0.0 and actuator.rate_max is None and part <= 1e-9 * dt
     before = np.column_stack([delta[:, :1], delta[:, :-1]]) if jumps else delta
@@ -51,17 +51,17 @@ def _acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray
     path, cars = over.driven.take(places), over.vehicles
     known = np.isfinite(t)
     times = np.where(known, t, 0.0)
-    v = path.speed(times) if over.options.speed == "profile" else over.plant.v[places][:, None] + 0.0 * times
+    v = path.speed(times) if over.setup.options.speed == "profile" else over.plant.v[places][:, None] + 0.0 * times
     lane = v * path.curvature(times)
     m, I_z, C_af, C_ar, mu = (
         getattr(cars, name)[places][:, None] + 0.0 * times for name in ("m", "I_z", "C_af", "C_ar", "mu")
     )
     rate, heading, turning = x[..., 1], x[..., 2], x[..., 3]
-    if over.options.tyres.ideal:
+    if over.setup.options.tyres.ideal:
         v_y, omega = rate - v * heading, turning + lane
         front = 2.0 * C_af * (wheel - (v_y + cars.l_f * omega) / v)
         rear = -2.0 * C_ar * (v_y - cars.l_r * omega) / v
-        printed = 4.0 * C_ar * cars.l_r / m if over.model.convention == "as_printed" else 0.0
+        printed = 4.0 * C_ar * cars.l_r / m if over.setup.convention == "as_printed" else 0.0
         a_y = (front + rear) / m - printed * turning / v
     else:
         from ldctoolkit.vehicle._nonlinear_compiled import nonlinear_rhs
@@ -70,6 +70,6 @@ def _acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray
         zero = 0.0 * times
         a_y = every(
             *(np.where(known, part, 0.0) for part in (rate, heading, turning, wheel)), lane, v, zero,
-            C_af, C_ar, cars.l_f + zero, cars.l_r + zero, m, I_z, mu, over.options.tyres.shape + zero,
+            C_af, C_ar, cars.l_f + zero, cars.l_r + zero, m, I_z, mu, over.setup.options.tyres.shape + zero,
         )[2]  # fmt: skip
     return np.where(known, a_y, np.nan)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, Scenarios
+from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.report.context import Context
@@ -100,7 +100,7 @@ def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...
     """
     report = context.report
     scenarios = context.scenarios.take([pick.row for pick in picks])
-    recorded = UncorrectedPath.of(scenarios, report.options.residuals, report.seed)
+    recorded = UncorrectedPath.of(scenarios, report.setup.options.residuals, report.setup.seed)
     driven = [_driven(context, picks, scenarios, chosen) for chosen in designs]
     mismatch = max((off for _, off in driven), default=0.0)
     return Replay(picks, scenarios, recorded, tuple(paths for paths, _ in driven), mismatch)
@@ -119,16 +119,7 @@ def _driven(
     nothing = np.full((len(picks), 0), np.nan)
     if not some.size:
         return DesignPaths(chosen, tried, nothing, nothing, nothing, nothing, nothing), 0.0
-    over = Takeover.build(
-        scenarios.take(some),
-        BicycleModel(report.vehicle, convention=case.case.convention),
-        y_s=design.y_s,
-        dt=report.dt,
-        initial_yaw_rate=report.initial_yaw_rate,
-        options=report.options,
-        settle=report.settle,
-        seed=report.seed,
-    )
+    over = Takeover.build(scenarios.take(some), report.setup.under(case.case.convention), y_s=design.y_s)
     outcome = drive(design.controller(case.case.convention), over, trajectories=True).outcome(case.case.window)
     stored = case.S[chosen.row.index][rows[some]]
     off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
@@ -138,7 +129,7 @@ def _driven(
     shape = (len(picks), kept.t.shape[1])
     t, y, delta, a_before, a_y = (np.full(shape, np.nan) for _ in range(5))
     t[some], delta[some] = kept.t, kept.delta
-    y[some] = kept.x[:, :, 0] - report.vehicle.edge_offset
+    y[some] = kept.x[:, :, 0] - report.setup.vehicle.edge_offset
     a_before[some[over.rows]], a_y[some[over.rows]] = path_acceleration(
         over, np.arange(over.m), kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
     )

@@ -97,7 +97,7 @@ def section(context: Context) -> Section:
         return Section("robustness", "Robustness", body, styles=("robustness.css",))
     names, styles = _names(context, rows), _styles(context, rows)
     of = context.primary.best_name if rows[0].index == context.primary.best.index else "the best design driven here"
-    bump, margins = tuple(_bump(found, names, styles)), tuple(_margins(found, names, styles, context.report.dt))
+    bump, margins = tuple(_bump(found, names, styles)), tuple(_margins(found, names, styles, context.report.setup.dt))
     body = render(
         "sections/robustness.html",
         reason="",
@@ -109,9 +109,9 @@ def section(context: Context) -> Section:
         confidence=CONFIDENCE,
         bump=bump,
         margins=margins,
-        margin_lines=tuple(_margin_lines(found, names, context.report.dt)),
-        dt=context.report.dt,
-        ideal=context.report.options.ideal,
+        margin_lines=tuple(_margin_lines(found, names, context.report.setup.dt)),
+        dt=context.report.setup.dt,
+        ideal=context.report.setup.options.ideal,
     )
     return Section("robustness", "Robustness", body, (*bump, *margins), styles=("robustness.css",))
 

@@ -77,7 +77,7 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
     baseline = next((row for row in table.rows if is_baseline(row)), None)
     rows += [baseline] if baseline is not None else []
     places = [row.place for row in rows]
-    figures = ranking.release
+    figures, settle = ranking.release, report.setup.settle
 
     def line(name: str, show: Callable[[Row, int], str], limit: str = "", *, acts: bool = False) -> Line:
         """`acts`: a figure of the interventions, of which the baseline has none."""
@@ -100,15 +100,14 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
         ),
         Group(
             "Back to the lane",
-            "interventions"
-            + (f", to {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""),
+            "interventions" + (f", to {compact(settle)}\u00a0s after the departure\u2019s end" if settle else ""),
             (
                 line("Back inside at some time", lambda _, k: percent(figures.back_inside[k]), acts=True),
                 line("Back inside after, median [s]", lambda _, k: number(figures.t_back_median[k], 2), acts=True),
                 line("Opposite line crossed", lambda _, k: percent(figures.overshoot_share[k]), acts=True),
                 line(
                     "Opposite line crossed by at most [m]",
-                    lambda _, k: _overshoot(figures.overshoot_max[k], report.vehicle.w_l),
+                    lambda _, k: _overshoot(figures.overshoot_max[k], report.setup.vehicle.w_l),
                     acts=True,
                 ),
             ),
@@ -227,10 +226,12 @@ def _beyond(dtle: float) -> str:
 
 
 def _way_back(report: ReportInput, figures: ReleaseFigures, k: int) -> str:
-    horizon = f" within {compact(report.settle)}\u00a0s after the departure\u2019s end" if report.settle else ""
+    horizon = (
+        f" within {compact(report.setup.settle)}\u00a0s after the departure\u2019s end" if report.setup.settle else ""
+    )
     back = f"In {percent(figures.back_inside[k])} of them the edge comes back inside at some time{horizon}"
     if not figures.overshoot_share[k] > 0:
         return f"{back}, and the opposite edge never crosses the opposite line."
     share, most = percent(figures.overshoot_share[k]), number(figures.overshoot_max[k], 2)
-    far = f", {_TOO_FAR}" if figures.overshoot_max[k] > report.vehicle.w_l else ""
+    far = f", {_TOO_FAR}" if figures.overshoot_max[k] > report.setup.vehicle.w_l else ""
     return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m{far}."

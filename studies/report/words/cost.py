@@ -45,7 +45,7 @@ def beyond_grip(context: Context) -> Markup:
     context : Context
     """
     largest = float(context.ranking.release.a_y_peak_max[context.primary.best.place])
-    if not (context.report.options.tyres.ideal and largest > _GRIP * GRAVITY):
+    if not (context.report.setup.options.tyres.ideal and largest > _GRIP * GRAVITY):
         return Markup("")
     shown = number(largest, 1)
     return symbols(

@@ -120,7 +120,7 @@ def limitations(report: ReportInput, table: CaseTable) -> list[Markup]:
 
 def _of_the_plant(report: ReportInput) -> Iterator[Markup]:
     """What the plant of this study leaves out."""
-    options = report.options
+    options = report.setup.options
     yield Markup(_LINEAR if options.tyres.ideal else _SATURATING)
     if options.actuator.ideal:
         yield Markup(_AT_ONCE)
@@ -131,12 +131,12 @@ def _of_the_plant(report: ReportInput) -> Iterator[Markup]:
     yield Markup(_UNCORRECTED)
     if options.residuals.ideal:
         yield Markup(_NO_RESIDUALS)
-    yield Markup(_HORIZON).format(compact(report.settle)) if report.settle > 0 else Markup(_NO_HORIZON)
+    yield Markup(_HORIZON).format(compact(report.setup.settle)) if report.setup.settle > 0 else Markup(_NO_HORIZON)
 
 
 def plant(report: ReportInput) -> Markup:
     """One sentence on a plant that is not ideal; empty for the ideal one."""
-    words = differences(report.options)
+    words = differences(report.setup.options)
     if not words:
         return Markup("")
     said = Markup(

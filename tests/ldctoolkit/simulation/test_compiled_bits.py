@@ -16,7 +16,7 @@ import sys
 import numpy as np
 
 from controllers import LQR, LinearMPC, PreviewProportional
-from ldctoolkit import BicycleModel, Scenarios
+from ldctoolkit import Scenarios, Setup
 from ldctoolkit.mixture._kernels import log_density_of_rows, statistics_of_rows
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive
@@ -40,7 +40,7 @@ theta[:, [4, 7, 9]] = -0.5
 
 
 def driven(design, option):
-    over = Takeover.build(scenarios, BicycleModel(), y_s=0.1, dt=0.05, options=options[option])
+    over = Takeover.build(scenarios, Setup(options=options[option]), y_s=0.1)
     outcome = drive(design, over).outcome("control")
     names = [f.name for f in dataclasses.fields(outcome.companions)]
     return [outcome.S, *(getattr(outcome.companions, name) for name in names)]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, LinearLaw, Outcome, Plant, Scenarios, simulate
+from ldctoolkit import Controller, EventStatus, LdcError, LinearLaw, Outcome, Plant, Scenarios, Setup, simulate
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import BOUND, Takeover, drive_many
@@ -284,7 +284,7 @@ def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
             raise OwnError("the law's own words")
         return delta
 
-    over = Takeover.build(SOUND, BicycleModel(), y_s=0.1, dt=0.05)
+    over = Takeover.build(SOUND, Setup(), y_s=0.1)
     before = list(drive_many([LQR(), Stepped(LQR())], over))
     runs = drive_many([LQR(), Stepped(LQR(), fault), LQR()], over)
     assert_same_bits(next(runs), before[0])

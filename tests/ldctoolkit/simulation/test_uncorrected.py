@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-from ldctoolkit import BicycleModel, DepartureSignals, Scenarios, reduce_signals
+from ldctoolkit import DepartureSignals, Scenarios, Setup, reduce_signals
 from ldctoolkit import departures as dep
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions, Residuals
@@ -168,7 +168,7 @@ def test_lane_heading_ahead_equals_quadrature(residuals: Residuals) -> None:
     from ldctoolkit.simulation.kernel import entry
 
     options = PlantOptions(speed="profile", residuals=residuals)
-    over = Takeover.build(FEW, BicycleModel(), y_s=0.0, dt=0.05, options=options, seed=2)
+    over = Takeover.build(FEW, Setup(options=options, seed=2), y_s=0.0)
     times = np.array([0.0, 0.4, 1.5, 4.0])
     seen, yaw_rate, heading = np.empty((over.m, 4)), np.empty((over.m, 4)), np.empty((over.m, 4))
     tables, rows = over.tables, np.arange(over.m)

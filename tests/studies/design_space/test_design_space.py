@@ -25,9 +25,7 @@ from ldctoolkit import Controller, Plant, gain, register, registry
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study
 from studies.design_space.design_block import DesignBlock, check_blocks
-from studies.design_space.dimensions import Choices, Span
-from studies.design_space.grid import EntryError, expand, read_entry
-from studies.design_space.law_space import Condition, LawSpace
+from studies.design_space.law_space import Choices, Condition, EntryError, LawSpace, Span, expand, read_entry
 from studies.design_space.sampling import SampleSettings, unit_points
 
 pytestmark = pytest.mark.usefixtures("laws")

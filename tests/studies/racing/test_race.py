@@ -14,7 +14,6 @@ from scipy import stats
 from ldctoolkit import EventStatus, load_model
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import Takeover, drive_many
-from ldctoolkit.vehicle import BicycleModel
 from studies import Study
 from studies.racing import race_replay
 from studies.racing.race import Decision, _without_outliers, prefix_rows, race_round, schedule
@@ -327,9 +326,7 @@ def full_table(study: Study, laws: set[str], seed: int) -> tuple[np.ndarray, np.
     designs = sorted((d for d in study.designs if d.law in laws), key=lambda d: d.y_s)
     rows = []
     for y_s, group in itertools.groupby(designs, key=lambda d: d.y_s):
-        over = Takeover.build(
-            scenarios, BicycleModel(study.vehicle), y_s=y_s, dt=study.simulation.dt, settle=study.simulation.settle
-        )
+        over = Takeover.build(scenarios, study.setup(), y_s=y_s)
         for run in drive_many([design.controller() for design in group], over, score_only=True, threads=1):
             outcome = run.outcome("departure")
             driven = np.isin(outcome.status, (EventStatus.OK, EventStatus.NEVER_TRIGGERED))

@@ -9,7 +9,7 @@ import numpy as np
 from ldctoolkit import Scenarios
 from ldctoolkit.metrics import Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
-from studies.ranking.sentences import SCORE, ranking_sentences
+from studies.ranking.ranking import SCORE, ranking_sentences
 
 NONE = Design.from_gains("none", 0.1, {})
 LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))

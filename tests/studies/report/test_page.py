@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
-from ldctoolkit import Controller, EventStatus, RecordedPath, Scenarios, option, register
+from ldctoolkit import Controller, EventStatus, RecordedPath, Scenarios, Setup, option, register
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from studies.design import Design
@@ -503,7 +503,7 @@ def test_control_window_and_printed_convention(make: ModuleType) -> None:
 def test_replay_with_another_vehicle_is_told(make: ModuleType, results: StudyResults) -> None:
     from ldctoolkit import VehicleParameters
 
-    _, page = checked(make.report_input(results, vehicle=VehicleParameters(m=1800.0)))
+    _, page = checked(make.report_input(results, setup=Setup(vehicle=VehicleParameters(m=1800.0))))
     assert "differ from the stored ones" in page.text["departures"]
 
 

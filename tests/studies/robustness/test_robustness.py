@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, VehicleParameters, register, simulate
+from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, register, simulate
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.vehicle import Plant
@@ -27,11 +27,10 @@ from studies.robustness.loop_margins import loop_margins
 from studies.robustness.paired_interval import paired_means
 from studies.robustness.plants import REAL, other_plants
 from studies.robustness.robustness import Robustness, RobustnessTask, work_out
-from studies.robustness.setting import Setting
 from studies.study_file.ready import load_study
 
 CASE = Case("departure", "consistent")
-SETTING = Setting(CASE, settle=1.0, seed=5)
+SETUP = Setup(settle=1.0, seed=5)
 
 
 def departures(n: int, seed: int = 2) -> Scenarios:
@@ -76,7 +75,7 @@ def results() -> StudyResults:
 
 @pytest.fixture(scope="module")
 def task(results: StudyResults) -> RobustnessTask:
-    return RobustnessTask.of(results, Ranking.of(results, results.cases[0], bootstrap=100), SETTING, per_side=12)
+    return RobustnessTask.of(results, Ranking.of(results, results.cases[0], bootstrap=100), SETUP, per_side=12)
 
 
 @pytest.fixture(scope="module")
@@ -158,8 +157,8 @@ def test_margins_are_those_of_python_control() -> None:
     K_y, K_psi, T_lp, dt = -0.02, -0.3, 0.6, 0.05
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=T_lp)
     v = np.array([15.0, 30.0])
-    setting = dataclasses.replace(SETTING, options=PlantOptions(actuator=Actuator(delay=dt)))
-    found = loop_margins(law, setting, v)
+    setup = dataclasses.replace(SETUP, options=PlantOptions(actuator=Actuator(delay=dt)))
+    found = loop_margins(law, setup, v)
     assert found.linear
     assert not found.notes
     model = BicycleModel(VehicleParameters())
@@ -176,7 +175,7 @@ def test_margins_are_those_of_python_control() -> None:
 
 
 def test_no_control_has_no_loop_and_says_so() -> None:
-    found = loop_margins(NoControl(), SETTING, np.array([20.0]))
+    found = loop_margins(NoControl(), SETUP, np.array([20.0]))
     assert not found.linear
     assert "no loop" in found.notes[0]
 
@@ -227,10 +226,10 @@ def test_a_camera_delay_is_whole_samples() -> None:
 
 def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:
     designs, plants = task.chosen.designs, [plant.options for plant in task.plants[:6]]
-    both = drive_on_plants(designs, plants, task.scenarios, SETTING)
-    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETTING)
+    both = drive_on_plants(designs, plants, task.scenarios, SETUP, CASE)
+    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETUP, CASE)
     assert np.array_equal(both.S, turned.S[::-1, ::-1])
-    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETTING)
+    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETUP, CASE)
     assert alone.S[0, 0, 0] == both.S[3, 0, 7]
 
 
@@ -332,7 +331,7 @@ def test_numbers_of_something_else_are_worked_out_again(
     others = [
         dataclasses.replace(task, plants=task.plants[:4]),
         dataclasses.replace(task, scenarios=task.scenarios.take(np.arange(5))),
-        dataclasses.replace(task, setting=dataclasses.replace(SETTING, seed=6)),
+        dataclasses.replace(task, setup=dataclasses.replace(SETUP, seed=6)),
         dataclasses.replace(task, chosen=dataclasses.replace(task.chosen, designs=task.chosen.designs[:2],
                                                              contends=(True, True))),
     ]  # fmt: skip

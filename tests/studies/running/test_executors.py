@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import concurrent.futures
 import contextlib
 import dataclasses
@@ -24,7 +23,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from studies import Study, StudyResults, rank_study, run_study
-from studies.running.executors import Executor, checked_task, dask_cluster, dask_connection, make_executor, processes
+from studies.running.executors import Executor, dask_cluster, dask_connection, make_executor, processes
 from studies.running.tasks import Done
 
 MakeStudy = Callable[..., Study]
@@ -267,48 +266,6 @@ def listen(executor: Executor, seconds: float) -> None:
 LOST = "the connection to the scheduler is lost; what was stored is kept: run it again"
 
 
-def test_workers_of_a_cluster_are_not_counted_at_every_look(client: FakeClient) -> None:
-    executor = connected()
-    assert [executor.workers for _ in range(50)] == [2] * 50
-    assert client.asked == 1
-
-
-@pytest.mark.parametrize("error", [OSError("refused"), TimeoutError(), RuntimeError("IOLoop is closed")])
-def test_a_scheduler_that_has_gone_is_told_as_such(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    """Whatever is asked of it: `workers` keeps the last count, `close` is quiet, the others say that it has gone."""
-    monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
-    executor = connected()
-    assert executor.workers == 2
-    executor.start(a_task())
-    client.fails = error
-    assert executor.workers == 2
-    client.status = "closed"
-    assert executor.workers == 2
-    with pytest.raises(ClusterError, match=LOST):
-        executor.start(a_task())
-    with pytest.raises(ClusterError, match=LOST):
-        executor.wait()
-    executor.close(orderly=False)
-
-
-@pytest.mark.parametrize(
-    ("status", "outcome"),
-    [
-        ("cancelled", concurrent.futures.CancelledError()),
-        ("cancelled", asyncio.CancelledError()),
-        ("finished", OSError("the connection broke off")),
-    ],
-)
-def test_a_result_that_went_with_the_scheduler_is_told_as_such(client: FakeClient, status: str, outcome: Any) -> None:
-    executor = connected()
-    executor.start(a_task())
-    client.futures[0].end(status, outcome)
-    with pytest.raises(ClusterError, match=LOST):
-        executor.wait()
-
-
 def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> None:
     executor = connected()
     executor.start(a_task())
@@ -372,39 +329,6 @@ def test_a_task_that_is_sent_again_has_another_key(client: FakeClient) -> None:
     executor.start(task)
     executor.start(task)
     assert len(set(client.keys)) == 2
-
-
-def test_other_versions_are_refused_by_the_worker_itself(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before it reads the task, which it may not be able to."""
-    executor = connected()
-    executor.start(a_task())
-    function, sender, _ = client.sent[0]
-    assert function is checked_task.run_checked
-    there = tuple((name, "0.1" if name == "scipy" else version) for name, version in sender)
-    monkeypatch.setattr(checked_task, "versions", lambda *_: there)
-    ours = dict(sender)["scipy"]
-    with pytest.raises(InputError, match=f"dask: a worker has scipy 0.1, the process that sends the work {ours}; allo"):
-        function(sender, b"not a task")
-    client.there = {"tcp://w:9": there}
-    with pytest.raises(InputError, match=r"dask: worker tcp://w:9 has scipy 0\.1, the process that sends the work"):
-        connected()
-    assert client.status == "closed"
-
-
-def test_a_cluster_without_the_toolkit_is_told_as_such(client: FakeClient) -> None:
-    executor = connected()
-    missing = ModuleNotFoundError("No module named 'studies'")
-    unreadable = RuntimeError("Error during deserialization of the task graph.")
-    as_text = Exception(repr(missing))  # what Dask makes of an error that it cannot send
-    for error, who in ((missing, "a worker"), (as_text, "a worker"), (unreadable, "the scheduler")):
-        executor.start(a_task())
-        client.futures[-1].end("error", error)
-        with pytest.raises(ClusterError, match=f"dask: {who} cannot run tasks .*allowed: ldctoolkit in the same vers"):
-            executor.wait()
-    for error in (missing, as_text):
-        client.there = {"tcp://w:9": error}
-        with pytest.raises(ClusterError, match=r"worker tcp://w:9 cannot run tasks .*No module named 'studies'"):
-            connected()
 
 
 @pytest.mark.slow

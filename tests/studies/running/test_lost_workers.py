@@ -15,7 +15,7 @@ import pytest
 
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, SteeringLaw, gain, option, register, registry
 from studies import Study, StudyResults, read_results, run_study
-from studies.running.runner import study_model
+from studies.runner import study_model
 
 MakeStudy = Callable[..., Study]
 
@@ -79,10 +79,9 @@ def scenarios(study: Study) -> Scenarios:
 
 def triggered(study: Study, y_s: float) -> tuple[Any, Any]:
     """Rows that trigger, and the speeds that a law is prepared for."""
-    from ldctoolkit import BicycleModel
     from ldctoolkit.simulation import Takeover
 
-    takeover = Takeover.build(scenarios(study), BicycleModel(study.vehicle), y_s=y_s, dt=study.simulation.dt)
+    takeover = Takeover.build(scenarios(study), study.setup(), y_s=y_s)
     return takeover.rows, takeover.plant.v
 
 

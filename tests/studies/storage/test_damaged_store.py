@@ -16,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import StoreError
 from studies import Study, read_results, run_study
 from studies.storage.parts import read_part
@@ -49,6 +50,7 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="tmpfs is Linux's")
 def test_a_full_disk_is_told_and_what_fitted_is_kept(
     make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any]
@@ -112,7 +114,7 @@ def test_a_folder_that_cannot_be_made_or_written_is_named(make_study: MakeStudy,
             run_study(make_study(), directory=locked / "s", workers=1)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_every_flipped_byte_and_every_cut_is_found(finished: Path, data: st.DataObject) -> None:
     """Not only where the format notices: the checksum in the name covers all of it."""
@@ -153,15 +155,6 @@ def test_only_what_is_bad_is_computed_anew(
     run_study(make_study(), directory=tmp_path, workers=1)
     assert ran == [12, 12]
     assert stored_rows(tmp_path).equals(before)
-
-
-def test_two_runs_into_one_folder_are_refused(make_study: MakeStudy, tmp_path: Path) -> None:
-    from studies.storage.folder_lock import locked
-
-    run_study(make_study(), directory=tmp_path, workers=1)
-    with locked(tmp_path), pytest.raises(StoreError, match="another run is writing into this folder"):
-        run_study(make_study(), directory=tmp_path, workers=1)
-    run_study(make_study(), directory=tmp_path, workers=1)
 
 
 def test_rows_are_read_in_one_line_by_polars_and_duckdb(finished: Path) -> None:

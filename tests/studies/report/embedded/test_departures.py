@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
-from ldctoolkit import Outcome, VehicleParameters, simulate
+from ldctoolkit import Outcome, Setup, VehicleParameters, simulate
 from ldctoolkit.departures import curvature, lateral, lateral_acceleration, speed
 from studies.design import Design
 from studies.report import ReportInput
@@ -67,7 +67,7 @@ def outcomes(context: Context) -> dict[int, Outcome]:
             one.row.design.controller(),
             context.scenarios,
             y_s=one.row.design.y_s,
-            settle=context.report.settle,
+            settle=context.report.setup.settle,
             trajectories=True,
         )
         for one in chosen_designs(context)
@@ -168,7 +168,9 @@ def test_no_control_and_laws_without_paths_are_not_held(make: ModuleType) -> Non
 
 def test_long_studies_are_cut_to_the_budget(make: ModuleType, results: StudyResults) -> None:
     long = dataclasses.replace(results.scenarios, T=np.full(results.scenarios.n, 10.0))
-    report = make.report_input(dataclasses.replace(results, scenarios=long), settle=60.0, departures=(17, 80))
+    report = make.report_input(
+        dataclasses.replace(results, scenarios=long), setup=Setup(settle=60.0), departures=(17, 80)
+    )
     context = Context.of(report)
     designs = chosen_designs(context)
     coarsest = grids(0.05)[-1].every

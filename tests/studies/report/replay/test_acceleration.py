@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, LinearMPC, PreviewProportional
-from ldctoolkit import BicycleModel, Controller, VehicleParameters
+from ldctoolkit import Controller, Setup
 from ldctoolkit.metrics import linear_lateral_acceleration
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.simulation import Takeover, drive
@@ -31,8 +31,8 @@ PLANTS = {
 def driven(make: ModuleType, controller: Controller, options: PlantOptions, convention: str = "consistent"):  # type: ignore[no-untyped-def]
     scenarios = make.invented_scenarios(8, 7)
     scenarios = dataclasses.replace(scenarios, sigma_y=np.full(15, 0.02), sigma_v=np.full(15, 0.2))
-    model = BicycleModel(VehicleParameters(), convention=convention)  # type: ignore[arg-type]
-    over = Takeover.build(scenarios, model, y_s=0.05, dt=0.05, options=options, seed=3)
+    setup = Setup(convention=convention, options=options, seed=3)  # type: ignore[arg-type]
+    over = Takeover.build(scenarios, setup, y_s=0.05)
     run = drive(controller, over, trajectories=True)
     kept = run.trajectories
     assert kept is not None
@@ -46,7 +46,7 @@ def test_the_largest_is_the_stored_peak(make: ModuleType, plant: str, controller
     over, run, (t, _, _), (left, right) = driven(make, controller, PLANTS[plant])
     assert over.m > 8
     # T between two samples is no sample of the closed loop: its peak leaves it out, so ours may only be larger there
-    since = (t - t[:, :1]) / over.dt
+    since = (t - t[:, :1]) / over.setup.dt
     last = t == np.nanmax(t, axis=1, keepdims=True)
     sample = (np.abs(since - np.rint(since)) < 1e-7) | last
     both = np.fmax(np.abs(left), np.abs(right))
@@ -61,7 +61,7 @@ def test_it_is_that_of_the_linear_model(make: ModuleType, convention: str) -> No
     over, _, (t, x, delta), (left, right) = driven(make, PreviewProportional(), PlantOptions(), convention)
     v = over.plant.v
     lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
-    before, after = linear_lateral_acceleration(over.model, v, np.nan_to_num(x), delta, lane, delta[:, 0])
+    before, after = linear_lateral_acceleration(over.setup.model, v, np.nan_to_num(x), delta, lane, delta[:, 0])
     known = np.isfinite(t)
     assert left[known] == pytest.approx(before[known], abs=1e-9)
     assert right[known] == pytest.approx(after[known], abs=1e-9)

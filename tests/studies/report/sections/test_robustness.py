@@ -19,14 +19,13 @@ from studies.report.sections.robustness import section
 from studies.report.words.text import number
 from studies.results import Case
 from studies.robustness.robustness import Robustness, RobustnessTask, work_out
-from studies.robustness.setting import Setting
 
 PRIMARY = Case("departure", "consistent")
 
 
 def with_robustness(report: ReportInput, plants: int | None = None) -> ReportInput:
     ranking = report.rankings[0]
-    task = RobustnessTask.of(report.results, ranking, Setting(ranking.case, seed=report.seed), per_side=8)
+    task = RobustnessTask.of(report.results, ranking, report.setup, per_side=8)
     return dataclasses.replace(report, robustness=work_out(dataclasses.replace(task, plants=task.plants[:plants])))
 
 

@@ -8,16 +8,22 @@ import logging
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Final, Literal
+
+import numpy as np
 
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
-from studies.design import Design
+from studies.design import FOLLOWS_CASE, Design
+from studies.racing.race_run import run_race
+from studies.ranking.baseline import find_baseline
+from studies.ranking.ranking import Ranking, rank_study
 from studies.results import Race, StudyResults
 from studies.running.campaign import Campaign
 from studies.running.executors import Executor, make_executor
-from studies.running.pieces import Prefixes
+from studies.running.pieces import Prefixes, schedule
 from studies.running.progress import Progress, default_progress
+from studies.search.search_run import run_search
 from studies.storage.folder_lock import locked, remove_leftovers
 from studies.storage.manifest import Manifest
 from studies.storage.model_notes import model_notes
@@ -33,6 +39,12 @@ TIME_LIMIT = 600.0
 
 _LIMITS = (0.1, 1e7)
 """Seconds that a limit may be."""
+
+_STREAM: Final = 0x66696E61
+"""Keeps the finalists' scenarios apart from those that they were chosen on."""
+
+_LEAST: Final = 3
+"""Finalists, where there are so many designs: a single one would show its own optimism, and nothing of its rivals."""
 
 
 def run_study(
@@ -170,11 +182,7 @@ class _Run:
 
     def fresh(self, study: Study, results: StudyResults, folder: Path) -> StudyResults | None:
         """The finalists on fresh scenarios; None if all of them fail there."""
-        from studies.ranking.baseline import find_baseline
-        from studies.ranking.ranking import rank_study
-        from studies.running.finalists import finalists, fresh_study
-
-        best = finalists(rank_study(results, study)[0], study.ranking.finalists)
+        best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
         if not best:
             return None  # nothing meets the requirements
         reference = find_baseline(study.ranking.baseline, results)
@@ -182,7 +190,7 @@ class _Run:
             best = (*best, results.designs[reference])  # so that the gain is known on fresh scenarios too
         make_folder(folder / FINALISTS)
         try:
-            return self.study(fresh_study(study, best), folder / FINALISTS, stage="finalists", part_of=study.ranked_as)
+            return self.study(_fresh_study(study, best), folder / FINALISTS, stage="finalists", part_of=study.ranked_as)
         except AllFailedError as error:
             _log.warning("no scores on fresh scenarios: %s", error)
             return None
@@ -239,21 +247,42 @@ class _Run:
         """Run what the study asks for; the designs that went all the way, and how a race went."""
         study = campaign.study
         if study.search is not None:
-            from studies.search.search_run import run_search
-
             return run_search(campaign), None
         campaign.store.write_designs(study.designs)
         if study.race:
-            from studies.racing.race_run import run_race
-
             return run_race(campaign)
         campaign.complete(study.designs, len(campaign.scenarios), stage)
         return study.designs, None
 
 
 def _stops(study: Study, n: int) -> tuple[int, ...]:
-    if not study.race:
-        return (n,)
-    from studies.racing.race import schedule
+    return schedule(n) if study.race else (n,)
 
-    return schedule(n)
+
+def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
+    """The designs in the set of best, best first; at least three and at most `most`; none where nothing is ranked."""
+    best = [i for i in range(len(ranking)) if ranking.set_of_best[i]]
+    others = [i for i in range(len(ranking)) if not ranking.set_of_best[i] and ranking.rank[i] > 0]
+    chosen = (best + others[: max(0, _LEAST - len(best))])[:most]
+    return tuple(ranking.designs[i] for i in chosen)
+
+
+def _fresh_study(study: Study, designs: Sequence[Design]) -> Study:
+    """The study of some designs on as many fresh scenarios."""
+    content = study.content()
+    seed = int(np.random.SeedSequence([study.seed, _STREAM]).generate_state(1, np.uint64)[0] >> 1)
+    content |= {
+        "name": "finalists",
+        "title": f"Finalists of {study.title or study.name}",
+        "seed": seed,
+        "race": False,
+        "search": None,
+        "design": [_block(design) for design in designs],
+    }
+    content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
+    return Study.from_dict(content, folder=study.model_path.parent)
+
+
+def _block(design: Design) -> dict[str, Any]:
+    gains = {name: value for name, value in design.gains if value != FOLLOWS_CASE}
+    return {"law": design.law, "y_s": design.y_s, "gains": gains}

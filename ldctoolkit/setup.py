@@ -1,0 +1,99 @@
+"""What all designs of a comparison share: vehicle, clock, plant, seed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Final, Literal, get_args
+
+from ldctoolkit.errors import InputError
+from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.vehicle import BicycleModel, Convention, VehicleParameters
+
+InitialYawRate = Literal["path", "zero"]
+
+SETTLE: Final = 3.0
+"""How long [s] the loop goes on after the departure by default, to see whether it settles."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setup:
+    """How scenarios are driven, whichever design drives them; passed whole from a study to the closed loop.
+
+    A field made with `declared` is an option of the simulation: it is checked here, and the table ``[simulation]`` of a
+    study file and the settings of a report have it too.
+
+    Attributes
+    ----------
+    vehicle : VehicleParameters
+        The nominal vehicle, which every design is made for.
+    convention : {"consistent", "as_printed"}
+        Reading of the paper, as for `BicycleModel`.
+    options : PlantOptions
+        In what the plant differs from the ideal linear one.
+    seed : int
+        Of what is drawn for each scenario; with the scenario's number (`Scenarios.index`) it decides every draw.
+    dt : float [s]
+        Sample time of the controller.
+    initial_yaw_rate : {"path", "zero"}
+        de_psi/dt at the trigger: that of the recorded path, (d2y/dt2)/v, or zero.
+    settle : float [s]
+        How long the loop goes on after the departure, 0 to 60, rounded up to whole samples: overshoot, acceleration
+        and steering are watched until then. S always ends at T.
+
+    Raises
+    ------
+    InputError
+        For a value outside what is allowed, or values that exclude each other.
+
+    Examples
+    --------
+    >>> Setup(dt=0.02).settle
+    3.0
+    >>> Setup(dt=0)
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0
+    """
+
+    vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
+    convention: Convention = "consistent"
+    options: PlantOptions = dataclasses.field(default_factory=PlantOptions)
+    seed: int = 0
+    dt: float = declared(0.05, unit="s", above=0.0, usual=(1e-3, 1.0), description="sample time dt")
+    initial_yaw_rate: InitialYawRate = dataclasses.field(
+        default="path", metadata=declaration(choices=get_args(InitialYawRate), description="initial yaw rate")
+    )
+    settle: float = declared(SETTLE, unit="s", least=0.0, most=60.0, description="settling after the end")
+
+    def __post_init__(self) -> None:
+        for name, kind in (("vehicle", VehicleParameters), ("options", PlantOptions)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {kind.__name__}(...)")
+        check_declared(self)
+        object.__setattr__(self, "seed", checked_seed(self.seed))
+        self.options.sensors.in_samples(self.dt)
+        if self.model.convention != "consistent" and not self.options.tyres.ideal:
+            raise InputError(
+                f"convention: {self.convention!r} with tyres.model {self.options.tyres.model!r}; the printed matrix is "
+                "linear; allowed: 'consistent'"
+            )
+
+    @property
+    def model(self) -> BicycleModel:
+        """The nominal vehicle's linear model."""
+        return BicycleModel(self.vehicle, self.convention)
+
+    def under(self, convention: Convention) -> Setup:
+        """The same in a reading of the paper."""
+        return dataclasses.replace(self, convention=convention)
+
+    def on(self, options: PlantOptions) -> Setup:
+        """The same on another plant."""
+        return dataclasses.replace(self, options=options)
+
+
+def simulation_options() -> Iterator[dataclasses.Field[object]]:
+    """The fields of a `Setup` that are options of the simulation."""
+    return (field for field in dataclasses.fields(Setup) if declaration_of(field).description)
