@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
 from ldctoolkit.mixture._conditional import Given
 from ldctoolkit.mixture._conventions import Parameters
 from ldctoolkit.mixture._distribution import Distribution, IntArray
 from ldctoolkit.mixture._expectation import FloatArray
+from ldctoolkit.mixture.checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
 
 _BLOCK: Final = 8192
 

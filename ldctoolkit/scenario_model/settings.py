@@ -109,20 +109,3 @@ def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatAr
                 f"transform[{name!r}]: {wanted[name]!r} with the bounds {lower[j]:g} to {upper[j]:g}; allowed: with "
                 f"{allowed}"
             )
-
-
-def event_weights(weights: npt.ArrayLike | None, n: int) -> FloatArray | None:
-    """Events that each departure stands for, (n,)."""
-    if weights is None:
-        return None
-    try:
-        out = np.asarray(weights, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("weights: not numbers; allowed: one number >= 0 a departure") from None
-    if out.shape != (n,):
-        raise InputError(f"weights: shape {out.shape}; allowed: ({n},), one number a departure")
-    bad = ~(np.isfinite(out) & (out >= 0.0))
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(f"weights: {float(out[row])!r} of departure {row}; allowed: finite numbers >= 0")
-    return out

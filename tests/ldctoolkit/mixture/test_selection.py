@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import multiprocessing
 import os
 
@@ -11,9 +10,10 @@ import pytest
 from scipy.stats import truncnorm
 
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.mixture import ArrayEvents, BoundedGaussianMixture, select_components
+from ldctoolkit.mixture import BoundedGaussianMixture, select_components
 from ldctoolkit.mixture._parallel import in_processes
 from ldctoolkit.mixture._rule import Rule, choose
+from ldctoolkit.mixture.events import Events
 
 INF = np.inf
 QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}
@@ -243,22 +243,16 @@ def test_numbers_do_not_depend_on_processes(criterion):
     X = two_groups()
     options = {"lower": 0.0, "criterion": criterion, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
-    serial, parallel, source = (
-        select_components(X, [1, 2, 201], n_jobs=1, **options),
-        select_components(X, [201, 2, 1], n_jobs=3, **options),
-        select_components(
-            ArrayEvents(X, options["sample_weight"]), [1, 2, 201], n_jobs=2, **{**options, "sample_weight": None}
-        ),
-    )
+    serial = select_components(X, [1, 2, 201], n_jobs=1, **options)
+    parallel = select_components(X, [201, 2, 1], n_jobs=3, **options)
     assert_same(serial, parallel)
-    assert_same(serial, source)
     assert serial.failures[0].n_components == 201
     assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow
 def test_processes_that_start_afresh_map_the_events():
-    events = ArrayEvents(two_groups(), np.linspace(0.5, 2.0, 600))
+    events = Events(two_groups(), np.linspace(0.5, 2.0, 600))
     ended = dict(in_processes(_sums, [1.0, 2.0], events, 2, "spawn"))
     total = float(np.sum(events.weight @ events.x))
     assert ended == {0: (total, True), 1: (2 * total, True)}
@@ -280,13 +274,13 @@ def _broken(events, job):
 
 def test_an_error_in_a_worker_arrives_as_it_is():
     with pytest.raises(InputError, match="job raise of 600 rows"):
-        list(in_processes(_broken, ["sleep", "raise"], ArrayEvents(two_groups()), 2))
+        list(in_processes(_broken, ["sleep", "raise"], Events(two_groups()), 2))
     assert not multiprocessing.active_children()
 
 
 def test_a_worker_that_dies_is_told():
     with pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
-        list(in_processes(_broken, ["die", "x"], ArrayEvents(two_groups()), 2))
+        list(in_processes(_broken, ["die", "x"], Events(two_groups()), 2))
     assert not multiprocessing.active_children()
 
 
@@ -301,39 +295,6 @@ def test_an_interrupt_ends_the_workers():
     # at once, not when the traceback and what it holds are dropped
     assert set(multiprocessing.active_children()) <= before
     assert caught.traceback
-
-
-@dataclasses.dataclass
-class Stream:
-    """A source that cannot be sent anywhere."""
-
-    inner: ArrayEvents
-
-    def __reduce__(self):
-        raise AssertionError("sent away")
-
-    @property
-    def dimension(self):
-        return self.inner.dimension
-
-    def map_blocks(self, work):
-        return self.inner.map_blocks(work)
-
-    def take(self, rows):
-        return self.inner.take(rows)
-
-    def blocks(self):
-        return self.inner.blocks()
-
-
-def test_another_source_is_fitted_one_k_after_the_other():
-    X = two_groups()
-    streamed = select_components(Stream(ArrayEvents(X)), [1, 2], lower=0.0, n_jobs=2, **QUICK)
-    assert_same(streamed, select_components(X, [1, 2], lower=0.0, **QUICK))
-    with pytest.raises(InputError, match="'held_out' for a source"):
-        select_components(Stream(ArrayEvents(X)), [1, 2], criterion="held_out", **QUICK)
-    with pytest.raises(InputError, match="sample_weight: given beside a source"):
-        select_components(Stream(ArrayEvents(X)), [1, 2], sample_weight=np.ones(600), **QUICK)
 
 
 @pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), (2, "K = 3, 2")])

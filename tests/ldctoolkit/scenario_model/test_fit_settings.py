@@ -162,8 +162,8 @@ def test_a_weight_of_two_is_two_events(departures):
     ("weights", "message"),
     [
         ([1.0], r"weights: shape \(1,\); allowed: \(80,\)"),
-        (np.r_[np.ones(79), -1.0], r"weights: -1\.0 of departure 79; allowed: finite numbers >= 0"),
-        (np.r_[np.nan, np.ones(79)], r"weights: nan of departure 0"),
+        (np.r_[np.ones(79), -1.0], r"weights: -1\.0 in departure 79; allowed: finite numbers >= 0"),
+        (np.r_[np.nan, np.ones(79)], r"weights: nan in departure 0"),
         (["a"] * 80, r"weights: not numbers"),
         (np.zeros(80), r"departures: 0 left and 0 right; allowed: at least 30 a side"),
         (np.r_[np.zeros(11), np.ones(69)], r"departures: 29 left and 40 right"),
