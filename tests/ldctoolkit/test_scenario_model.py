@@ -235,6 +235,13 @@ def test_a_fit_that_did_not_converge_is_told(monkeypatch):
     assert any(w.startswith("left: Not converged: after 0 passes a component had become too thin") for w in warnings)
 
 
+def test_thirty_departures_a_side_and_the_longest_seed_are_enough():
+    fitted = fit_scenario_model(plane(30), components=1, seed=10**18 - 1)
+    assert fitted.provenance.left.events == 30
+    with pytest.raises(InputError, match="departures: 29 left and 29 right; allowed: at least 30 a side"):
+        fit_scenario_model(plane(29), components=1)
+
+
 def test_few_or_wrong_departures_are_refused():
     d = departures(40)
     with pytest.raises(InputError, match="40 left and 0 right; allowed: at least 30 a side"):
@@ -267,6 +274,7 @@ def test_the_bounds_are_those_of_the_extraction():
     assert PHYSICAL_BOUNDS["a_mean"] == (-LARGEST_ACCELERATION, LARGEST_ACCELERATION)
 
 
+@pytest.mark.slow
 def test_real_departures_fit(ngsim_recordings):
     """About 250 departures without curvature: few components, constants, replayable scenarios."""
     from ldctoolkit.recordings import extract_departures, read_recordings

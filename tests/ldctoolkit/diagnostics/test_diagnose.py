@@ -166,6 +166,10 @@ def test_bad_input(change: dict[str, object], message: str) -> None:
         diagnose(ONE, given.pop("X"), **given)  # type: ignore[arg-type]
 
 
+def test_ten_events_and_a_thousand_draws_are_enough() -> None:
+    assert diagnose(ONE, GOOD[:10], n_model=1000).events == 10
+
+
 def departures_of(model: ScenarioModel, n: int, seed: int = 1) -> Departures:
     drawn = model.sample(n, n, seed)
     zero = np.zeros(2 * n, dtype=np.int64)

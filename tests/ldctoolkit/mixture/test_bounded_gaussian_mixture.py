@@ -335,5 +335,11 @@ def test_bad_input(X, settings, message):
 def test_bad_parameters():
     with pytest.raises(InputError, match=r"weights: sum 0\.9"):
         BoundedGaussianMixture.from_parameters([0.5, 0.4], np.zeros((2, 1)), np.ones((2, 1, 1)))
+    for off in (-1.1e-6, 1.1e-6):
+        with pytest.raises(InputError, match=r"weights: sum (0\.9999989|1\.0000011), least"):
+            BoundedGaussianMixture.from_parameters([0.5, 0.5 + off], np.zeros((2, 1)), np.ones((2, 1, 1)))
+        BoundedGaussianMixture.from_parameters([0.5, 0.5 + 0.8 * off], np.zeros((2, 1)), np.ones((2, 1, 1)))
+    with pytest.raises(InputError, match=r"weights: sum 1, least -0\.1"):
+        BoundedGaussianMixture.from_parameters([1.1, -0.1], np.zeros((2, 1)), np.ones((2, 1, 1)))
     with pytest.raises(InputError, match=r"allowed: \(K,\) and \(K, d\)"):
         BoundedGaussianMixture.from_parameters([1.0], np.zeros((2, 1)), np.ones((2, 1, 1)))

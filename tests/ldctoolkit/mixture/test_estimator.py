@@ -206,7 +206,7 @@ def test_progress_is_told_on_stderr_and_only_when_wanted(capsys):
     assert_same_bits(told, silent)
 
 
-@pytest.mark.parametrize("K", [1, 2])
+@pytest.mark.parametrize("K", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_both_steps_reach_the_same_optimum(K):
     """Lee and Scott's fixed point is where Newton's step stands still; their step is slow near a bound."""
     X = events(500)

@@ -181,6 +181,7 @@ def test_held_out_equals_a_split_made_by_hand(weighted):
     ("loss", "allowed", "index"),
     [
         ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 10.0, 2),
+        ([100.0, 50.0, 21.0, 12.0, 11.0, 14.0], 10.0, 2),  # exactly as far as allowed
         ([100.0, 50.0, 21.1, 12.0, 11.0, 14.0], 10.0, 3),
         ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 0.0, 4),
         ([7.0, 7.0, 7.0], 0.0, 0),  # flat
@@ -238,7 +239,7 @@ def test_indifference_takes_the_smaller_model():
 # ---- in parallel
 
 
-@pytest.mark.parametrize("criterion", ["bic", "held_out"])
+@pytest.mark.parametrize("criterion", [pytest.param("bic", marks=pytest.mark.slow), "held_out"])
 def test_numbers_do_not_depend_on_processes(criterion):
     X = two_groups()
     options = {"lower": 0.0, "criterion": criterion, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
@@ -272,18 +273,21 @@ def _broken(events, job):
     return job
 
 
+@pytest.mark.slow
 def test_an_error_in_a_worker_arrives_as_it_is():
     with pytest.raises(InputError, match="job raise of 600 rows"):
         list(in_processes(_broken, ["sleep", "raise"], Events(two_groups()), 2))
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_told():
     with pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
         list(in_processes(_broken, ["die", "x"], Events(two_groups()), 2))
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_workers():
     def interrupt(text, done, total):
         if done:
@@ -297,7 +301,7 @@ def test_an_interrupt_ends_the_workers():
     assert caught.traceback
 
 
-@pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), (2, "K = 3, 2")])
+@pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), pytest.param(2, "K = 3, 2", marks=pytest.mark.slow)])
 def test_progress(n_jobs, first):
     seen = []
     select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
@@ -331,7 +335,7 @@ def test_a_k_that_the_other_rows_cannot_carry_fails():
     assert found.failures[0].message.startswith("without the 20 rows held out: X: 20 rows; allowed")
 
 
-@pytest.mark.parametrize("n_jobs", [1, 2])
+@pytest.mark.parametrize("n_jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_where_all_fail_the_message_is_the_fits(n_jobs):
     X = two_groups()
     X[7, 1] = -1.0

@@ -6,11 +6,12 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import nquad
 from scipy.stats import multivariate_normal, truncnorm
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import TruncatedNormal
 from ldctoolkit.mixture._draw import Sampler
@@ -54,7 +55,7 @@ def _reference_mass(a, b):
     return np.log(value) - 0.5 * peak**2 - 0.5 * np.log(2 * np.pi)
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @given(st.floats(-30, 30), st.floats(1e-3, 50), st.floats(1e-6, 1 - 1e-6))
 def test_quantile_inverts_the_mass(a, width, u):
     A, B, U = np.array([a]), np.array([a + width]), np.array([u])

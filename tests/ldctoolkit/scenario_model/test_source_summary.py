@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from helpers.models import one_component_model
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture.events import Events
 from ldctoolkit.scenario_model import (
     ScenarioModel,
     SourceSummary,
     fit_scenario_model,
-    load_model,
     summarize,
 )
 from ldctoolkit.scenario_model.source_summary import UNIT, summarize_events, weighted_ranks
@@ -139,25 +139,25 @@ def test_both_sides_take_less_than_60_kb():
         ({"quantiles": [[1.0], [1.0]]}, "quantiles: allowed: 2 lists of two or more"),
         ({"quantiles": [[1.0, 2.0], [2.0, 1.0]]}, r"quantiles\[1\]: not ascending"),
         ({"quantiles": [[1.0, 2.0]]}, r"quantiles: shape \(1, 2\); allowed: \(2, 2\)"),
-        ({"rank_correlations": [1.5]}, r"rank_correlations\[0\]: 1.5; allowed: -1 to 1"),
+        ({"rank_correlations": [1.001]}, r"rank_correlations\[0\]: 1.001; allowed: -1 to 1"),
         ({"cells": []}, "cells: 0 strings"),
         ({"cells": ["1 2 3"]}, r"cells\[0\]: '1 2 3'; allowed"),
         ({"cells": ["1 2 3 x"]}, r"cells\[0\]"),
-        ({"cells": ["9000 0 0 2000"]}, r"cells\[0\].*sum to 10000 at most"),
+        ({"cells": ["9000 0 0 1001"]}, r"cells\[0\].*sum to 10000 at most"),
         ({"cells": [[1, 2, 3, 4]]}, r"cells\[0\]"),
     ],
 )
 def test_a_wrong_value_is_named(tmp_path, change, message):
     path = tmp_path / "model.json"
-    load_model("reference").save(path)
+    one_component_model().save(path)
     content = json.loads(path.read_text())
     good = {
         "names": ["T", "d_y"],
         "departures": 100,
         "effective": 100.0,
-        "quantiles": [[1.0, 2.0], [0.1, 0.2]],
-        "rank_correlations": [0.5],
-        "cells": ["1 2 3 4"],
+        "quantiles": [[1.0, 1.0], [0.1, 0.2]],
+        "rank_correlations": [-1.0],
+        "cells": ["9000 0 0 1000"],  # all on the edge of what is allowed
     }
     content["provenance"]["left"]["source_summary"] = copy.deepcopy(good)
     path.write_text(json.dumps(content))
