@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -148,6 +148,18 @@ def check_number(name: str, value: object, low: float, *, integer: bool = False,
     if not good:
         kind = "an integer" if integer else "a number"
         raise InputError(f"{name}: {value!r}; allowed: {kind} {'>' if above else '>='} {low:g}")
+
+
+def check_components(components: Iterable[int]) -> list[int]:
+    """The K to try, each once, ascending."""
+    if isinstance(components, str) or not isinstance(components, Iterable):
+        raise InputError(f"components: {components!r}; allowed: an integer >= 1, or several of them")
+    given = list(components)
+    for K in given:
+        check_number("components", K, 1, integer=True)
+    if not given:
+        raise InputError("components: an empty range; allowed: at least one number of components")
+    return sorted({int(K) for K in given})
 
 
 def seed_of(random_state: RandomState) -> int:

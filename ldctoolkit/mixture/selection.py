@@ -15,7 +15,14 @@ from ldctoolkit.mixture._parallel import in_processes, may_start_processes
 from ldctoolkit.mixture._rule import Criterion, Rule, choose, least
 from ldctoolkit.mixture._trial import Failure, Outcome, Trial, Trials, split_rows
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import RandomState, as_matrix, check_number, check_sample_weight, seed_of
+from ldctoolkit.mixture.checks import (
+    RandomState,
+    as_matrix,
+    check_components,
+    check_number,
+    check_sample_weight,
+    seed_of,
+)
 from ldctoolkit.mixture.events import Events, usable_cores
 
 FloatArray = npt.NDArray[np.float64]
@@ -161,7 +168,7 @@ def select_components(
     >>> found.reason
     'K = 2, the smallest whose BIC lies within 10 of the best'
     """
-    tried = _checked_components(components)
+    tried = check_components(components)
     rule = Rule.of(criterion, slack, indifference)
     if n_jobs is not None:
         check_number("n_jobs", n_jobs, 1, integer=True)
@@ -179,18 +186,6 @@ def select_components(
     if not trials:
         raise InputError(failures[0].message)
     return _selection(rule, trials, failures)
-
-
-def _checked_components(components: Iterable[int]) -> list[int]:
-    """The K to try, each once, ascending."""
-    if isinstance(components, str) or not isinstance(components, Iterable):
-        raise InputError(f"components: {components!r}; allowed: several integers >= 1")
-    given = list(components)
-    for K in given:
-        check_number("components", K, 1, integer=True)
-    if not given:
-        raise InputError("components: an empty range; allowed: at least one number of components")
-    return sorted({int(K) for K in given})
 
 
 def _run(

@@ -12,14 +12,13 @@ import numpy.typing as npt
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture.checks import check_weights
+from ldctoolkit.mixture.checks import check_number, check_weights
 from ldctoolkit.mixture.events import Events
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.bounds import Bounds, wanted_bounds
 from ldctoolkit.scenario_model.card import ModelProvenance, software_versions
 from ldctoolkit.scenario_model.fit_side import Progress, carried_components, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
-from ldctoolkit.scenario_model.parts import whole_number
 from ldctoolkit.scenario_model.settings import (
     SideSettings,
     component_numbers,
@@ -128,12 +127,12 @@ def fit_scenario_model(
     >>> model.provenance.left.reason
     'K = 1, as asked'
     """
-    seed = whole_number("seed", seed)
+    check_number("seed", seed, 0, integer=True)
     if seed >= _SEED_END:
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
     settings = SideSettings(
         components=component_numbers(components),
-        seed=seed,
+        seed=int(seed),
         bounds=wanted_bounds(bounds, extraction),
         transform=transforms(transform),
         fit=fit_settings(criterion, slack, indifference, prior_strength, tol, n_init, max_iter),
@@ -153,7 +152,7 @@ def fit_scenario_model(
         synthetic=synthetic,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         software=f"ldctoolkit {__version__}",
-        seed=seed,
+        seed=int(seed),
         warnings=tuple(note for fit in fits.values() for note in fit.warnings),
         versions=software_versions(),
         settings=settings.fit,

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.mixture.checks import check_components
 from ldctoolkit.scenario_model.bounds import WantedBounds
 from ldctoolkit.scenario_model.card import FitSettings
 
@@ -65,19 +66,9 @@ def fit_settings(*values: Any) -> FitSettings:
 
 def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
     """K, or the K to choose from, in ascending order."""
-    allowed = "allowed: an integer >= 1, or several of them"
-    given = (components,) if isinstance(components, int | np.integer) else components
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f"components: {components!r}; {allowed}")
-    numbers = tuple(given)
-    for K in numbers:
-        if isinstance(K, bool) or not isinstance(K, int | np.integer) or K < 1:
-            raise InputError(f"components: {K!r}; {allowed}")
-    if not numbers:
-        raise InputError(f"components: an empty range; {allowed}")
     if isinstance(components, int | np.integer):
-        return int(components)
-    return tuple(sorted({int(K) for K in numbers}))
+        return check_components([components])[0]
+    return tuple(check_components(components))
 
 
 def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, truncnorm
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal, _em, select_components
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal, _em
 
 INF = np.inf
 
@@ -156,7 +156,15 @@ def test_a_fit_that_finds_no_step_does_not_say_that_it_converged(monkeypatch):
     assert BoundedGaussianMixture(1, lower=0.0, random_state=0, max_iter=3).fit(X).stop_reason_ == "max_iter"
 
 
-@pytest.mark.parametrize("kind", ["exponential", "half_normal", "gamma", "duplicated", "correlated", "near_K"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "duplicated",
+        "correlated",
+        "near_K",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("exponential", "half_normal", "gamma")),
+    ],
+)
 def test_awkward_data_give_a_model_that_samples(kind):
     rng = np.random.default_rng(2)
     x = {
@@ -227,7 +235,7 @@ def test_numbers_whose_squares_are_none(size, message):
 
 
 @pytest.mark.parametrize("kind", ["barely", "outlier", "same_columns", "two_rows", "thin"])
-@pytest.mark.parametrize("step", ["newton", "lee_scott"])
+@pytest.mark.parametrize("step", ["newton", pytest.param("lee_scott", marks=pytest.mark.slow)])
 def test_without_a_prior_there_may_be_no_maximum(kind, step):
     """Plain maximum likelihood may be unbounded: a clear message, or a fit that does not claim to have converged."""
     rng = np.random.default_rng(0)
@@ -268,23 +276,6 @@ def test_a_fall_is_no_convergence(monkeypatch):
     assert (model.converged_, model.stop_reason_, model.n_iter_) == (False, "collapsed", 4 - 2)
     np.testing.assert_allclose((model.means_ - X.mean(axis=0)) / X.std(axis=0), seen[-1].mu)
     assert np.min(np.diff(model.lower_bounds_)) >= 0.0
-
-
-def test_bic_finds_three_groups():
-    rng = np.random.default_rng(0)
-    centres = np.array([[1.0, 1.0], [6.0, 1.0], [3.0, 8.0]])
-    X = np.abs(rng.normal(size=(900, 2)) + centres[rng.integers(3, size=900)]) + 1e-9
-    seen = []
-    found = select_components(X, range(1, 6), lower=0.0, random_state=0, progress=lambda *a: seen.append(a))
-    assert found.best.n_components == 3
-    assert found.bic.shape == found.log_likelihood.shape == (5,)
-    assert [m.n_components for m in found.models] == [1, 2, 3, 4, 5]
-    assert seen[0] == ("K = 1", 0, 5)
-    assert seen[-1][1:] == (5, 5)
-    with pytest.raises(InputError, match="empty range"):
-        select_components(X, [])
-    with pytest.raises(InputError, match="components: 0"):
-        select_components(X, [0, 1])
 
 
 def test_follows_the_conventions_of_scikit_learn():

@@ -347,8 +347,8 @@ def test_where_all_fail_the_message_is_the_fits(n_jobs):
     ("change", "message"),
     [
         ({"components": []}, "components: an empty range"),
-        ({"components": 3}, "components: 3; allowed: several integers"),
-        ({"components": "12"}, "components: '12'; allowed: several integers"),
+        ({"components": 3}, "components: 3; allowed: an integer >= 1, or several"),
+        ({"components": "12"}, "components: '12'; allowed: an integer >= 1, or several"),
         ({"components": [0, 1]}, "components: 0; allowed: an integer >= 1"),
         ({"components": [1, "2"]}, "components: '2'"),
         ({"criterion": "bci"}, "criterion: 'bci'; did you mean 'bic'"),

@@ -200,7 +200,6 @@ def test_far_outside_is_exact_to_rounding(d, r):
         mu, Sigma = np.full(d, distance), covariance_of(equal(d, r))
         rate = np.linalg.solve(Sigma, -mu)  # slope of the log-density at the corner
         t = TruncatedNormal([mu], [Sigma], np.zeros(d), np.full(d, INF))
-        assert t.tilt_converged.all()
         if rate.min() > 0.0:
             # density exp(-rate.x - x Sigma^-1 x/2), whose curvature moves the moments by 1/rate^2 relative
             log_p = 0.5 * mu @ rate - np.log(rate).sum()
@@ -221,7 +220,6 @@ def test_nearly_opposite_variables_in_a_far_corner_are_tilted():
     r = -0.999999
     mu, Sigma = np.full(2, -0.3), np.array([[1.0, r], [r, 1.0]])
     t = TruncatedNormal([mu], [Sigma], [0.0, 0.0], [2.0, INF])
-    assert t.tilt_converged.all()
     rate = np.linalg.solve(Sigma, -mu)
     # exp(-rate.(x1 + x2) - (x1 - x2)^2/(4 (1 - |r|))...): along x1 + x2 exponential of rate 3e5, across it no bound
     # of x1 - x2 is felt before the corner's faces: log-density by brute force on a grid in x * rate
@@ -269,13 +267,12 @@ def test_beyond_the_arithmetic_is_an_error_and_not_a_wrong_sample():
         t.sample(1, 0)
 
 
-def test_a_tilt_that_was_not_found_is_told(monkeypatch):
+def test_a_tilt_that_was_not_found_is_an_error(monkeypatch):
     from ldctoolkit.mixture import _separation
 
     lost = lambda strict, a, b: (np.zeros_like(a), np.full(a.shape[0], INF))  # noqa: E731
     monkeypatch.setattr(_separation, "minimax_tilt", lost)
     t = TruncatedNormal([[-5.0, 0.0]], [covariance_of(equal(2, 0.5))], [0.0, 0.0], [INF, INF])
-    assert not t.tilt_converged.any()
     with pytest.raises(ModelError, match="component 0"):
         t.sample(1, 0)
 

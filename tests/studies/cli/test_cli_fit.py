@@ -49,7 +49,7 @@ def side_of(path: Path) -> dict[str, tuple[float | None, float | None, str]]:
 def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     done = ldc(
         "fit", "d.parquet", "-o", "m.json", "--components", "1:2", "--criterion", "held_out", "--workers", "1",
-        "--prior-strength", "20", "--tol", "1e-5", "--n-init", "2", "--no-page", cwd=folder,
+        "--prior-strength", "20", "--tol", "1e-4", "--n-init", "1", "--no-page", cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert re.search(
@@ -65,7 +65,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert card["source"]["refused"]["gap"] == 3
     assert card["source"]["criteria"]["min_speed"] == 4.0
     assert card["settings"] == {
-        "criterion": "held_out", "slack": None, "indifference": 0.0, "prior_strength": 20.0, "tol": 1e-5, "n_init": 2,
+        "criterion": "held_out", "slack": None, "indifference": 0.0, "prior_strength": 20.0, "tol": 1e-4, "n_init": 1,
         "max_iter": 500,
     }  # fmt: skip
     assert ["v_mean", "extraction criteria", "physical"] in card["left"]["bounds_from"]
