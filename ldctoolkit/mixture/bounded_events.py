@@ -101,7 +101,7 @@ def inside_bounds(
     if varies.all() and not on_bound.any():
         return InsideBounds(events, profile, varies, moved)
     x = np.array(events.x[:, varies], order="C")
-    for column, j in enumerate(np.flatnonzero(varies)):
+    for column, j in enumerate(np.flatnonzero(varies).tolist()):
         if on_bound[j]:
             for bound, inwards in ((lower[j], 1.0), (upper[j], -1.0)):
                 moved[j] += _move_inside(x[:, column], bound, inwards, _STEP * float(scale[j]))

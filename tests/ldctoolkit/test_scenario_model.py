@@ -260,13 +260,6 @@ def test_few_or_wrong_departures_are_refused():
         fit_scenario_model(d, seed=10**18)
 
 
-def test_bounds_can_be_given():
-    fitted = fit_scenario_model(departures(60), components=1, bounds={"a_mean": (-3.0, 3.0), "d_y": (0.0, 2.0)})
-    s = fitted.sample(500, 0, 1)
-    assert np.abs(s.a_mean).max() < 3.0
-    assert s.d_y.max() < 2.0
-
-
 def test_the_bounds_are_those_of_the_extraction():
     criteria = Criteria()
     assert PHYSICAL_BOUNDS["T"] == (criteria.min_duration, criteria.max_duration)

@@ -12,7 +12,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import Distribution
 from ldctoolkit.recordings import Criteria
-from ldctoolkit.scenario_model import PHYSICAL_BOUNDS, fit_scenario_model, load_model
+from ldctoolkit.scenario_model import fit_scenario_model, load_model
 
 INF = np.inf
 
@@ -262,8 +262,3 @@ def test_neither_workers_nor_verbosity_change_a_number(departures, capfd):
     two = fit_scenario_model(departures(60), components=[1, 2], workers=2, verbose=True)
     assert two.content_hash == one.content_hash
     assert "K = 2: " in capfd.readouterr().err
-
-
-def test_physical_bounds_are_what_the_documentation_says():
-    assert PHYSICAL_BOUNDS["T"] == (0.5, 10.0)
-    assert set(PHYSICAL_BOUNDS) == set(PARAMETER_NAMES)
