@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model._reader import Reader, is_number, is_whole, parse, short
+from ldctoolkit.scenario_model._reader import Reader, is_number, parse, short
 from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.card_json import card_from_json, card_to_json
 from ldctoolkit.scenario_model.parts import LEAST_LOWER, SideModel, check_usable
@@ -85,7 +85,8 @@ def read_json(text: str, file: str) -> Mapping[str, Any]:
         raise reader.wrong("format", f"{short(data.get('format'))}; allowed: {FORMAT!r}")
     version = data.get("version")
     if type(version) is not int or version != VERSION:
-        hint = ": the file is newer, update ldctoolkit" if is_whole(version) and version > VERSION else ""
+        newer = isinstance(version, int) and version > VERSION
+        hint = ": the file is newer, update ldctoolkit" if newer else ""
         raise reader.wrong("version", f"{short(version)}; this program reads version {VERSION}{hint}")
     return data
 
