@@ -10,7 +10,10 @@ import numpy.typing as npt
 
 from ldctoolkit.diagnostics.parts import FloatArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import ArrayEvents, Distribution, inside_bounds
+from ldctoolkit.mixture import Distribution
+from ldctoolkit.mixture.bounded_events import inside_bounds
+from ldctoolkit.mixture.checks import check_weights
+from ldctoolkit.mixture.events import Events as Rows
 
 LEAST_EVENTS: Final = 10
 
@@ -48,23 +51,6 @@ class Events:
         return float(self.weight.sum() ** 2 / (self.weight**2).sum())
 
 
-def checked_weights(weights: npt.ArrayLike | None, n: int) -> FloatArray:
-    """Weights (n,), one each by default."""
-    if weights is None:
-        return np.ones(n)
-    try:
-        out = np.asarray(weights, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("weights: not numbers; allowed: one number >= 0 an event") from None
-    if out.shape != (n,):
-        raise InputError(f"weights: shape {out.shape}; allowed: ({n},), one number an event")
-    bad = ~(np.isfinite(out) & (out >= 0.0))
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(f"weights: {float(out[row])!r} in row {row}; allowed: finite numbers >= 0")
-    return out
-
-
 def checked_events(
     distribution: Distribution, names: tuple[str, ...], X: npt.ArrayLike, weights: npt.ArrayLike | None
 ) -> Events:
@@ -85,7 +71,7 @@ def checked_events(
     if not np.isfinite(x).all():
         row, j = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
         raise InputError(f"X: {names[j]} = {float(x[row, j])!r} in row {row}; allowed: finite numbers")
-    weight = checked_weights(weights, x.shape[0])
+    weight = np.ones(x.shape[0]) if weights is None else check_weights(weights, x.shape[0], "weights")
     low, high = distribution.transform.lower, distribution.transform.upper
     beyond = (x < low) | (x > high)
     keep = ~beyond.any(axis=1) & (weight > 0.0)
@@ -95,5 +81,5 @@ def checked_events(
         raise InputError(
             f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
         )
-    inside = inside_bounds(ArrayEvents(x, weight), low, high, names, keep_constant=True)
-    return Events(inside.source.take(np.arange(x.shape[0]))[0], weight, weights is not None, counts)
+    inside = inside_bounds(Rows(x, weight), low, high, names, keep_constant=True)
+    return Events(inside.events.x, weight, weights is not None, counts)

@@ -14,13 +14,14 @@ from ldctoolkit.diagnostics._bounds import strips
 from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
 from ldctoolkit.diagnostics._comparison import comparison_or_reason
 from ldctoolkit.diagnostics._components import components
-from ldctoolkit.diagnostics._events import checked_events, checked_weights
+from ldctoolkit.diagnostics._events import checked_events
 from ldctoolkit.diagnostics._marginals import BINS, bin_edges, marginal, model_marginal
 from ldctoolkit.diagnostics._pairs import pair_densities
 from ldctoolkit.diagnostics._warnings import warnings_of
 from ldctoolkit.diagnostics.parts import Calibration, Marginal, ModelDiagnostics, SideDiagnostics
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.mixture.checks import check_number, check_weights
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 
 Progress = Callable[[str, int, int], None]
@@ -97,10 +98,8 @@ def diagnose(
     mixture = model.mixture if isinstance(model, SideModel) else model
     distribution = mixture.distribution
     chosen = _names(model, names, distribution.dimension)
-    if isinstance(n_model, bool) or not isinstance(n_model, int | np.integer) or n_model < 1000:
-        raise InputError(f"n_model: {n_model!r}; allowed: an integer >= 1000")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed: {seed!r}; allowed: an integer >= 0")
+    check_number("n_model", n_model, 1000, integer=True)
+    check_number("seed", seed, 0, integer=True)
     tell = progress or _silent
     events = checked_events(distribution, chosen, X, weights)
     x, share = events.x, events.share
@@ -201,7 +200,7 @@ def diagnose_model(
         ("left", LEFT, model.left_side, model.provenance.left),
         ("right", RIGHT, model.right_side, model.provenance.right),
     )
-    weight = None if weights is None else checked_weights(weights, departures.n)
+    weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     for number, (label, side, half, summary) in enumerate(sides):
         mask = departures.side == side
         rows = departures.take(mask)

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.mixture._checks import column_name
 from ldctoolkit.mixture._expectation import FloatArray
 from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.checks import column_name
 
 IntArray = npt.NDArray[np.int64]
 Given = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]

@@ -1,4 +1,4 @@
-"""What a fitted mixture's likelihood is worth: information criteria, from one pass over any source of events."""
+"""What a fitted mixture's likelihood is worth: information criteria, from one pass over the events."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture._expectation import FloatArray, natural
-from ldctoolkit.mixture._transform import Transform
-from ldctoolkit.mixture.sources import EventSource
+from ldctoolkit.mixture.events import Events
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,37 +48,13 @@ class Criteria:
         return self.bic + 2.0 * self.entropy
 
 
-@dataclasses.dataclass(frozen=True)
-class _Look:
-    """Events, log-likelihood and entropy of a block; components live in (y - location)/scale, y the transform's."""
-
-    transform: Transform
-    location: FloatArray
-    scale: FloatArray
-    theta: FloatArray
-
-    def __call__(self, x: FloatArray, weight: FloatArray | None) -> tuple[float, float, float]:
-        from ldctoolkit.mixture._kernels import statistics_of_rows  # here: the compiler is slow to import
-
-        y = self.transform.forward(x)
-        total, sums = statistics_of_rows(y, weight, self.location, self.scale, self.theta)
-        # ln tau_ik = theta_k . features_i - ln sum_j exp(theta_j . features_i), and the sums hold tau_ik features_i
-        entropy = total - float(np.sum(self.theta * sums))
-        events = float(x.shape[0]) if weight is None else float(weight.sum())
-        total -= events * float(np.log(self.scale).sum())
-        if not self.transform.identity:
-            slope = self.transform.log_slope(x)
-            total += float(slope.sum() if weight is None else weight @ slope)
-        return events, total, entropy
-
-
-def criteria_of(source: EventSource, distribution: Distribution) -> Criteria:
+def criteria_of(events: Events, distribution: Distribution) -> Criteria:
     """Criteria of a mixture on events inside its box.
 
     Parameters
     ----------
-    source : EventSource
-        Events, with their weights if any.
+    events : Events
+        Rows, with their weights if any.
     distribution : Distribution
         The mixture; all its weights are positive.
 
@@ -88,8 +63,25 @@ def criteria_of(source: EventSource, distribution: Distribution) -> Criteria:
     Criteria
         A pass over the blocks gives it; nothing is kept per event.
     """
+    from ldctoolkit.mixture._kernels import statistics_of_rows  # here: the compiler is slow to import
+
+    # components live in (y - location)/scale, y the transform's
     scaled, location, scale = distribution.own_units()
-    events, total, entropy = 0.0, 0.0, 0.0
-    for part in source.map_blocks(_Look(distribution.transform, location, scale, natural(scaled))):
-        events, total, entropy = events + part[0], total + part[1], entropy + part[2]
-    return Criteria(events, total, max(entropy, 0.0), distribution.n_parameters)
+    theta, transform = natural(scaled), distribution.transform
+
+    def look(x: FloatArray, weight: FloatArray | None) -> tuple[float, float, float]:
+        """Events, log-likelihood and entropy of a block."""
+        total, sums = statistics_of_rows(transform.forward(x), weight, location, scale, theta)
+        # ln tau_ik = theta_k . features_i - ln sum_j exp(theta_j . features_i), and the sums hold tau_ik features_i
+        entropy = total - float(np.sum(theta * sums))
+        n = float(x.shape[0]) if weight is None else float(weight.sum())
+        total -= n * float(np.log(scale).sum())
+        if not transform.identity:
+            slope = transform.log_slope(x)
+            total += float(slope.sum() if weight is None else weight @ slope)
+        return n, total, entropy
+
+    n, total, entropy = 0.0, 0.0, 0.0
+    for part in events.map_blocks(look):
+        n, total, entropy = n + part[0], total + part[1], entropy + part[2]
+    return Criteria(n, total, max(entropy, 0.0), distribution.n_parameters)

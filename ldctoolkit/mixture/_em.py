@@ -14,7 +14,7 @@ from ldctoolkit.mixture._extrapolation import Point, leap
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._split_merge import best_moves
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
-from ldctoolkit.mixture.sources import ArrayEvents, EventSource, Pass, Profile, sums_of, used_rows
+from ldctoolkit.mixture.events import Events, Profile, sums_of
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, moment_points
 
 _SHORT_POINTS: Final = 1021
@@ -85,28 +85,27 @@ class EMResult:
 
 @dataclasses.dataclass(frozen=True)
 class _Standardised:
-    """A source seen in units of its own spread."""
+    """Rows seen in units of their own spread; `events` is the sum of their weights."""
 
-    source: EventSource
+    rows: Events
     location: FloatArray
     scale: FloatArray
-    rows: int
     events: float
 
     def look(self, c: Components) -> Statistics:
-        value, sums = sums_of(self.source, Pass(self.location, self.scale, natural(c)))
-        return statistics(value, sums, self.source.dimension)
+        value, sums = sums_of(self.rows, self.location, self.scale, natural(c))
+        return statistics(value, sums, self.rows.dimension)
 
 
 def fit_components(
-    source: EventSource, profile: Profile, s: EMSettings, start: Components | None, tell: Progress
+    events: Events, profile: Profile, s: EMSettings, start: Components | None, tell: Progress
 ) -> EMResult:
     """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
 
     Parameters
     ----------
-    source : EventSource
-        Events.
+    events : Events
+        Rows and weights.
     profile : Profile
         Theirs.
     s : EMSettings
@@ -128,9 +127,9 @@ def fit_components(
     prior's target is frozen too: for a short run the clusters' covariances, for the final run the covariances of the
     events around each component at its start.
     """
-    data = _Standardised(source, profile.mean, profile.scale, profile.rows, profile.events)
+    data = _Standardised(events, profile.mean, profile.scale, profile.events)
     try:
-        return _fit(data, profile, s, start, tell)
+        return _fit(data, s, start, tell)
     except np.linalg.LinAlgError:
         raise InputError(
             f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
@@ -138,8 +137,8 @@ def fit_components(
         ) from None
 
 
-def _fit(data: _Standardised, profile: Profile, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
-    c = _best_start(data, profile, s, tell) if start is None else start
+def _fit(data: _Standardised, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
+    c = _best_start(data, s, tell) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     passes = 0
     if bounded > _FEW_DIMENSIONS:
@@ -161,16 +160,16 @@ def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
     return Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
 
 
-def _best_start(data: _Standardised, profile: Profile, s: EMSettings, tell: Progress) -> Components:
+def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Components:
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
-    rows = used_rows(data.source, profile)
+    rows = data.rows.used_rows()
     chosen = rows if rows.size <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False))
-    x, weight = data.source.take(chosen)
-    z = (x - data.location) / data.scale
+    few = data.rows.take(chosen)
+    z, weight = (few.x - data.location) / data.scale, few.weight
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
-    short = _Standardised(ArrayEvents(z, weight, s.threads), np.zeros(d), np.ones(d), z.shape[0], events)
+    short = _Standardised(Events(z, weight, s.threads), np.zeros(d), np.ones(d), events)
     best: EMResult | None = None
     starts = s.n_init if s.K > 1 else 1
     for run in range(starts):
@@ -206,19 +205,19 @@ def _one_escape(
     data: _Standardised, now: EMResult, s: EMSettings, rng: np.random.Generator, tell: Progress
 ) -> EMResult | None:
     """The first of the most promising moves that leads higher."""
-    z, weight = data.source.take(np.arange(data.rows))
+    z, weight = data.rows.x, data.rows.weight
     c = now.components
     t = TruncatedNormal(c.mu, c.Sigma, s.lower, s.upper, points=_SHORT_POINTS)
 
     def split_run(x: FloatArray, w: FloatArray, two: Components) -> tuple[Components, float]:
-        own = _Standardised(ArrayEvents(x, w, s.threads), data.location, data.scale, w.size, float(w.sum()))
+        own = _Standardised(Events(x, w, s.threads), data.location, data.scale, float(w.sum()))
         prior = Prior(s.prior_strength, two.Sigma)
         end = _run(own, two, prior, s, _SPLIT_PASSES, _SHORT_POINTS, leaps=False).components
         return end, own.look(end).log_likelihood
 
     candidates = best_moves(
         z,
-        np.ones(data.rows) if weight is None else weight,
+        np.ones(data.rows.rows) if weight is None else weight,
         data.look(c),
         t,
         shares(log_terms(z, c)),

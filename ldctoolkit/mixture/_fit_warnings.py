@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.mixture._checks import column_name
 from ldctoolkit.mixture._distribution import Distribution
-from ldctoolkit.mixture.sources import EventSource, Pass, Profile, sums_of
+from ldctoolkit.mixture.checks import column_name
+from ldctoolkit.mixture.events import Events, Profile, sums_of
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -34,26 +34,26 @@ _MOST: Final = 6
 """Components named in a sentence."""
 
 
-def correlation_of(source: EventSource, profile: Profile) -> FloatArray:
+def correlation_of(events: Events, profile: Profile) -> FloatArray:
     """Correlations (d, d) of the events' columns, by one pass.
 
     Parameters
     ----------
-    source : EventSource
-        Events.
+    events : Events
+        Rows and weights.
     profile : Profile
         Theirs.
 
     Examples
     --------
-    >>> from ldctoolkit.mixture.sources import ArrayEvents, profile_of
-    >>> events = ArrayEvents(np.array([[0.0, 1.0], [1.0, 0.0], [2.0, -1.0]]))
+    >>> from ldctoolkit.mixture.events import Events, profile_of
+    >>> events = Events(np.array([[0.0, 1.0], [1.0, 0.0], [2.0, -1.0]]))
     >>> correlation_of(events, profile_of(events)).round(9).tolist()
     [[1.0, -1.0], [-1.0, 1.0]]
     """
-    d = source.dimension
+    d = events.dimension
     i, j = np.triu_indices(d)
-    _, sums = sums_of(source, Pass(profile.mean, profile.scale, np.zeros((1, 1 + d + i.size))))
+    _, sums = sums_of(events, profile.mean, profile.scale, np.zeros((1, 1 + d + i.size)))
     out = np.empty((d, d))
     out[i, j] = out[j, i] = sums[0, 1 + d :] / sums[0, 0]
     return out

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
 from ldctoolkit.mixture._conditional import Given
 from ldctoolkit.mixture._conventions import Parameters
 from ldctoolkit.mixture._distribution import Distribution, IntArray
 from ldctoolkit.mixture._expectation import FloatArray
-
-_BLOCK: Final = 8192
+from ldctoolkit.mixture.checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
 
 
 class FittedMixture(Parameters):
@@ -97,28 +94,6 @@ class FittedMixture(Parameters):
         """Akaike information criterion, -2 ln L + 2 p: lower is better."""
         likelihood, _ = self._likelihood(X, sample_weight)
         return -2.0 * likelihood + 2.0 * self.n_parameters()
-
-    def icl(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
-        """Integrated completed likelihood, BIC plus twice the entropy of the shares: lower is better.
-
-        It prefers components that do not overlap.
-
-        References
-        ----------
-        Biernacki, Celeux, Govaert, IEEE PAMI 22(7):719-725, 2000.
-        """
-        x = check_matrix(X, self.distribution.dimension, self.names)
-        weight = check_sample_weight(sample_weight, x.shape[0])
-        bic = self.bic(x, weight)
-        if weight is not None:
-            x, weight = x[weight > 0.0], weight[weight > 0.0]
-        entropy = 0.0
-        for first in range(0, x.shape[0], _BLOCK):
-            rows = slice(first, first + _BLOCK)
-            share = self.predict_proba(x[rows])
-            own = -np.sum(share * np.log(np.maximum(share, 1e-300)), axis=1)
-            entropy += float(own.sum() if weight is None else weight[rows] @ own)
-        return bic + 2.0 * entropy
 
     def _likelihood(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None) -> tuple[float, float]:
         """Log-likelihood and number of events, both weighted."""

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import LdcError
-from ldctoolkit.mixture.sources import ArrayEvents
+from ldctoolkit.mixture.events import Events
 
 FloatArray = npt.NDArray[np.float64]
 Job = TypeVar("Job")
@@ -34,9 +34,9 @@ _LOOK_FOR_PARENT_EVERY: Final = 2.0
 
 
 def in_processes(
-    work: Callable[[ArrayEvents, Job], Result],
+    work: Callable[[Events, Job], Result],
     jobs: Sequence[Job],
-    events: ArrayEvents,
+    events: Events,
     workers: int,
     start_method: StartMethod | None = None,
 ) -> Generator[tuple[int, Result], None, None]:
@@ -48,7 +48,7 @@ def in_processes(
         ``work(events, job)``; it can be pickled.
     jobs : sequence
         They can be pickled.
-    events : ArrayEvents
+    events : Events
         Not copied: a forked process sees them, another one maps them from a temporary file.
     workers : int
         Processes; each works on one thread.
@@ -136,17 +136,15 @@ def _one_blas_thread() -> Iterator[None]:
 
 # ---- in the worker
 
-_task: tuple[Callable[[ArrayEvents, Any], Any], ArrayEvents] | None = None
+_task: tuple[Callable[[Events, Any], Any], Events] | None = None
 
 
-def _start_worker(
-    work: Callable[[ArrayEvents, Any], Any], x: FloatArray | Path, weight: FloatArray | Path | None
-) -> None:
+def _start_worker(work: Callable[[Events, Any], Any], x: FloatArray | Path, weight: FloatArray | Path | None) -> None:
     global _task
     # the parent decides what an interrupt means
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
-    _task = work, ArrayEvents(_loaded(x), None if weight is None else _loaded(weight), 1)
+    _task = work, Events(_loaded(x), None if weight is None else _loaded(weight), 1)
 
 
 def _leave_with(parent: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.mixture._checks import check_number
+from ldctoolkit.mixture.checks import check_number
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

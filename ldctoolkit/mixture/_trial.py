@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._criteria import Criteria, criteria_of
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.sources import ArrayEvents, EventSource
+from ldctoolkit.mixture.events import Events
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -94,47 +94,40 @@ class Trials:
 
     held: IntArray | None
 
-    def __call__(self, events: EventSource, model: BoundedGaussianMixture) -> Outcome:
+    def __call__(self, events: Events, model: BoundedGaussianMixture) -> Outcome:
         """Fit one K to the events; the model is changed."""
         try:
             held_out = self._held_out(events, model)
-            model.fit(events)
+            model._fit_events(events)
         except InputError as error:
             return Failure(model.n_components, str(error))
         return Trial(model, criteria_of(events, model.distribution), held_out)
 
-    def _held_out(self, events: EventSource, model: BoundedGaussianMixture) -> HeldOut:
-        if self.held is None or not isinstance(events, ArrayEvents):
+    def _held_out(self, events: Events, model: BoundedGaussianMixture) -> HeldOut:
+        if self.held is None:
             return HeldOut(np.empty(0), np.empty(0))
-        x, weight = events.take(self.held)
+        kept = np.ones(events.rows, dtype=bool)
+        kept[self.held] = False
+        held = events.take(self.held)
         try:
-            other = BoundedGaussianMixture(**model.get_params()).fit(_without(events, self.held))
+            other = BoundedGaussianMixture(**model.get_params())._fit_events(events.take(kept))
         except InputError as error:
             raise InputError(f"without the {self.held.size} rows held out: {error}") from None
-        return HeldOut(other.distribution.log_density(x), np.ones(x.shape[0]) if weight is None else weight)
+        weight = np.ones(held.rows) if held.weight is None else held.weight
+        return HeldOut(other.distribution.log_density(held.x), weight)
 
 
-def _without(events: ArrayEvents, held: IntArray) -> ArrayEvents:
-    """The other rows."""
-    kept = np.ones(events.x.shape[0], dtype=bool)
-    kept[held] = False
-    weight = None if events.weight is None else events.weight[kept]
-    return dataclasses.replace(events, x=events.x[kept], weight=weight)
-
-
-def split_rows(events: EventSource, share: float, seed: int) -> IntArray:
+def split_rows(events: Events, share: float, seed: int) -> IntArray:
     """Rows to hold out, ascending: as many as the share says, drawn with the seed.
 
     Raises
     ------
     InputError
-        If the share is not between 0 and 1, the events are not in memory, or too few are left on either side.
+        If the share is not between 0 and 1, or too few are left on either side.
     """
     if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0.0 < share < 1.0:
         raise InputError(f"held_out_share: {share!r}; allowed: a number between 0 and 1")
-    if not isinstance(events, ArrayEvents):
-        raise InputError("criterion: 'held_out' for a source of events; allowed: bic, aic, icl, or events in memory")
-    rows = events.x.shape[0]
+    rows = events.rows
     count = round(float(share) * rows)
     held = np.sort(np.random.default_rng([seed, 2]).permutation(rows)[:count])
     weight = np.ones(rows) if events.weight is None else events.weight

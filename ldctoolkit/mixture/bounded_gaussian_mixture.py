@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from typing import Literal, Self
@@ -10,7 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.mixture._checks import (
+from ldctoolkit.mixture._distribution import Distribution
+from ldctoolkit.mixture._em import EMSettings, fit_components
+from ldctoolkit.mixture._expectation import Components, FloatArray
+from ldctoolkit.mixture._fit_warnings import correlation_of, fit_warnings
+from ldctoolkit.mixture._fitted import FittedMixture
+from ldctoolkit.mixture._maximisation import Step
+from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture.bounds import auto_bounds
+from ldctoolkit.mixture.checks import (
     RandomState,
     as_matrix,
     check_bound_array,
@@ -20,15 +29,7 @@ from ldctoolkit.mixture._checks import (
     check_sample_weight,
     seed_of,
 )
-from ldctoolkit.mixture._distribution import Distribution
-from ldctoolkit.mixture._em import EMSettings, fit_components
-from ldctoolkit.mixture._expectation import Components, FloatArray
-from ldctoolkit.mixture._fit_warnings import correlation_of, fit_warnings
-from ldctoolkit.mixture._fitted import FittedMixture
-from ldctoolkit.mixture._maximisation import Step
-from ldctoolkit.mixture._transform import Transform
-from ldctoolkit.mixture.bounds import auto_bounds
-from ldctoolkit.mixture.sources import ArrayEvents, EventSource, profile_of, transformed
+from ldctoolkit.mixture.events import Events, profile_of
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
 
 
@@ -229,13 +230,11 @@ class BoundedGaussianMixture(FittedMixture):
         )
         return model
 
-    def _transform(self, source: EventSource) -> Transform:
-        d = source.dimension
+    def _transform(self, events: Events) -> Transform:
+        d = events.dimension
         low, high = self.lower, self.upper
         if "auto" in (_word(low), _word(high)):
-            if not isinstance(source, ArrayEvents):
-                raise InputError("lower, upper: 'auto' for a stream of events; allowed: numbers, or events in memory")
-            found = auto_bounds(check_matrix(source.x, d, self.names))
+            found = auto_bounds(check_matrix(events.x, d, self.names))
             low, high = (found[0] if _word(low) == "auto" else low), (found[1] if _word(high) == "auto" else high)
         return _checked_transform(low, high, self.transform, d)
 
@@ -258,13 +257,13 @@ class BoundedGaussianMixture(FittedMixture):
         if self.step not in ("newton", "lee_scott"):
             raise InputError(f"step: {self.step!r}; {nearest(str(self.step), ('newton', 'lee_scott'))}")
 
-    def fit(self, X: npt.ArrayLike | EventSource, y: object = None, sample_weight: npt.ArrayLike | None = None) -> Self:
+    def fit(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> Self:
         """Fit by truncated EM.
 
         Parameters
         ----------
-        X : (n, d) or EventSource
-            Events, strictly inside the box; or where they lie, for data larger than memory.
+        X : (n, d)
+            Events, strictly inside the box.
         y : ignored
             For scikit-learn's conventions.
         sample_weight : (n,), optional
@@ -283,22 +282,19 @@ class BoundedGaussianMixture(FittedMixture):
         """
         del y
         self._check_settings()
-        if isinstance(X, EventSource):
-            if sample_weight is not None:
-                raise InputError("sample_weight: given beside a source of events; allowed: weights in the source")
-            source = X
-        else:
-            x = as_matrix(X)
-            if x.shape[0] == 0:
-                raise InputError("X: no rows")
-            source = ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs)
-        if source.dimension == 0:
-            raise InputError("X: no columns")
-        transform = self._transform(source)
-        profile = check_events(source, self.n_components, transform.lower, transform.upper, self.names)
+        x = as_matrix(X)
+        if x.size == 0:
+            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+        return self._fit_events(Events(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs))
+
+    def _fit_events(self, events: Events) -> Self:
+        """Fit to rows that have weights already, on the threads that they name."""
+        self._check_settings()
+        transform = self._transform(events)
+        profile = check_events(events, self.n_components, transform.lower, transform.upper, self.names)
         if not transform.identity:
-            source = transformed(source, transform)
-            profile = profile_of(source)
+            events = dataclasses.replace(events, x=transform.forward(events.x))
+            profile = profile_of(events)
         low, high = transform.box()
         location, scale = profile.mean, profile.scale
         settings = EMSettings(
@@ -316,7 +312,7 @@ class BoundedGaussianMixture(FittedMixture):
             step=self.step,
             threads=self.n_jobs,
         )
-        result = fit_components(source, profile, settings, self._start(location, scale), self._tell)
+        result = fit_components(events, profile, settings, self._start(location, scale), self._tell)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
@@ -325,7 +321,7 @@ class BoundedGaussianMixture(FittedMixture):
         self.warnings_ = fit_warnings(
             self._distribution,
             profile,
-            correlation_of(source, profile),
+            correlation_of(events, profile),
             stop_reason=result.stop_reason,
             passes=self.n_iter_,
             names=self.names,

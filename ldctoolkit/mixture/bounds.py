@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.mixture._checks import as_matrix, check_matrix
+from ldctoolkit.mixture.checks import as_matrix, check_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,12 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._checks import RandomState, as_matrix, check_number, check_sample_weight, seed_of
 from ldctoolkit.mixture._parallel import in_processes, may_start_processes
 from ldctoolkit.mixture._rule import Criterion, Rule, choose, least
 from ldctoolkit.mixture._trial import Failure, Outcome, Trial, Trials, split_rows
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.sources import ArrayEvents, EventSource, usable_cores
+from ldctoolkit.mixture.checks import (
+    RandomState,
+    as_matrix,
+    check_components,
+    check_number,
+    check_sample_weight,
+    seed_of,
+)
+from ldctoolkit.mixture.events import Events, usable_cores
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -80,7 +87,7 @@ class Selection:
 
 
 def select_components(
-    X: npt.ArrayLike | EventSource,
+    X: npt.ArrayLike,
     components: Iterable[int],
     *,
     criterion: Criterion = "bic",
@@ -97,8 +104,8 @@ def select_components(
 
     Parameters
     ----------
-    X : (n, d) or EventSource
-        Events, strictly inside the box; or where they lie.
+    X : (n, d)
+        Events, strictly inside the box.
     components : iterable of int
         The K to try.
     criterion : {"bic", "aic", "icl", "held_out"}
@@ -117,9 +124,8 @@ def select_components(
     random_state : int or Generator, optional
         Seed of all fits and of the split.
     n_jobs : int, optional
-        Cores to use, all by default. Fits to an array run so many at a time in processes of their own, if they take
-        long enough to be worth it; another source works on its blocks itself, one fit after the other. No number
-        depends on it.
+        Cores to use, all by default. Fits run so many at a time in processes of their own, if they take long enough
+        to be worth it. No number depends on it.
     progress : callable, optional
         Called as ``progress("K = 3", done, total)`` when fits begin, with the K under way, and once at the end.
     **settings
@@ -162,14 +168,17 @@ def select_components(
     >>> found.reason
     'K = 2, the smallest whose BIC lies within 10 of the best'
     """
-    tried = _checked_components(components)
+    tried = check_components(components)
     rule = Rule.of(criterion, slack, indifference)
     if n_jobs is not None:
         check_number("n_jobs", n_jobs, 1, integer=True)
     seed = seed_of(random_state)
     # made here, so that a wrong setting is told before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]
-    events = _source(X, sample_weight, n_jobs)
+    x = np.ascontiguousarray(as_matrix(X))  # in the order the passes read it
+    if x.size == 0:
+        raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+    events = Events(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
     held = split_rows(events, held_out_share, seed) if rule.criterion == "held_out" else None
     outcomes = _run(Trials(held), models, events, n_jobs, progress)
     trials = [outcome for outcome in outcomes if isinstance(outcome, Trial)]
@@ -179,48 +188,21 @@ def select_components(
     return _selection(rule, trials, failures)
 
 
-def _checked_components(components: Iterable[int]) -> list[int]:
-    """The K to try, each once, ascending."""
-    if isinstance(components, str) or not isinstance(components, Iterable):
-        raise InputError(f"components: {components!r}; allowed: several integers >= 1")
-    given = list(components)
-    for K in given:
-        check_number("components", K, 1, integer=True)
-    if not given:
-        raise InputError("components: an empty range; allowed: at least one number of components")
-    return sorted({int(K) for K in given})
-
-
-def _source(X: npt.ArrayLike | EventSource, sample_weight: npt.ArrayLike | None, n_jobs: int | None) -> EventSource:
-    """Events in the order the passes read them."""
-    if isinstance(X, ArrayEvents):
-        if sample_weight is None:
-            return dataclasses.replace(X, x=np.ascontiguousarray(X.x, dtype=float), threads=n_jobs or X.threads)
-    elif not isinstance(X, EventSource):
-        x = np.ascontiguousarray(as_matrix(X))
-        if x.size == 0:
-            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
-        return ArrayEvents(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
-    if sample_weight is not None:
-        raise InputError("sample_weight: given beside a source of events; allowed: weights in the source")
-    return X
-
-
 def _run(
     trials: Trials,
     models: Sequence[BoundedGaussianMixture],
-    events: EventSource,
+    events: Events,
     n_jobs: int | None,
     progress: Progress | None,
 ) -> list[Outcome]:
     """All fits, in the order of the models; the longest begin first where several run at a time."""
     workers = 1
-    if isinstance(events, ArrayEvents) and may_start_processes():
+    if may_start_processes():
         size = events.x.size * sum(model.n_components for model in models)
         workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), len(models))
     queue = list(models)
     ended: Generator[tuple[int, Outcome], None, None]
-    if isinstance(events, ArrayEvents) and workers > 1:
+    if workers > 1:
         queue.reverse()
         ended = in_processes(trials, queue, events, workers)
     else:

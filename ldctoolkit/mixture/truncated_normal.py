@@ -153,14 +153,6 @@ class TruncatedNormal:
             raise InputError("truncated normal: mu and Sigma must be finite numbers")
         check_bounds(self.lower, self.upper)
 
-    @property
-    def tilt_converged(self) -> npt.NDArray[np.bool_]:
-        """Whether the minimax tilt was found, (K,); a component where it was not can be sampled only if P > 0.25."""
-        if self.box is None:
-            return np.ones(self.mu.shape[0], dtype=bool)
-        out: npt.NDArray[np.bool_] = np.isfinite(self.box.log_peak)
-        return out
-
     def log_density(self, x: npt.ArrayLike) -> FloatArray:
         """Log-density of each row in each component, (n, K); -inf outside the box.
 

@@ -1,7 +1,6 @@
 """Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
 
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
-from ldctoolkit.scenario_model.departure_sources import DepartureSources, open_departures, table_rows
 from ldctoolkit.scenario_model.fit import fit_scenario_model
 from ldctoolkit.scenario_model.given import Given, conditions
 from ldctoolkit.scenario_model.library import bundled_models, load_model
@@ -12,7 +11,6 @@ from ldctoolkit.scenario_model.source_summary import SourceSummary, summarize
 
 __all__ = [
     "PHYSICAL_BOUNDS",
-    "DepartureSources",
     "FitSettings",
     "Given",
     "ModelProvenance",
@@ -25,8 +23,6 @@ __all__ = [
     "fit_scenario_model",
     "load_model",
     "merged_provenance",
-    "open_departures",
     "read_all_departures",
     "summarize",
-    "table_rows",
 ]

@@ -14,7 +14,7 @@ from ldctoolkit.version import __version__
 
 @dataclasses.dataclass(frozen=True)
 class SideSummary:
-    """How one side was fitted. Tuples over K are empty where a criterion was not computed, or not kept at the time.
+    """How one side was fitted. Tuples over K are empty where a criterion was not computed.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class SideSummary:
         Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``,
         ``"physical"`` or ``"auto"``.
     source_summary : SourceSummary, optional
-        How the departures spread; None in files of versions 1 and 2, and where weights rest on too few departures.
+        How the departures spread; None where weights rest on too few departures.
     """
 
     events: int

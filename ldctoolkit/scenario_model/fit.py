@@ -10,20 +10,18 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import ArrayEvents, EventSource
+from ldctoolkit.mixture.checks import check_number, check_weights
+from ldctoolkit.mixture.events import Events
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.bounds import Bounds, wanted_bounds
 from ldctoolkit.scenario_model.card import ModelProvenance, software_versions
-from ldctoolkit.scenario_model.departure_sources import DepartureSources
 from ldctoolkit.scenario_model.fit_side import Progress, carried_components, fit_side
 from ldctoolkit.scenario_model.model import ScenarioModel
-from ldctoolkit.scenario_model.parts import whole_number
 from ldctoolkit.scenario_model.settings import (
     SideSettings,
     component_numbers,
-    event_weights,
     fit_settings,
     transforms,
 )
@@ -33,13 +31,11 @@ from ldctoolkit.version import __version__
 LEAST_EVENTS: Final = 30
 """Departures a side needs."""
 
-FloatArray = npt.NDArray[np.float64]
-
 _SEED_END: Final = 10**18
 
 
 def fit_scenario_model(
-    departures: Departures | DepartureSources,
+    departures: Departures,
     *,
     components: int | Iterable[int] = range(1, 11),
     seed: int = 0,
@@ -64,9 +60,8 @@ def fit_scenario_model(
 
     Parameters
     ----------
-    departures : Departures or DepartureSources
-        Both sides together; or where the departures of each side lie, for tables larger than memory
-        (`open_departures`).
+    departures : Departures
+        Both sides together.
     components : int or iterable of int
         K, or the K to choose from. A range is cut where the events no longer carry it (two events a free parameter).
         One K is fitted as asked.
@@ -77,20 +72,19 @@ def fit_scenario_model(
         ``PHYSICAL_BOUNDS`` otherwise. ``"auto"`` reads the ends off the data (`ldctoolkit.mixture.bounds.auto_bounds`),
         never beyond the criteria of the extraction or what can be replayed. A mapping has parameter names as keys,
         and as values one of the words or (lower, upper) in SI units, either of them a number, None for open, or
-        ``"auto"``; the other parameters keep the default. ``"auto"`` needs departures in memory.
+        ``"auto"``; the other parameters keep the default.
     extraction : Criteria, optional
         The criteria that the departures were extracted with: no event outside them could have been found.
     weights : (n,), optional
-        Events that each departure stands for; those of weight 0 are left out. Sources have their own weights, and
-        their rows of weight 0 are counted as departures.
+        Events that each departure stands for; those of weight 0 are left out.
     transform : {"none", "log", "logit", "auto"} or mapping, optional
         Map of each parameter before the fit, as in `BoundedGaussianMixture`: one for all, or by name.
     criterion, slack, indifference
-        How K is chosen, see `select_components`; ``"held_out"`` needs departures in memory.
+        How K is chosen, see `select_components`.
     prior_strength, tol, n_init, max_iter
         Of each fit, see `BoundedGaussianMixture`.
     workers : int, optional
-        Cores to use for departures in memory, all by default; sources have their own. It changes no number.
+        Cores to use, all by default. It changes no number.
     verbose : bool
         Tell of every start and pass on stderr.
     source_provenance : mapping or str
@@ -133,12 +127,12 @@ def fit_scenario_model(
     >>> model.provenance.left.reason
     'K = 1, as asked'
     """
-    seed = whole_number("seed", seed)
+    check_number("seed", seed, 0, integer=True)
     if seed >= _SEED_END:
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
     settings = SideSettings(
         components=component_numbers(components),
-        seed=seed,
+        seed=int(seed),
         bounds=wanted_bounds(bounds, extraction),
         transform=transforms(transform),
         fit=fit_settings(criterion, slack, indifference, prior_strength, tol, n_init, max_iter),
@@ -158,7 +152,7 @@ def fit_scenario_model(
         synthetic=synthetic,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         software=f"ldctoolkit {__version__}",
-        seed=seed,
+        seed=int(seed),
         warnings=tuple(note for fit in fits.values() for note in fit.warnings),
         versions=software_versions(),
         settings=settings.fit,
@@ -171,37 +165,13 @@ def fit_scenario_model(
     return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=one, right=other))
 
 
-def _events(
-    departures: Departures | DepartureSources, weights: npt.ArrayLike | None, settings: SideSettings
-) -> dict[str, SideEvents]:
-    """The events of each side, wherever they lie, ready for the fit."""
-    if isinstance(departures, DepartureSources):
-        if weights is not None:
-            raise InputError("weights: given beside sources of departures; allowed: weights in the sources")
-        sources: dict[str, EventSource] = {"left": departures.left, "right": departures.right}
-        for label, source in sources.items():
-            if source.dimension != len(PARAMETER_NAMES):
-                raise InputError(
-                    f"departures ({label}): {source.dimension} columns; allowed: the {len(PARAMETER_NAMES)} parameters "
-                    f"{', '.join(PARAMETER_NAMES)}"
-                )
-    else:
-        sources = _in_memory(departures, event_weights(weights, departures.n), settings.workers)
-    events = {label: side_events(source, label, settings) for label, source in sources.items()}
-    _check_counts(events["left"].rows, events["right"].rows)
-    return events
-
-
-def _in_memory(departures: Departures, weight: FloatArray | None, workers: int | None) -> dict[str, EventSource]:
+def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
+    """The departures of each side, ready for the fit."""
+    weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     counts = np.ones(departures.n, dtype=bool) if weight is None else weight > 0.0
     rows = {label: counts & (departures.side == side) for label, side in (("left", LEFT), ("right", RIGHT))}
-    _check_counts(*(int(mask.sum()) for mask in rows.values()))
-    x = departures.matrix()
-    return {
-        label: ArrayEvents(x[mask], None if weight is None else weight[mask], workers) for label, mask in rows.items()
-    }
-
-
-def _check_counts(left: int, right: int) -> None:
+    left, right = (int(mask.sum()) for mask in rows.values())
     if min(left, right) < LEAST_EVENTS:
         raise InputError(f"departures: {left} left and {right} right; allowed: at least {LEAST_EVENTS} a side")
+    every = Events(departures.matrix(), weight, settings.workers)
+    return {label: side_events(every.take(mask), label, settings) for label, mask in rows.items()}

@@ -15,7 +15,7 @@ from ldctoolkit.scenario_model.card import SideSummary
 from ldctoolkit.scenario_model.parts import SideModel, check_usable
 from ldctoolkit.scenario_model.settings import SideSettings
 from ldctoolkit.scenario_model.side_events import SideEvents
-from ldctoolkit.scenario_model.source_summary import summarize_source
+from ldctoolkit.scenario_model.source_summary import summarize_events
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -77,7 +77,7 @@ def fit_side(
         stop_reason=best.stop_reason_,
         weight=events.weight,
         bounds_from=events.box.origins,
-        source_summary=summarize_source(events.source, n, events.names),
+        source_summary=summarize_events(events.events, events.names),
     )
     return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
 
@@ -119,6 +119,7 @@ def _select(
     label, varies = events.label, events.inside.varies
     arguments: dict[str, Any] = settings.selection() | {
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
+        "sample_weight": events.events.weight,
         "lower": events.box.lower[varies],
         "upper": events.box.upper[varies],
         "transform": [settings.transform[name] for name in events.names],
@@ -127,7 +128,7 @@ def _select(
     failed: list[tuple[int, str]] = []
     while True:
         try:
-            selection = select_components(events.source, tried, **arguments)
+            selection = select_components(events.events.x, tried, **arguments)
         except (InputError, ModelError) as error:
             if str(error).partition(":")[0] in _SETTINGS:
                 raise

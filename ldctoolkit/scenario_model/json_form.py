@@ -16,16 +16,15 @@ from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model._reader import Reader, is_number, parse, short
 from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.card_json import card_from_json, card_to_json
-from ldctoolkit.scenario_model.migrations import FIRST, NEWEST, to_newest
 from ldctoolkit.scenario_model.parts import LEAST_LOWER, SideModel, check_usable
 
 FloatArray = npt.NDArray[np.float64]
 
 FORMAT: Final = "ldctoolkit-scenario-model"
-VERSION: Final = NEWEST
+VERSION: Final = 3
 
 _HASHED_VERSION: Final = 1
-"""Stands in the hashed content and never changes: a model that is loaded from an old file keeps its hash."""
+"""Stands in the hashed content and never changes: studies resume by the hash."""
 
 _SIDE_KEYS: Final = ("parameters", "constants", "transform", "lower", "upper", "weights", "means", "covariances")
 
@@ -69,7 +68,7 @@ def content_hash(left: SideModel, right: SideModel) -> str:
 
 
 def _hashed(side: SideModel) -> dict[str, Any]:
-    """What version 1 knew; what came later only where it is not the default."""
+    """One side; transforms only where there are any."""
     content = side_to_json(side)
     if all(kind == "none" for kind in content["transform"]):
         del content["transform"]
@@ -77,7 +76,7 @@ def _hashed(side: SideModel) -> dict[str, Any]:
 
 
 def read_json(text: str, file: str) -> Mapping[str, Any]:
-    """Parse, check format and version, and bring an older version to the newest."""
+    """Parse, and check format and version."""
     reader = Reader(file)
     data = parse(text, file)
     if not isinstance(data, dict):
@@ -85,14 +84,11 @@ def read_json(text: str, file: str) -> Mapping[str, Any]:
     if data.get("format") != FORMAT:
         raise reader.wrong("format", f"{short(data.get('format'))}; allowed: {FORMAT!r}")
     version = data.get("version")
-    if not isinstance(version, int) or isinstance(version, bool) or version < FIRST:
-        raise reader.wrong("version", f"{short(version)}; this program reads versions {FIRST} to {VERSION}")
-    if version > VERSION:
-        raise reader.wrong(
-            "version",
-            f"{version}; this program reads versions {FIRST} to {VERSION}: the file is newer, update ldctoolkit",
-        )
-    return to_newest(data, version)
+    if type(version) is not int or version != VERSION:
+        newer = isinstance(version, int) and version > VERSION
+        hint = ": the file is newer, update ldctoolkit" if newer else ""
+        raise reader.wrong("version", f"{short(version)}; this program reads version {VERSION}{hint}")
+    return data
 
 
 def model_from_json(data: Mapping[str, Any], file: str) -> tuple[SideModel, SideModel, ModelProvenance]:

@@ -14,11 +14,12 @@ import numpy.typing as npt
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
+from ldctoolkit.mixture.checks import check_number
 from ldctoolkit.scenario_model import json_form as form
 from ldctoolkit.scenario_model._reader import read_text
 from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.given import Condition, Given, conditions, mixture_conditions
-from ldctoolkit.scenario_model.parts import SideModel, whole_number
+from ldctoolkit.scenario_model.parts import SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
 
@@ -150,10 +151,9 @@ class ScenarioModel:
         True
         """
         wanted = conditions(given)
-        parts = [
-            self._draw(side, whole_number(name, n), whole_number("seed", seed), wanted)
-            for side, name, n in ((LEFT, "n_left", n_left), (RIGHT, "n_right", n_right))
-        ]
+        for name, number in (("n_left", n_left), ("n_right", n_right), ("seed", seed)):
+            check_number(name, number, 0, integer=True)
+        parts = [self._draw(side, int(n), int(seed), wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
         return Scenarios.from_arrays(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
 

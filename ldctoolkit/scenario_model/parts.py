@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 
 FloatArray = npt.NDArray[np.float64]
@@ -81,10 +81,3 @@ def check_usable(mixture: BoundedGaussianMixture) -> None:
             mixture.distribution.check_samplable()
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
-
-
-def whole_number(name: str, value: Any) -> int:
-    """An integer >= 0, or an `InputError` that names it."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(f"{name}: {value!r}; allowed: an integer >= 0")
-    return int(value)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.mixture.checks import check_components
 from ldctoolkit.scenario_model.bounds import WantedBounds
 from ldctoolkit.scenario_model.card import FitSettings
 
@@ -65,19 +66,9 @@ def fit_settings(*values: Any) -> FitSettings:
 
 def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
     """K, or the K to choose from, in ascending order."""
-    allowed = "allowed: an integer >= 1, or several of them"
-    given = (components,) if isinstance(components, int | np.integer) else components
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f"components: {components!r}; {allowed}")
-    numbers = tuple(given)
-    for K in numbers:
-        if isinstance(K, bool) or not isinstance(K, int | np.integer) or K < 1:
-            raise InputError(f"components: {K!r}; {allowed}")
-    if not numbers:
-        raise InputError(f"components: an empty range; {allowed}")
     if isinstance(components, int | np.integer):
-        return int(components)
-    return tuple(sorted({int(K) for K in numbers}))
+        return check_components([components])[0]
+    return tuple(check_components(components))
 
 
 def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
@@ -109,20 +100,3 @@ def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatAr
                 f"transform[{name!r}]: {wanted[name]!r} with the bounds {lower[j]:g} to {upper[j]:g}; allowed: with "
                 f"{allowed}"
             )
-
-
-def event_weights(weights: npt.ArrayLike | None, n: int) -> FloatArray | None:
-    """Events that each departure stands for, (n,)."""
-    if weights is None:
-        return None
-    try:
-        out = np.asarray(weights, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("weights: not numbers; allowed: one number >= 0 a departure") from None
-    if out.shape != (n,):
-        raise InputError(f"weights: shape {out.shape}; allowed: ({n},), one number a departure")
-    bad = ~(np.isfinite(out) & (out >= 0.0))
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(f"weights: {float(out[row])!r} of departure {row}; allowed: finite numbers >= 0")
-    return out

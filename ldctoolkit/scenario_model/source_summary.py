@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.mixture import EventSource
+from ldctoolkit.mixture.events import Events
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -158,14 +158,12 @@ def summarize(x: FloatArray, weight: FloatArray | None = None, *, names: tuple[s
     )
 
 
-def summarize_source(source: EventSource, rows: int, names: tuple[str, ...]) -> SourceSummary | None:
+def summarize_events(events: Events, names: tuple[str, ...]) -> SourceSummary | None:
     """Sum up what a fit was made of; of more than 50,000 departures as many evenly spread rows."""
-    if rows <= _MOST_LOOKED_AT:
-        chosen = np.arange(rows, dtype=np.int64)
-    else:
-        chosen = np.arange(_MOST_LOOKED_AT, dtype=np.int64) * rows // _MOST_LOOKED_AT
-    x, weight = source.take(chosen)
-    return summarize(x, weight, names=names)
+    rows = events.rows
+    if rows > _MOST_LOOKED_AT:
+        events = events.take(np.arange(_MOST_LOOKED_AT, dtype=np.int64) * rows // _MOST_LOOKED_AT)
+    return summarize(events.x, events.weight, names=names)
 
 
 def weighted_ranks(column: FloatArray, share: FloatArray) -> FloatArray:

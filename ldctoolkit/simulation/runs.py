@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
-from ldctoolkit.mixture.sources import usable_cores
+from ldctoolkit.mixture.events import usable_cores
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run, Trajectories
 from ldctoolkit.simulation.takeover import Takeover

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,16 +23,9 @@ from studies.cli._ranges import bound, each_once, named
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from ldctoolkit.recordings import Provenance
-    from ldctoolkit.scenario_model import DepartureSources, ScenarioModel, SideSummary
+    from ldctoolkit.scenario_model import ScenarioModel, SideSummary
 
 _CRITERIA = ("bic", "aic", "icl", "held_out")
-
-_STREAM_FROM = 4_000_000
-"""Departures above which tables are not kept in memory by default: 244 MiB of parameters, several times as much while
-they are read."""
-
-_SHOWN = 1_000_000
-"""Departures that the page looks at, where they are not in memory."""
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -79,16 +70,6 @@ def add_parser(commands: Subparsers) -> None:
     add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(
-        "--stream", action=argparse.BooleanOptionalAction,
-        help="read the tables anew at every pass, in bounded memory; the same numbers, no faster (default: from "
-        f"{_STREAM_FROM:,} departures on)",
-    )  # fmt: skip
-    add(
-        "--dask", metavar="ADDRESS",
-        help="let the workers of a Dask cluster read the tables, which they must see under the same path; the address "
-        "of its scheduler, such as tcp://10.0.0.1:8786",
-    )  # fmt: skip
-    add(
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
     )  # fmt: skip
@@ -129,71 +110,20 @@ def run(chosen: argparse.Namespace) -> None:
     if chosen.png and not chosen.page:
         raise InputError("--png: given beside --no-page; allowed: one of them, the picture is of the page")
     bounds, transforms = _bounds(chosen), _transforms(chosen)
-    if not _streams(chosen):
-        departures, provenance = read_all_departures(chosen.departures)
-        model = _fitted(chosen, departures, provenance, bounds, transforms)
-        _tell(target, model)
-        if chosen.page:
-            _write_page(page, model, departures, chosen)
-        return
-    _check_streamable(chosen, bounds)
-    with _opened(chosen) as sources:
-        model = _fitted(chosen, sources, sources.provenance, bounds, transforms)
-        _tell(target, model)
-        if chosen.page:
-            drawn, _ = sources.draw(_SHOWN, chosen.seed)
-            _write_page(page, model, drawn, chosen, drawn=True)
-
-
-def _streams(chosen: argparse.Namespace) -> bool:
-    """Whether the departures stay where they are."""
-    if chosen.dask is not None:
-        if chosen.stream is False:
-            raise InputError("--no-stream: given beside --dask; allowed: one of them")
-        if chosen.workers is not None:
-            raise InputError("--workers: has no meaning with --dask; the cluster has its own workers")
-        return True
-    if chosen.stream is not None:
-        return bool(chosen.stream)
-    from ldctoolkit.scenario_model import table_rows
-
-    return table_rows(chosen.departures) >= _STREAM_FROM
-
-
-def _check_streamable(chosen: argparse.Namespace, bounds: dict[str, Any]) -> None:
-    """Refuse what needs the departures in memory."""
-    where = "beside --dask" if chosen.dask else "for departures in files"
-    instead = "" if chosen.dask else ", or --no-stream, which reads them into memory"
-    if chosen.criterion == "held_out":
-        raise InputError(f"--criterion held_out: {where}; allowed: bic, aic, icl{instead}")
-    for name, wanted in bounds.items():
-        if "auto" in (wanted if isinstance(wanted, tuple) else (wanted,)):
-            option = "--bounds auto" if chosen.bounds == "auto" else f"--bound {name}=auto"
-            raise InputError(f"{option}: {where}; allowed: physical or given bounds{instead}")
-
-
-def _opened(chosen: argparse.Namespace) -> DepartureSources:
-    from ldctoolkit.scenario_model import open_departures
-
-    if chosen.dask is not None:
-        _silence_dask()
-    return open_departures(chosen.departures, cluster=chosen.dask, threads=chosen.workers)
-
-
-def _silence_dask() -> None:
-    """What a user needs to know of a cluster is in the toolkit's own errors."""
-    try:
-        importlib.import_module("distributed")  # it sets its loggers up
-    except ImportError:
-        return  # told when it is needed
-    for name in list(logging.root.manager.loggerDict):
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+    departures, provenance = read_all_departures(chosen.departures)
+    model = _fitted(chosen, departures, provenance, bounds, transforms)
+    model.save(target)
+    for warning in model.provenance.warnings:
+        warn(warning)
+    _print_fits(model)
+    print(f"scenario model written to {target} (content {model.content_hash[:12]})")
+    if chosen.page:
+        _write_page(page, model, departures, chosen)
 
 
 def _fitted(
     chosen: argparse.Namespace,
-    departures: Departures | DepartureSources,
+    departures: Departures,
     provenance: Provenance,
     bounds: dict[str, Any],
     transforms: dict[str, str],
@@ -219,15 +149,6 @@ def _fitted(
             source_provenance=_source(provenance),
             progress=None if advance is None else lambda _, done, total: advance(done, total),
         )
-
-
-def _tell(target: Path, model: ScenarioModel) -> None:
-    """Write the model and say what was done."""
-    model.save(target)
-    for warning in model.provenance.warnings:
-        warn(warning)
-    _print_fits(model)
-    print(f"scenario model written to {target} (content {model.content_hash[:12]})")
 
 
 def _bounds(chosen: argparse.Namespace) -> dict[str, Any]:
@@ -261,10 +182,8 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _write_page(
-    page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace, *, drawn: bool = False
-) -> None:
-    """Write the page, of all departures or of those drawn; the model is kept also where there can be none."""
+def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace) -> None:
+    """Write the page; the model is kept also where there can be none."""
     from studies.fit_page import write_fit_page
 
     try:
@@ -275,7 +194,6 @@ def _write_page(
                 departures,
                 seed=chosen.seed,
                 png=page.with_suffix(".png") if chosen.png else None,
-                drawn=drawn,
                 progress=None if advance is None else lambda _, done, total: advance(done, total),
             )
     except LdcError as error:

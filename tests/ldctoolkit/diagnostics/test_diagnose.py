@@ -105,16 +105,14 @@ def bad_components() -> BoundedGaussianMixture:
 def test_each_warning_about_components_and_the_fit() -> None:
     model = bad_components()
     x, _ = model.sample(600, 2)
-    said = "\n".join(
-        diagnose(model, x, n_model=5000, summary=summary(converged=False, n_components=(1, 2, 3))).warnings
-    )
+    told = summary(converged=False, n_components=(1, 2, 3), moved_inside=(("T", 3),))
+    said = "\n".join(diagnose(model, x, n_model=5000, summary=told).warnings)
     assert "stopped before it had converged" in said
     assert "K = 3 is the largest that was tried" in said
     assert "component 1 is the tail of a normal that lies outside the bounds (P = 10^-15, mean 8.0" in said
     assert "component 2 rests on" in said
     assert "component 2 is nearly flat" in said
-    moved = diagnose(model, x, n_model=5000, summary=summary(moved_inside=(("T", 3),))).warnings
-    assert "3 events had T exactly on a bound, moved just inside" in moved
+    assert "3 events had T exactly on a bound, moved just inside" in said
 
 
 def test_events_outside_are_left_out_and_counted() -> None:
@@ -164,6 +162,10 @@ def test_bad_input(change: dict[str, object], message: str) -> None:
     given = {"X": GOOD, "n_model": 1000} | change
     with pytest.raises(InputError, match=message):
         diagnose(ONE, given.pop("X"), **given)  # type: ignore[arg-type]
+
+
+def test_ten_events_and_a_thousand_draws_are_enough() -> None:
+    assert diagnose(ONE, GOOD[:10], n_model=1000).events == 10
 
 
 def departures_of(model: ScenarioModel, n: int, seed: int = 1) -> Departures:

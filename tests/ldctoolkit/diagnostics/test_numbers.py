@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from ldctoolkit.diagnostics import box_share, diagnose
+from helpers.examples import examples
+from ldctoolkit.diagnostics import Strip, box_share, diagnose
 from ldctoolkit.diagnostics._bounds import strips, weighted_quantile
 from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
 from ldctoolkit.diagnostics._components import components
 from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, bin_of, model_marginal
 from ldctoolkit.diagnostics._pairs import pair_densities
+from ldctoolkit.diagnostics.thresholds import strip_is_off
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 
 INF = np.inf
@@ -98,7 +101,7 @@ def exact_marginal(n: int = 400_000) -> ModelMarginal:
     return ModelMarginal((np.arange(n) + 0.5) / n, np.array([0, n]), np.array([0.0, 1.0]))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(1, 60), st.integers(0, 10**6), st.booleans())
 def test_kolmogorov_distance_is_scipys(n: int, seed: int, ties: bool) -> None:
     x = np.random.default_rng(seed).random(n)
@@ -121,7 +124,10 @@ def test_weights_count_as_repetitions() -> None:
     )
 
 
-@pytest.mark.parametrize(("n", "parameters"), [(40, 1), (700, 1), (30_000, 1), (700, 8)])
+@pytest.mark.parametrize(
+    ("n", "parameters"),
+    [(40, 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((700, 1), (30_000, 1), (700, 8)))],
+)
 def test_kolmogorov_limit_is_the_known_quantile(n: int, parameters: int) -> None:
     """By drawing: events of the model are uniform numbers, and the limit is exceeded in 5 % of the draws."""
     repetitions = 4000 if n < 1000 else 400
@@ -152,6 +158,26 @@ def test_strips_count_and_integrate() -> None:
     assert strip.error == pytest.approx(strip.model / strip.data - 1.0)
     # binomial, relative: sqrt(p (1 - p)/n)/p
     assert strip.standard_error == pytest.approx(np.sqrt(0.95 / 0.05 / 4000) * strip.model / strip.data)
+
+
+def test_a_strip_ends_at_the_event_that_completes_its_share() -> None:
+    """Twenty events of one weight: a twentieth of it is the first event, 19 twentieths are the first nineteen."""
+    x = np.arange(1.0, 21.0)[:, None]
+    whole = BoundedGaussianMixture.from_parameters([1.0], [[10.0]], [[[30.0]]], lower=0.0, upper=21.0).distribution
+    (low, high), far = strips(whole, ("a",), x, np.full(20, 0.05), 20.0)
+    assert (low.edge, low.data) == (1.0, pytest.approx(0.05))
+    assert (high.edge, high.data) == (19.0, pytest.approx(0.1))
+    assert far == ()
+    # half of what lies between both edges away is near: 9 beyond 19 is; an event on the bound makes no strip
+    for bounds, near in (((-8.0, 28.0), 2), ((1.0, 29.0), 0)):
+        ends = dataclasses.replace(whole.transform, lower=np.array(bounds[:1]), upper=np.array(bounds[1:]))
+        found, far = strips(dataclasses.replace(whole, transform=ends), ("a",), x, np.full(20, 0.05), 20.0)
+        assert (len(found), len(far)) == (near, 2 - near)
+
+
+@pytest.mark.parametrize(("error", "deviation", "off"), [(0.2, 0.0, 0), (-0.2001, 0.05, 1), (0.2001, 0.0501, 0)])
+def test_a_strip_is_off_beyond_a_fifth_and_four_standard_errors(error: float, deviation: float, off: int) -> None:
+    assert strip_is_off(Strip("T", "lower", 0.0, 1.0, 0.05, 0.06, error, deviation)) == off
 
 
 def test_components_table() -> None:

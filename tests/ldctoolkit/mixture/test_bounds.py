@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture.bounds import auto_bounds
 
@@ -63,6 +64,14 @@ def test_few_rows_rarely_close_an_open_end(n, most):
     assert wrong <= most * 100
 
 
+def test_an_abrupt_end_is_looked_for_from_50_rows_on():
+    evenly = np.linspace(1.0, 3.0, 50)[:, None]
+    assert [bound[0] for bound in auto_bounds(evenly[:49])] == [-OPEN, OPEN]
+    lower, upper = auto_bounds(evenly)
+    assert 0.9 < lower[0] < 1.0
+    assert 3.0 < upper[0] < 3.1
+
+
 def test_the_end_of_a_uniform_column_is_nearly_unbiased():
     """The largest value falls short of the end by 1/n, half way out from its neighbour by 0.5/n; ours is 0.3/n beyond.
 
@@ -112,7 +121,7 @@ def test_an_outlier_opens_no_hang_and_no_nan():
     assert (lower[0], upper[0]) == (-OPEN, OPEN)
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @given(
     values=st.lists(
         st.floats(-1e6, 1e6) | st.sampled_from([0.0, -0.0, 1.0, 5e-324, 1e-300, -1e-300, 1e100, -1e100]), max_size=120

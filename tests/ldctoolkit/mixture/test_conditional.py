@@ -35,17 +35,20 @@ def filtered(model, given, blocks=30):
     return x[keep], label[keep], keep.mean()
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"v_mean": (0.5, 1.5)},
-        {"T": (0.5, None), "d_y": (None, 0.4)},
-        {"T": (-3.0, 0.8), "d_y": (0.2, 5.0), "v_mean": (-INF, 0.0)},  # reaches over the box: its common part counts
-    ],
+INTERVALS = (
+    {"v_mean": (0.5, 1.5)},
+    {"T": (0.5, None), "d_y": (None, 0.4)},
+    {"T": (-3.0, 0.8), "d_y": (0.2, 5.0), "v_mean": (-INF, 0.0)},  # reaches over the box: its common part counts
 )
-@pytest.mark.parametrize("transform", [None, "auto", ["none", "logit", "none"]])
-def test_conditional_samples_are_filtered_ones(given, transform):
-    model = three_columns(transform)
+MAPS = ("auto", ["none", "logit", "none"], None)
+
+
+@pytest.mark.parametrize(
+    ("i", "j"),
+    [pytest.param(i, j, marks=[] if i == j else pytest.mark.slow) for i in range(3) for j in range(3)],
+)
+def test_conditional_samples_are_filtered_ones(i, j):
+    given, model = INTERVALS[i], three_columns(MAPS[j])
     brute, brute_label, share = filtered(model, given)
     n = 20_000
     x, label = model.sample(n, 4, given=given)

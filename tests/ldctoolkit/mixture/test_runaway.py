@@ -6,11 +6,12 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
 
@@ -61,17 +62,22 @@ def check_sound(model, X):
     assert np.min(np.diff(history), initial=0.0) >= -1e-8 * max(np.abs(history).max(), 1.0)
 
 
-@pytest.mark.parametrize("name", list(MARGINS))
+def grid(names, shapes, quick):
+    """All names with all shapes; those that are not quick are for the longer tier."""
+    return [
+        pytest.param(name, *shape, marks=[] if (name, shape) in quick else pytest.mark.slow)
+        for name in names
+        for shape in shapes
+    ]
+
+
 @pytest.mark.parametrize(
-    ("d", "n", "K"),
-    [
-        (1, 100, 1),
-        (2, 2000, 1),
-        (2, 2000, 3),
-        pytest.param(1, 20_000, 3, marks=pytest.mark.slow),
-        pytest.param(8, 100, 3, marks=pytest.mark.slow),
-        pytest.param(8, 3000, 1, marks=pytest.mark.slow),
-    ],
+    ("name", "d", "n", "K"),
+    grid(
+        MARGINS,
+        [(1, 100, 1), (2, 2000, 1), (2, 2000, 3), (1, 20_000, 3), (8, 100, 3), (8, 3000, 1)],
+        [("exponential", (2, 2000, 1)), ("gamma_0.5", (2, 2000, 3)), ("cauchy", (1, 100, 1))],
+    ),
 )
 def test_density_piled_up_at_a_bound(name, d, n, K):
     """With the default prior a maximum exists, and the fit says that it got there; 5 to 230 passes were measured.
@@ -84,8 +90,14 @@ def test_density_piled_up_at_a_bound(name, d, n, K):
     assert model.converged_ or (name == "cauchy" and model.log_probabilities_.min() < -0.99e5)
 
 
-@pytest.mark.parametrize("name", list(MARGINS))
-@pytest.mark.parametrize(("d", "n", "K"), [(1, 100, 1), (1, 100, 3), (2, 500, 1), (2, 500, 3)])
+@pytest.mark.parametrize(
+    ("name", "d", "n", "K"),
+    grid(
+        MARGINS,
+        [(1, 100, 1), (1, 100, 3), (2, 500, 1), (2, 500, 3)],
+        [("exponential", (1, 100, 1)), ("gamma_0.5", (2, 500, 1)), ("half_normal", (2, 500, 3))],
+    ),
+)
 def test_density_piled_up_at_a_bound_without_a_prior(name, d, n, K):
     """There need be no maximum: the fit ends at the least ln P, or refuses."""
     X = margin(name, (n, d))
@@ -178,8 +190,24 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("kind", list(BROKEN))
-@pytest.mark.parametrize("n0", [10.0, 0.0])
+QUICK = (
+    "nearly constant",
+    "half of the rows the same",
+    "barely K, one",
+    "barely K, ten",
+    "outlier, K = 1",
+    "same columns",
+    "far apart in scale",
+    "integers",
+    "1e-300 from a bound",
+    "far from zero",
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "n0"),
+    grid(BROKEN, [(10.0,), (0.0,)], [*((kind, (10.0,)) for kind in QUICK), *((kind, (0.0,)) for kind in QUICK[1:6:2])]),
+)
 def test_broken_data_give_a_sound_model_or_a_clear_refusal(kind, n0):
     make, K, lower, upper = BROKEN[kind]
     X = make()
@@ -205,7 +233,7 @@ def test_a_constant_column_is_named():
         fitted(np.column_stack([base()[:, 0], np.ones(500)]), 2, names=("a", "b"))
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(
     seed=st.integers(0, 2**16),
     d=st.integers(1, 3),

@@ -23,9 +23,9 @@ def ten_components():
     return BoundedGaussianMixture.from_parameters(weights / weights.sum(), mu, Sigma, lower=LOWER, upper=UPPER)
 
 
-def test_a_million_events_have_the_shares_and_moments():
+@pytest.mark.parametrize("n", [60_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_events_have_the_shares_and_moments(n):
     model = ten_components()
-    n = 1_000_000
     x, label = model.sample(n, 20)
     assert np.all((x > LOWER) & (x < UPPER))
     t, eta = model.distribution.truncated, model.weights_

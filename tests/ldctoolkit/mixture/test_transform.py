@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture._transform import Transform
@@ -26,7 +27,7 @@ def box(kind, low, length):
     return Transform.of("auto", lower, upper)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(kind=st.sampled_from(["above", "below", "both", "open"]), low=ends, length=lengths, shares=shares)
 def test_there_and_back(kind, low, length, shares):
     t = box(kind, low, length)
@@ -37,7 +38,7 @@ def test_there_and_back(kind, low, length, shares):
     np.testing.assert_allclose(back, x, rtol=1e-12, atol=8 * np.spacing(abs(low) + length))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     kind=st.sampled_from(["above", "below", "both"]),
     low=ends,

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import nquad
-from scipy.stats import multivariate_normal, truncnorm
+from scipy.stats import truncnorm
 
-from ldctoolkit.errors import InputError, ModelError
+from helpers.examples import examples
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture._draw import Sampler
 from ldctoolkit.mixture._lattice import _GENERATORS, generator, lattice
 from ldctoolkit.mixture._univariate import Restricted, log_mass
 
@@ -54,7 +51,7 @@ def _reference_mass(a, b):
     return np.log(value) - 0.5 * peak**2 - 0.5 * np.log(2 * np.pi)
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @given(st.floats(-30, 30), st.floats(1e-3, 50), st.floats(1e-6, 1 - 1e-6))
 def test_quantile_inverts_the_mass(a, width, u):
     A, B, U = np.array([a]), np.array([a + width]), np.array([u])
@@ -93,43 +90,6 @@ def test_diagonal_covariance_is_the_closed_form():
         np.testing.assert_allclose(t.covariance[k], expected, rtol=1e-5, atol=1e-5)
 
 
-def quadrature(mu, Sigma, lower, upper):
-    """Moments by nested adaptive quadrature."""
-    pdf = multivariate_normal(mu, Sigma).pdf
-    sd = np.sqrt(np.diag(Sigma))
-    box = [(max(lo, m - 9 * s), min(up, m + 9 * s)) for lo, up, m, s in zip(lower, upper, mu, sd, strict=True)]
-
-    def integral(weight):
-        return nquad(lambda *x: weight(x) * pdf(x), box, opts={"epsabs": 1e-9, "epsrel": 1e-7})[0]
-
-    P = integral(lambda x: 1.0)
-    d = len(mu)
-    mean = np.array([integral(lambda x, i=i: x[i]) for i in range(d)]) / P
-    second = np.empty((d, d))
-    for i, j in itertools.combinations_with_replacement(range(d), 2):
-        second[i, j] = second[j, i] = integral(lambda x, i=i, j=j: x[i] * x[j]) / P
-    return np.log(P), mean, second - np.outer(mean, mean)
-
-
-@pytest.mark.parametrize(
-    ("mu", "r", "lower", "upper"),
-    [
-        ([0.0, 0.0], 0.95, [0.0, 0.0], [INF, INF]),
-        ([0.0, 0.0], -0.9, [0.0, 0.0], [INF, INF]),
-        ([-2.0, 1.0], 0.5, [0.0, 0.0], [INF, 1.5]),
-        ([0.0, 0.0], 0.7, [0.3, -INF], [0.4, 1.0]),
-    ],
-)
-def test_two_dimensions_equal_nested_quadrature(mu, r, lower, upper):
-    Sigma = equicorrelated(2, r)
-    t = TruncatedNormal([mu], [Sigma], lower, upper)
-    log_p, mean, covariance = quadrature(mu, Sigma, lower, upper)
-    # two variables, one of them analytic: the lattice is a smooth one-dimensional rule
-    np.testing.assert_allclose(t.log_probability[0], log_p, atol=1e-7)
-    np.testing.assert_allclose(t.mean[0], mean, atol=1e-6)
-    np.testing.assert_allclose(t.covariance[0], covariance, atol=1e-6)
-
-
 def test_orthant_of_the_equicorrelated_normal():
     """P(all > 0) at correlation 1/2 is 1/(d + 1), exactly."""
     for d, tolerance in ((3, 1e-9), (5, 1e-6), (8, 1e-4)):  # measured 3e-13, 1e-8, 3e-5
@@ -155,23 +115,6 @@ def test_open_dimensions_are_regression():
     np.testing.assert_allclose(full.covariance[0][np.ix_(f, f)], expected, rtol=1e-8)
 
 
-@pytest.mark.slow
-def test_eight_dimensions_equal_a_long_monte_carlo():
-    rng = np.random.default_rng(8)
-    A = rng.normal(size=(8, 8))
-    Sigma, mu = A @ A.T / 8 + 0.1 * np.eye(8), 0.3 * rng.normal(size=8)
-    lower, upper = np.full(8, -1.0), np.full(8, 1.8)
-    t = TruncatedNormal([mu], [Sigma], lower, upper)
-    x = rng.multivariate_normal(mu, Sigma, size=2_000_000)
-    x = x[np.all((x > lower) & (x < upper), axis=1)]
-    P = x.shape[0] / 2_000_000
-    # five standard errors of the Monte Carlo, plus the lattice's 1e-3 in eight bounded dimensions
-    assert abs(t.log_probability[0] - np.log(P)) < 5 * np.sqrt((1 - P) / P / 2e6) + 1e-3
-    error = x.std(axis=0) / np.sqrt(x.shape[0])
-    assert np.all(np.abs(t.mean[0] - x.mean(axis=0)) < 5 * error + 1e-3)
-    np.testing.assert_allclose(t.covariance[0], np.cov(x.T), atol=4e-3)
-
-
 @pytest.mark.parametrize("shift", [0.5, -1.5, -6.0, -30.0])
 def test_samples_have_the_moments_and_stay_inside(shift):
     """From plain rejection (P = 0.6) to a box 30 deviations away (ln P = -690)."""
@@ -187,13 +130,6 @@ def test_samples_have_the_moments_and_stay_inside(shift):
     # a product of two nearly exponential variables has a relative standard error of about 3/sqrt(n)
     assert np.all(np.abs(np.cov(x.T) - t.covariance[0]) < 4.5 * 3.0 / np.sqrt(n) * scale)
     assert np.array_equal(x, t.sample(n, 1))
-
-
-def test_a_hopeless_component_is_an_error_and_not_a_hang(monkeypatch):
-    t = TruncatedNormal([[-3.0, 0.0]], [equicorrelated(2, 0.5)], [0.0, 0.0], [INF, INF])
-    monkeypatch.setattr(Sampler, "_tilted", lambda self, m, rng: np.empty((2, 0)))
-    with pytest.raises(ModelError, match=r"component 0: .*no proposal reaches it"):
-        t.sample(3, 0)
 
 
 @pytest.mark.parametrize(

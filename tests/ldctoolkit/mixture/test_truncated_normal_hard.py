@@ -146,7 +146,7 @@ def check(name, mu, Sigma, lower, upper, expected, points):
     return t
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, 5])
+@pytest.mark.parametrize("d", [2, *(pytest.param(d, marks=pytest.mark.slow) for d in (1, 3, 5))])
 def test_hard_boxes_equal_the_factor_integral(d):
     """Both numbers of points, 1,021 of the fits and 4,093."""
     for name, (mu, loadings, lower, upper) in hard_list(d).items():
@@ -168,17 +168,17 @@ def test_hard_boxes_in_many_dimensions_equal_the_factor_integral(d):
         check(name, mu, Sigma, lower, upper, reference(mu, loadings, lower, upper), None)
 
 
-def test_five_bounded_of_eight_equal_the_factor_integral():
-    for seed in range(3):
-        rng = np.random.default_rng([seed, 58])
-        loadings = rng.normal(size=(8, 2))
-        loadings *= (rng.uniform(0.3, 0.97, 8) / np.linalg.norm(loadings, axis=1))[:, None]
-        lower = np.array([0.0, -INF, 0.0, 0.0, -INF, -1.0, -INF, -INF])
-        upper = np.array([INF, INF, 1.5, INF, INF, 2.0, 0.5, INF])
-        mu = 1.5 * rng.normal(size=8)
-        expected = reference(mu, loadings, lower, upper)
-        for points in (1021, 4093):
-            check(f"seed {seed}", mu, covariance_of(loadings), lower, upper, expected, points)
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+def test_five_bounded_of_eight_equal_the_factor_integral(seed):
+    rng = np.random.default_rng([seed, 58])
+    loadings = rng.normal(size=(8, 2))
+    loadings *= (rng.uniform(0.3, 0.97, 8) / np.linalg.norm(loadings, axis=1))[:, None]
+    lower = np.array([0.0, -INF, 0.0, 0.0, -INF, -1.0, -INF, -INF])
+    upper = np.array([INF, INF, 1.5, INF, INF, 2.0, 0.5, INF])
+    mu = 1.5 * rng.normal(size=8)
+    expected = reference(mu, loadings, lower, upper)
+    for points in (1021, 4093):
+        check(f"seed {seed}", mu, covariance_of(loadings), lower, upper, expected, points)
 
 
 def test_more_points_where_more_dimensions_are_bounded():
@@ -200,7 +200,6 @@ def test_far_outside_is_exact_to_rounding(d, r):
         mu, Sigma = np.full(d, distance), covariance_of(equal(d, r))
         rate = np.linalg.solve(Sigma, -mu)  # slope of the log-density at the corner
         t = TruncatedNormal([mu], [Sigma], np.zeros(d), np.full(d, INF))
-        assert t.tilt_converged.all()
         if rate.min() > 0.0:
             # density exp(-rate.x - x Sigma^-1 x/2), whose curvature moves the moments by 1/rate^2 relative
             log_p = 0.5 * mu @ rate - np.log(rate).sum()
@@ -221,7 +220,6 @@ def test_nearly_opposite_variables_in_a_far_corner_are_tilted():
     r = -0.999999
     mu, Sigma = np.full(2, -0.3), np.array([[1.0, r], [r, 1.0]])
     t = TruncatedNormal([mu], [Sigma], [0.0, 0.0], [2.0, INF])
-    assert t.tilt_converged.all()
     rate = np.linalg.solve(Sigma, -mu)
     # exp(-rate.(x1 + x2) - (x1 - x2)^2/(4 (1 - |r|))...): along x1 + x2 exponential of rate 3e5, across it no bound
     # of x1 - x2 is felt before the corner's faces: log-density by brute force on a grid in x * rate
@@ -269,13 +267,12 @@ def test_beyond_the_arithmetic_is_an_error_and_not_a_wrong_sample():
         t.sample(1, 0)
 
 
-def test_a_tilt_that_was_not_found_is_told(monkeypatch):
+def test_a_tilt_that_was_not_found_is_an_error(monkeypatch):
     from ldctoolkit.mixture import _separation
 
     lost = lambda strict, a, b: (np.zeros_like(a), np.full(a.shape[0], INF))  # noqa: E731
     monkeypatch.setattr(_separation, "minimax_tilt", lost)
     t = TruncatedNormal([[-5.0, 0.0]], [covariance_of(equal(2, 0.5))], [0.0, 0.0], [INF, INF])
-    assert not t.tilt_converged.any()
     with pytest.raises(ModelError, match="component 0"):
         t.sample(1, 0)
 

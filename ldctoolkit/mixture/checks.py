@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture.sources import EventSource, Profile, profile_of
+from ldctoolkit.mixture.events import Events, Profile, profile_of
 
 RandomState = int | np.random.Generator | None
 FloatArray = npt.NDArray[np.float64]
@@ -40,44 +40,28 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
     if x.shape[1] != dimension:
         raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
     if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
-        _complain([x], lambda rows: ~(np.isfinite(rows) & (np.abs(rows) <= LARGEST)), _FINITE, names)
+        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
     return x
 
 
 _FINITE: Final = f"finite numbers, at most {LARGEST:g} in size"
 
 
-def _complain(
-    blocks: Iterable[FloatArray],
-    is_bad: Callable[[FloatArray], npt.NDArray[np.bool_]],
-    allowed: str,
-    names: Sequence[str] | None,
-) -> None:
+def _complain(x: FloatArray, bad: npt.NDArray[np.bool_], allowed: str, names: Sequence[str] | None) -> None:
     """Raise for the first column with a bad entry, with its first row and the number of such rows."""
-    rows = 0
-    counts: npt.NDArray[np.int64] | None = None
-    first: dict[int, tuple[int, float]] = {}
-    for x in blocks:
-        bad = is_bad(x)
-        counts = bad.sum(axis=0) if counts is None else counts + bad.sum(axis=0)
-        for column in np.flatnonzero(bad.any(axis=0)).tolist():
-            row = int(np.argmax(bad[:, column]))
-            first.setdefault(column, (rows + row, float(x[row, column])))
-        rows += x.shape[0]
-    if counts is None or not first:
+    columns = np.flatnonzero(bad.any(axis=0)).tolist()
+    if not columns:
         return
-    j = min(first)
-    others = [column_name(k, names) for k in sorted(first) if k != j]
-    also = f"; also in {', '.join(others)}" if others else ""
+    j, *others = columns
+    row = int(np.argmax(bad[:, j]))
+    also = f"; also in {', '.join(column_name(k, names) for k in others)}" if others else ""
     raise InputError(
-        f"X: {column_name(j, names)}, row {first[j][0]}: {first[j][1]!r}; allowed: {allowed} "
-        f"({int(counts[j])} of {rows} rows{also})"
+        f"X: {column_name(j, names)}, row {row}: {float(x[row, j])!r}; allowed: {allowed} "
+        f"({int(bad[:, j].sum())} of {x.shape[0]} rows{also})"
     )
 
 
-def check_events(
-    source: EventSource, K: int, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None
-) -> Profile:
+def check_events(events: Events, K: int, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None) -> Profile:
     """The profile of events that can be fitted.
 
     Raises
@@ -86,22 +70,15 @@ def check_events(
         For the first column with numbers that are not finite, on or outside a bound, or all the same; too few rows.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        profile = profile_of(source)
-    ends = np.array([profile.least, profile.most])
-    if not (np.isfinite(ends).all() and np.abs(ends).max() <= LARGEST):
-        _complain(source.blocks(), lambda x: ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
-    d = source.dimension
+        profile = profile_of(events)
+    d = events.dimension
+    check_matrix(events.x, d, names)
     if profile.used < K * (d + 1):
         raise InputError(f"X: {profile.used} rows; allowed: at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}")
     for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))):
-        only = np.arange(d) == j
-        low, high = lower[j], upper[j]
-        _complain(
-            source.blocks(),
-            lambda x, only=only, low=low, high=high: only & ~((x > low) & (x < high)),  # type: ignore[misc]
-            f"strictly between the bounds {low:g} and {high:g}",
-            names,
-        )
+        bad = np.zeros(events.x.shape, dtype=bool)
+        bad[:, j] = ~((events.x[:, j] > lower[j]) & (events.x[:, j] < upper[j]))
+        _complain(events.x, bad, f"strictly between the bounds {lower[j]:g} and {upper[j]:g}", names)
     _check_constant(profile, names)
     return profile
 
@@ -123,20 +100,26 @@ def _check_constant(profile: Profile, names: Sequence[str] | None) -> None:
         raise InputError(f"X: {column_name(j, names)} spreads over {spread[j]:g}; allowed: {1.0 / LARGEST:g} or more")
 
 
+def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row") -> FloatArray:
+    """Weights (rows,), finite and not negative; messages call them `name`, each of them that of a `row`."""
+    try:
+        weight = np.asarray(weights, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: not numbers; allowed: one number >= 0 a {row}") from None
+    if weight.shape != (rows,):
+        raise InputError(f"{name}: shape {weight.shape}; allowed: ({rows},), one number a {row}")
+    bad = ~(np.isfinite(weight) & (weight >= 0.0))
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise InputError(f"{name}: {float(weight[at])!r} in {row} {at}; allowed: finite numbers >= 0")
+    return weight
+
+
 def check_sample_weight(sample_weight: npt.ArrayLike | None, rows: int) -> FloatArray | None:
     """Weights (rows,), finite, not negative, not all zero; None is one each."""
     if sample_weight is None:
         return None
-    try:
-        weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("sample_weight: not numbers; allowed: one number >= 0 a row") from None
-    if weight.shape != (rows,):
-        raise InputError(f"sample_weight: shape {weight.shape}; allowed: ({rows},), one number a row")
-    bad = ~(np.isfinite(weight) & (weight >= 0.0))
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(f"sample_weight: {float(weight[row])!r} in row {row}; allowed: finite numbers >= 0")
+    weight = check_weights(sample_weight, rows, "sample_weight")
     if not weight.sum() > 0.0:
         raise InputError("sample_weight: all zero; allowed: at least one event")
     return weight
@@ -165,6 +148,18 @@ def check_number(name: str, value: object, low: float, *, integer: bool = False,
     if not good:
         kind = "an integer" if integer else "a number"
         raise InputError(f"{name}: {value!r}; allowed: {kind} {'>' if above else '>='} {low:g}")
+
+
+def check_components(components: Iterable[int]) -> list[int]:
+    """The K to try, each once, ascending."""
+    if isinstance(components, str) or not isinstance(components, Iterable):
+        raise InputError(f"components: {components!r}; allowed: an integer >= 1, or several of them")
+    given = list(components)
+    for K in given:
+        check_number("components", K, 1, integer=True)
+    if not given:
+        raise InputError("components: an empty range; allowed: at least one number of components")
+    return sorted({int(K) for K in given})
 
 
 def seed_of(random_state: RandomState) -> int:
