@@ -255,7 +255,7 @@ def _share(
     name: str, title: str, group: str, of: tuple[str, ...] = (), share: Callable[..., Any] | None = None, **other: Any
 ) -> Metric:
     """A share of the departures, or of the interventions."""
-    usual = {"better": "less", "column": f"{name.removesuffix('_share')}_share", "digits": 1}
+    usual: dict[str, Any] = {"better": "less", "column": f"{name.removesuffix('_share')}_share", "digits": 1}
     return Metric(name=name, unit="share", title=title, group=group, of=of, share=share, **(usual | other))
 
 

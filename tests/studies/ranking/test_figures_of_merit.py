@@ -1,9 +1,8 @@
-"""Figures of merit by name, and requirements on them."""
+"""Metrics of a design by name, and requirements on them."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import re
 import types
@@ -16,9 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
+from ldctoolkit.metrics import METRICS, SCENARIO_METRICS
 from studies import Study, rank_study, run_study
+from studies.ranking.case_figures import mean_reduction
 from studies.ranking.figures import (
-    FIGURES,
     check_figure,
     check_requirement,
     figure,
@@ -26,44 +26,14 @@ from studies.ranking.figures import (
     parse_requirement,
 )
 from studies.ranking.ranking_csv import write_csv
-from studies.ranking.release import COLUMNS, ReleaseFigures
+
+NAN = math.nan
 
 
-def test_every_release_figure_is_a_figure_under_its_column_too() -> None:
-    assert {field.name for field in dataclasses.fields(ReleaseFigures)} <= set(FIGURES)
-    for name, column in COLUMNS.items():
-        assert figure(column) is figure(name)
-        assert figure(name).column == column
-
-
-@pytest.mark.parametrize(
-    ("name", "unit", "better"),
-    [
-        ("S", "m s", "less"),
-        ("S_cvar95", "m s", "less"),
-        ("S_p95", "m s", "less"),
-        ("reduction", "1", "more"),
-        ("dtle_p5", "m", "more"),
-        ("within_dtle", "share", "more"),
-        ("needless", "share", "less"),
-        ("deeper", "share", "less"),
-        ("triggered", "share", "less"),
-        ("overshoot_share", "share", "less"),
-        ("back_inside", "share", "more"),
-        ("t_back_median", "s", "less"),
-        ("a_y_peak_p95", "m/s^2", "less"),
-        ("jerk_peak_max", "m/s^3", "less"),
-        ("comfortable", "share", "more"),
-        ("delta_peak_max", "rad", "less"),
-        ("delta_rate_peak_max", "rad/s", "less"),
-        ("effort_mean", "rad^2 s", "less"),
-        ("travel_mean", "rad", "less"),
-        ("law_time", "us", "less"),
-        ("crashed", "count", "less"),
-    ],
-)
-def test_units_and_directions(name: str, unit: str, better: str) -> None:
-    assert (figure(name).unit, figure(name).better) == (unit, better)
+def test_every_metric_answers_to_its_column() -> None:
+    for name, one in METRICS.items():
+        assert figure(one.column) is figure(name) is one
+    assert len({one.column for one in METRICS.values()}) == len(METRICS)
 
 
 def test_names_of_a_ranking_csv_row_are_all_aliases() -> None:
@@ -152,7 +122,7 @@ def test_a_figure_that_a_design_lacks_meets_nothing() -> None:
 
 
 @given(
-    st.sampled_from(sorted(name for name, one in FIGURES.items() if one.unit not in ("share", "count"))),
+    st.sampled_from(sorted(name for name, one in METRICS.items() if one.unit not in ("share", "count"))),
     st.sampled_from(["<=", "<", ">=", ">"]),
     st.floats(allow_nan=False, allow_infinity=False),
 )
@@ -173,17 +143,32 @@ def test_a_ranking_and_its_table_hold_every_figure(make_study: Callable[..., Stu
     ranking = rank_study(run_study(study, directory=tmp_path / "out", workers=1, progress=False), study)[0]
     write_csv([ranking], tmp_path / "ranking.csv")
     header = (tmp_path / "ranking.csv").read_text().partition("\n")[0].split(",")
-    for name, one in FIGURES.items():
+    for name, one in METRICS.items():
         assert figure_values(name, ranking).shape == (len(ranking),)
         assert one.column in header
 
 
-def test_the_page_lists_every_figure_with_unit_and_direction() -> None:
+def test_the_page_lists_every_metric_with_unit_and_direction() -> None:
+    """Of a metric of a scenario, any aggregate stands for all."""
     page = (Path(__file__).parents[3] / "docs/requirements.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
     named = {name: row for row in rows for name in re.findall(r"`(\w+)`", row[0])}
-    assert set(named) == set(FIGURES)
-    units = str.maketrans({"²": "^2", "³": "^3", "µ": "u"})
-    for name, one in FIGURES.items():
-        assert one.unit in named[name][1].translate(units).split(", ")
-        assert one.better == named[name][2]
+    assert set(named) <= set(METRICS)
+    units = str.maketrans({"²": "^2", "³": "^3"})
+    for name, row in named.items():
+        assert METRICS[name].unit in row[1].translate(units).split(", ")
+        assert METRICS[name].better == row[2]
+    listed = {METRICS[name].of for name in named if METRICS[name].aggregate}
+    for name, one in METRICS.items():
+        assert name in named or (one.aggregate and one.of in listed), name
+    assert {(name,) for name in SCENARIO_METRICS} == listed
+
+
+def test_a_time_is_no_metric() -> None:
+    with pytest.raises(UnknownNameError, match="requirement 'law_time <= 5': figure 'law_time': no such figure;"):
+        parse_requirement("law_time <= 5")
+
+
+def test_nothing_to_reduce_is_a_reduction_of_nothing() -> None:
+    found = mean_reduction(np.array([0.0, 0.2, 0.1, NAN]), np.array([0.0, 0.0, 0.4, NAN]))
+    np.testing.assert_array_equal(found, [0.0, 0.0, 0.75, NAN])

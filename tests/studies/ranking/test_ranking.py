@@ -225,7 +225,6 @@ def by_hand(results: StudyResults, i: int, D_y: float) -> dict[str, float]:
         "delta_rate_peak_max_rad_s": max(of("delta_rate_peak")),
         "effort_mean_rad2_s": sum(of("effort")) / len(acted),
         "travel_mean_rad": sum(of("travel")) / len(acted),
-        "law_time_us": 1e6 * case.law_time[i],
     }
     for name, unit in (("a_y_peak", "m_s2"), ("jerk_peak", "m_s3")):
         wanted[f"{name}_mean_{unit}"] = sum(of(name)) / len(acted)
@@ -243,7 +242,6 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
     case.status[:] = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=case.status.shape)
     case.companions.t_back[generator.random(case.status.shape) < 0.2] = np.inf
     case.companions.t_back[3] = np.inf  # not back after most: the median is infinite too
-    case.law_time[:] = [0.0, 1e-6, 2.5e-6, np.nan]
     results = dataclasses.replace(results, scenarios=scenarios)
     ranking = rank(results, D_y=0.4)
     write_csv([ranking], tmp_path / "r.csv")
@@ -270,7 +268,7 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
         empty = {name for name in COLUMNS if np.isnan(getattr(figures, name)).all()}
         assert empty == {
             "overshoot_share", "overshoot_max", "back_inside", "t_back_median", "comfortable",
-            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "law_time",
+            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean",
             *(f"{quantity}_{word}" for quantity in ("a_y_peak", "jerk_peak") for word in ("mean", "p95", "max")),
         }  # fmt: skip
 
@@ -296,7 +294,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
             np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
     for name in COLUMNS:
         np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
-        assert name == "law_time" or np.isfinite(getattr(ranking.release, name)).all()
+        assert np.isfinite(getattr(ranking.release, name)).all()
 
 
 def test_nothing_that_can_be_driven_is_refused() -> None:
