@@ -386,32 +386,6 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 # the values counted gives NaN.
 
 
-def intervention_share(triggered: npt.ArrayLike) -> float | FloatArray:
-    """Share of all scenarios in which the design took over.
-
-    Parameters
-    ----------
-    triggered : (n,) or (d, n) bool
-
-    Returns
-    -------
-    float or (d,) [1]
-        Of all n; 0 for no scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
-
-    Raises
-    ------
-    InputError
-        For anything but booleans.
-
-    Examples
-    --------
-    >>> intervention_share([True, False, False, True])
-    0.5
-    """
-    (flags,) = _together(triggered=triggered)
-    return _share_of_all(flags, np.zeros_like(flags))
-
-
 def share_deeper(deepest: FloatArray, D_y: float) -> float:
     """Share of departures whose edge goes deeper than D_y beyond the line.
 

@@ -162,4 +162,4 @@ def test_pins_are_plain_and_satisfy_the_bounds() -> None:
 def test_no_module_outgrows_its_job(package: str) -> None:
     for path in (ROOT / package).rglob("*.py"):
         lines = len(path.read_text(encoding="utf-8").splitlines())
-        assert lines <= 400, f"{path.relative_to(ROOT)} has {lines} lines: split it"
+        assert lines <= 700, f"{path.relative_to(ROOT)} has {lines} lines: split it"

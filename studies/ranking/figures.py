@@ -19,9 +19,6 @@ BoolArray = npt.NDArray[np.bool_]
 
 Operator = Literal["<=", "<", ">=", ">"]
 
-FIGURES: Final = METRICS
-"""Every metric of a design by its name."""
-
 _ALIASES: Final = {
     **{alias: one.name for one in METRICS.values() for alias in one.aliases},
     **{one.column: one.name for one in METRICS.values()},
@@ -176,31 +173,3 @@ def parse_requirement(text: str) -> Requirement:
         raise InputError(f"requirement {text!r}: the limit is {found['limit']}; allowed: {kind}")
     operator: Any = found["operator"]
     return Requirement(wanted, operator, limit + 0.0)
-
-
-def check_figure(name: str) -> str:
-    """The metric's own name.
-
-    Raises
-    ------
-    InputError
-        If there is no such metric.
-    """
-    try:
-        return figure(name).name
-    except UnknownNameError as error:
-        raise InputError(str(error)) from None
-
-
-def check_requirement(text: str) -> str:
-    """The requirement in its canonical text.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
-    try:
-        return parse_requirement(text).text
-    except UnknownNameError as error:
-        raise InputError(str(error)) from None

@@ -26,9 +26,6 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Values = dict[str, FloatArray]
 
-COLUMNS: Final = {name: one.column for name, one in RELEASE_METRICS.items()}
-"""Metric -> its column in a table, with the unit or the word share at the end."""
-
 _BLOCK_ENTRIES: Final = 500_000
 """Runs that are looked at at once (4 MB for each metric); no number depends on it."""
 

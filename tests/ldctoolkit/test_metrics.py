@@ -22,7 +22,6 @@ def test_reduction() -> None:
 
 def test_shares_of_all_and_of_the_interventions() -> None:
     triggered = np.array([True, True, True, False])
-    assert metrics.intervention_share(triggered) == 0.75
     assert metrics.share_within_dtle([-0.3, -0.31, 0.2, -0.1]) == 0.75
     assert metrics.share_within_dtle([-0.3, -0.31, 0.2, -0.1], limit=-0.2) == 0.5
     assert metrics.share_deeper(np.array([0.5, 0.51, 0.1, 0.9]), 0.5) == 0.5
@@ -46,7 +45,6 @@ def test_shares_of_many_designs_are_those_of_each() -> None:
     dtle, over = rng.normal(size=(d, n)), np.maximum(0, rng.normal(size=(d, n)))
     back = np.where(rng.random((d, n)) < 0.5, 2.0, np.inf)
     together = [
-        metrics.intervention_share(triggered),
         metrics.share_within_dtle(dtle),
         metrics.comfortable_share(peak, jerk, triggered),
         metrics.needless_share(triggered, depth, 0.5),
@@ -55,7 +53,6 @@ def test_shares_of_many_designs_are_those_of_each() -> None:
     ]
     for i in range(d):
         one = [
-            metrics.intervention_share(triggered[i]),
             metrics.share_within_dtle(dtle[i]),
             metrics.comfortable_share(peak[i], jerk[i], triggered[i]),
             metrics.needless_share(triggered[i], depth, 0.5),
@@ -64,13 +61,11 @@ def test_shares_of_many_designs_are_those_of_each() -> None:
         ]
         assert all(type(share) is float for share in one)
         np.testing.assert_array_equal([np.asarray(share)[i] for share in together], one)
-    assert np.isnan(np.asarray(together[2])).tolist() == [False, False, True, False, False]
+    assert np.isnan(np.asarray(together[1])).tolist() == [False, False, True, False, False]
 
 
 def test_empty_sets() -> None:
     nobody = np.zeros(0, dtype=bool)
-    assert metrics.intervention_share(nobody) == 0.0
-    assert metrics.intervention_share([]) == 0.0
     assert metrics.share_within_dtle([]) == 0.0
     assert metrics.share_deeper(np.zeros(0), 0.5) == 0.0
     assert metrics.needless_share(nobody, [], 0.5) == 0.0
@@ -107,8 +102,8 @@ Z3 = np.zeros(3)
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: metrics.intervention_share([1.0, 0.0]), "triggered: an array of float64; allowed: booleans"),
-        (lambda: metrics.intervention_share(True), r"triggered \(\); allowed: \(n,\) or \(d, n\)"),
+        (lambda: metrics.overshoot_share([0.1, 0.0], [1.0, 0.0]), "triggered: an array of float64; allowed: booleans"),
+        (lambda: metrics.overshoot_share(0.1, True), r"overshoot \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
         (lambda: metrics.needless_share([True, False], [0.1], 0.5), r"d_y \(1,\), triggered \(2,\)"),
         (lambda: metrics.needless([True], [0.1], NAN), "D_y: nan; allowed: a number"),
         (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit: 'deep'"),  # type: ignore[arg-type]

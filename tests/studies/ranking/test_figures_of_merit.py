@@ -19,8 +19,6 @@ from ldctoolkit.metrics import METRICS
 from studies import Study, rank_study, run_study
 from studies.ranking.case_figures import mean_reduction
 from studies.ranking.figures import (
-    check_figure,
-    check_requirement,
     figure,
     figure_values,
     parse_requirement,
@@ -46,9 +44,8 @@ def test_names_of_a_ranking_csv_row_are_all_aliases() -> None:
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match=r"figure 'a_y_peak_p96'.*did you mean 'a_y_peak_p95'\?"):
         figure("a_y_peak_p96")
-    with pytest.raises(InputError, match="did you mean 'S_left'"):
-        check_figure("S_lef")
-    assert check_figure("ay_p95") == "a_y_peak_p95"
+    with pytest.raises(UnknownNameError, match="did you mean 'S_left'"):
+        figure("S_lef")
 
 
 def test_values_come_from_mappings_objects_and_their_release() -> None:
@@ -76,8 +73,8 @@ def test_values_come_from_mappings_objects_and_their_release() -> None:
     ],
 )
 def test_requirements_are_read(text: str, canonical: str) -> None:
-    assert check_requirement(text) == canonical
-    assert check_requirement(canonical) == canonical
+    assert parse_requirement(text).text == canonical
+    assert parse_requirement(canonical).text == canonical
 
 
 @pytest.mark.parametrize(
@@ -91,8 +88,8 @@ def test_what_is_no_requirement_is_named(text: str) -> None:
 def test_an_unknown_figure_of_a_requirement_is_named_with_its_text() -> None:
     with pytest.raises(UnknownNameError, match=r"requirement 'ay_p59 <= 3': figure 'ay_p59'.*allowed: S"):
         parse_requirement("ay_p59 <= 3")
-    with pytest.raises(InputError, match=r"requirement 'comfortble >= 0.5'.*did you mean 'comfortable'"):
-        check_requirement("comfortble >= 0.5")
+    with pytest.raises(UnknownNameError, match=r"requirement 'comfortble >= 0.5'.*did you mean 'comfortable'"):
+        parse_requirement("comfortble >= 0.5")
 
 
 @pytest.mark.parametrize(

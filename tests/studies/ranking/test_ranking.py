@@ -14,11 +14,10 @@ import scipy.stats
 
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.metrics import Companions
+from ldctoolkit.metrics import RELEASE_METRICS, Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
 from studies.ranking.bootstrap import bootstrap_means, percentile_interval
 from studies.ranking.ranking_csv import write_csv
-from studies.ranking.release import COLUMNS
 
 
 def companions_of(d: int, n: int, seed: int = 7) -> Companions:
@@ -249,7 +248,7 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
         rows = list(csv.DictReader(stream))
     for row, i in zip(rows, ranking.index, strict=True):
         wanted = by_hand(results, int(i), 0.4)
-        assert set(wanted) == set(COLUMNS.values())
+        assert set(wanted) == {one.column for one in RELEASE_METRICS.values()}
         for name, value in wanted.items():
             if math.isnan(value):
                 assert row[name] == "", name
@@ -265,7 +264,7 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
     results = results_of(scores[:1], left=150, law="toy")
     results.cases[0].status[:] = EventStatus.NEVER_TRIGGERED
     for figures in (baseline, rank(results).release):
-        empty = {name for name in COLUMNS if np.isnan(getattr(figures, name)).all()}
+        empty = {name for name in RELEASE_METRICS if np.isnan(getattr(figures, name)).all()}
         assert empty == {
             "overshoot_share", "overshoot_max", "back_inside", "t_back_median", "comfortable",
             "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean",
@@ -292,7 +291,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     for field in dataclasses.fields(Ranking):
         if field.name not in ("invalid", "warnings", "release"):
             np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
-    for name in COLUMNS:
+    for name in RELEASE_METRICS:
         np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
         assert np.isfinite(getattr(ranking.release, name)).all()
 
@@ -374,7 +373,7 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     for field in dataclasses.fields(Ranking):
         if field.name not in ("index", "release"):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
-    for name in COLUMNS:
+    for name in RELEASE_METRICS:
         np.testing.assert_array_equal(getattr(one.release, name), getattr(two.release, name), err_msg=name)
 
 
