@@ -414,7 +414,7 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
     (values,) = _together(deepest=deepest)
     if values.ndim != 1:
         raise InputError(f"deepest: shape {values.shape}; allowed: (n,)")
-    return float(_share_of_all(values > _number("D_y", D_y), np.isnan(values)))
+    return float(_fraction(values > _number("D_y", D_y), np.isnan(values)))
 
 
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
@@ -442,7 +442,7 @@ def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float |
     0.5
     """
     (values,) = _together(dtle=dtle)
-    return _share_of_all(values >= _number("limit", limit), np.isnan(values))
+    return _fraction(values >= _number("limit", limit), np.isnan(values))
 
 
 def comfortable(
@@ -512,7 +512,7 @@ def comfortable_share(
     """
     a_y, jerk, flags = _together(a_y_peak=a_y_peak, jerk_peak=jerk_peak, triggered=triggered)
     within = comfortable(a_y, jerk, a_y_limit, jerk_limit)
-    return _share_of_interventions(within, np.isnan(a_y) | np.isnan(jerk), flags)
+    return _fraction(within, np.isnan(a_y) | np.isnan(jerk), flags)
 
 
 def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> BoolArray:
@@ -574,7 +574,7 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> 
     0.25
     """
     depth, flags = _together(d_y=d_y, triggered=triggered)
-    return _share_of_all(needless(flags, depth, D_y), flags & np.isnan(depth))
+    return _fraction(needless(flags, depth, D_y), flags & np.isnan(depth))
 
 
 def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
@@ -602,7 +602,7 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
     0.5
     """
     time, flags = _together(t_back=t_back, triggered=triggered)
-    return _share_of_interventions(np.isfinite(time), np.isnan(time), flags)
+    return _fraction(np.isfinite(time), np.isnan(time), flags)
 
 
 def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
@@ -629,18 +629,12 @@ def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float
     0.5
     """
     past, flags = _together(overshoot=overshoot, triggered=triggered)
-    return _share_of_interventions(past > 0, np.isnan(past), flags)
+    return _fraction(past > 0, np.isnan(past), flags)
 
 
-def _share_of_all(holds: BoolArray, unknown: BoolArray) -> float | FloatArray:
-    return _share_among(holds, unknown, np.ones_like(holds), 0.0)
-
-
-def _share_of_interventions(holds: BoolArray, unknown: BoolArray, triggered: BoolArray) -> float | FloatArray:
-    return _share_among(holds, unknown, triggered, np.nan)
-
-
-def _share_among(holds: BoolArray, unknown: BoolArray, among: BoolArray, of_none: float) -> float | FloatArray:
+def _fraction(holds: BoolArray, unknown: BoolArray, interventions: BoolArray | None = None) -> float | FloatArray:
+    """Share of all, or of the interventions."""
+    among, of_none = (np.ones_like(holds), 0.0) if interventions is None else (interventions, np.nan)
     total = np.sum(among, axis=-1)
     count = np.sum(holds & among, axis=-1)
     share = np.divide(count, total, out=np.full(total.shape, of_none), where=total > 0)

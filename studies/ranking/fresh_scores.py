@@ -171,7 +171,8 @@ def fresh_scores(
         taken = every.take(np.searchsorted(positions, among))
         reference = int(np.searchsorted(among, search.baseline))
         to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
-        reduction = spread(mean_reduction(taken.mean, taken.mean[reference]), among)
+        without = np.full_like(taken.mean, taken.mean[reference])
+        reduction = spread(mean_reduction(taken.mean, without), among)
     paired = search.paired and there
     if finalists.size:
         among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
