@@ -98,18 +98,12 @@ def run_of_scores(
     status = _status(diverged, failed)
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
-    companions = Companions(
-        deepest=np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
-        dtle=-front,
-        t_back=score[data.BACK],
-        overshoot=np.maximum(score[data.OVER] - edge, 0.0),
-        a_y_peak=score[data.A_Y],
-        jerk_peak=score[data.JERK],
-        delta_peak=score[data.DELTA],
-        delta_rate_peak=score[data.RATE],
-        effort=score[data.EFFORT],
-        travel=score[data.TRAVEL],
-    )
+    values = dict(zip(COMPANION_UNITS, score[data.AREA + 1 :], strict=True)) | {
+        "deepest": np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
+        "dtle": -front,
+        "overshoot": np.maximum(score[data.OVER] - edge, 0.0),
+    }
+    companions = Companions(**values)
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
 
 

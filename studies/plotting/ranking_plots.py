@@ -10,7 +10,6 @@ from ldctoolkit import controller_class
 from ldctoolkit.errors import InputError
 from studies.plotting.given_axes import axes_of, plain_legend, point_style, styles_of
 from studies.ranking.figures import figure, figure_values
-from studies.report.embedded.shown_figures import shown_figure
 from studies.report.figures.trade_off_figure import front_of_two
 from studies.report.words.text import shorten
 
@@ -109,7 +108,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     >>> plot_trade_off(rank_study(results, study)[0], x="ay_p95").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
     """
-    of_x, of_y = (shown_figure(figure(name).name) for name in (x, y))
+    of_x, of_y = figure(x), figure(y)
     across, up = (one.scale * figure_values(one.name, ranking) for one in (of_x, of_y))
     axes, styles = axes_of(ax), styles_of(ranking.designs)
     shown = np.isfinite(across) & np.isfinite(up)

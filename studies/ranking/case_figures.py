@@ -13,8 +13,8 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.design import Design
-from studies.ranking.companion_figures import companion_figures
-from studies.ranking.release import COLUMNS, ReleaseFigures
+from studies.ranking.figures import Requirement, figure_values
+from studies.ranking.release import ReleaseFigures, release_metrics
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults
@@ -141,7 +141,7 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
     S, S_left, S_right = (_mean(counted, side) for side in rows)
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_figures(counted)
-    companions = companion_figures(case, designs, scenarios.d_y, D_y=D_y)
+    taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
@@ -154,18 +154,18 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
         S_p95=S_p95,
         S_cvar95=S_cvar95,
         S_uncorrected=before,
-        reduction=_reduction(S, before),
-        reduction_left=_reduction(S_left, before_left),
-        reduction_right=_reduction(S_right, before_right),
+        reduction=mean_reduction(S, before),
+        reduction_left=mean_reduction(S_left, before_left),
+        reduction_right=mean_reduction(S_right, before_right),
         triggered=(case.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
-        deeper=companions["deeper"],
+        deeper=taken.pop("deeper"),
         solver_failed=count(EventStatus.SOLVER_FAILED),
         diverged=count(EventStatus.DIVERGED),
         timed_out=count(EventStatus.TIMED_OUT),
         crashed=count(EventStatus.CRASHED),
         invalid=count(EventStatus.INVALID),
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
-        release=ReleaseFigures(**{name: companions[name] for name in COLUMNS}),
+        release=ReleaseFigures(**taken),
     )
 
 
@@ -173,6 +173,27 @@ def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
     values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseFigures)}
     return {name: v.take(order) if isinstance(v, ReleaseFigures) else v[order] for name, v in values.items()}
+
+
+def missed_requirements(requirements: Sequence[Requirement], figures: CaseFigures) -> tuple[tuple[str, ...], ...]:
+    """For every design the requirements that it does not meet, as text.
+
+    Parameters
+    ----------
+    requirements : sequence of Requirement
+    figures : CaseFigures
+        Of d designs.
+
+    Returns
+    -------
+    tuple of d tuples of str
+        Empty for a design that meets all. A metric that a design does not have (NaN) meets nothing.
+    """
+    missed: list[list[str]] = [[] for _ in range(figures.S.size)]
+    for one in requirements:
+        for i in np.flatnonzero(~one.met(figure_values(one.figure.name, figures))).tolist():
+            missed[i].append(one.text)
+    return tuple(tuple(texts) for texts in missed)
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
@@ -186,6 +207,7 @@ def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
     return result
 
 
-def _reduction(S: FloatArray, before: FloatArray) -> FloatArray:
-    out = np.where(np.isnan(before), np.nan, 0.0)  # nothing to reduce
+def mean_reduction(S: FloatArray, before: FloatArray) -> FloatArray:
+    """Reduction 1 - S/before of means; 0 where there was nothing to reduce, NaN where there are no scenarios."""
+    out = np.where(np.isnan(before), np.nan, 0.0)
     return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)

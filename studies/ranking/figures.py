@@ -1,4 +1,4 @@
-"""Figures of merit of a design by name, and requirements on them: ``"a_y_peak_p95 <= 3.0"``."""
+"""Metrics of a design by name or alias, and requirements on them: ``"a_y_peak_p95 <= 3.0"``."""
 
 from __future__ import annotations
 
@@ -12,108 +12,27 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from studies.ranking.release import COLUMNS
+from ldctoolkit.metrics import METRICS, Metric
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-Better = Literal["less", "more"]
 Operator = Literal["<=", "<", ">=", ">"]
 
-_SHARE = "share"
-_COUNT = "count"
-
-
-@dataclasses.dataclass(frozen=True)
-class Figure:
-    """One number that a design is judged by.
-
-    Attributes
-    ----------
-    name : str
-        What study files and `studies.Ranking` call it.
-    unit : str
-        SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
-        ``"1"`` for another pure number.
-    better : {"less", "more"}
-        Which way is good.
-    column : str
-        Its column in ``ranking.csv``.
-    """
-
-    name: str
-    unit: str
-    better: Better
-    column: str
-
-
-_MORE: Final = frozenset(
-    (
-        *("reduction", "reduction_left", "reduction_right"),
-        *("dtle_mean", "dtle_p5", "dtle_min", "within_dtle", "back_inside", "comfortable"),
-    )
-)
-
-_RANKED: Final = {
-    **{name: f"{name}_m_s" for name in ("S", "S_left", "S_right", "S_p95", "S_cvar95")},
-    **{name: name for name in ("reduction", "reduction_left", "reduction_right")},
-    "deeper": "deeper_than_D_y_share",
-    "triggered": "triggered_share",
-    **{name: name for name in ("solver_failed", "diverged", "timed_out", "crashed", "failed_solves")},
-}
-"""Figures that a ranking holds itself -> their columns; the others are in `ReleaseFigures`."""
-
-_UNITS: Final = {
-    "_m_s": "m s",
-    "_m": "m",
-    "_s": "s",
-    "_us": "us",
-    "_m_s2": "m/s^2",
-    "_m_s3": "m/s^3",
-    "_rad": "rad",
-    "_rad_s": "rad/s",
-    "_rad2_s": "rad^2 s",
-    "_share": _SHARE,
-}
-"""End of a column -> unit; the longest that fits counts."""
-
-_COUNTS: Final = frozenset(("solver_failed", "diverged", "timed_out", "crashed", "failed_solves"))
-
-
-def _unit(name: str, column: str) -> str:
-    ends = [end for end in _UNITS if column.endswith(end)]
-    return _UNITS[max(ends, key=len)] if ends else _COUNT if name in _COUNTS else "1"
-
-
-FIGURES: Final[Mapping[str, Figure]] = {
-    name: Figure(name, _unit(name, column), "more" if name in _MORE else "less", column)
-    for name, column in {**_RANKED, **COLUMNS}.items()
-}
-"""Every figure by its name."""
-
 _ALIASES: Final = {
-    "ay_mean": "a_y_peak_mean",
-    "ay_p95": "a_y_peak_p95",
-    "ay_max": "a_y_peak_max",
-    "jerk_mean": "jerk_peak_mean",
-    "jerk_p95": "jerk_peak_p95",
-    "jerk_max": "jerk_peak_max",
-    "dtle_0p3_share": "within_dtle",
-    "mean_S": "S",
-    "effort": "effort_mean",
-    "travel": "travel_mean",
-    **{figure.column: figure.name for figure in FIGURES.values()},
+    **{alias: one.name for one in METRICS.values() for alias in one.aliases},
+    **{one.column: one.name for one in METRICS.values()},
 }
-"""Other names of the same figures; the columns of ``ranking.csv`` are among them."""
+"""Other names of the same metrics; the columns of ``ranking.csv`` are among them."""
 
 
-def figure(name: str) -> Figure:
-    """The figure of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``.
+def figure(name: str) -> Metric:
+    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``.
 
     Raises
     ------
     UnknownNameError
-        Naming the nearest figure.
+        Naming the nearest metric.
 
     Examples
     --------
@@ -121,15 +40,15 @@ def figure(name: str) -> Figure:
     ('a_y_peak_p95', 'more')
     """
     known = _ALIASES.get(name, name)
-    if known not in FIGURES:
+    if known not in METRICS:
         # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
-        raise UnknownNameError(f"figure {name!r}: no such figure; {nearest(begun, FIGURES)}")
-    return FIGURES[known]
+        raise UnknownNameError(f"figure {name!r}: no such figure; {nearest(begun, METRICS)}")
+    return METRICS[known]
 
 
 def figure_values(name: str, *sources: Any) -> FloatArray:
-    """Values of a figure, one a design.
+    """Values of a metric, one a design.
 
     Parameters
     ----------
@@ -137,7 +56,7 @@ def figure_values(name: str, *sources: Any) -> FloatArray:
         As `figure` takes it.
     *sources : Mapping or object
         Where to look, in this order: mappings by key, objects by attribute, then the attribute `release` of an object.
-        A `studies.Ranking` holds all figures.
+        A `studies.Ranking` holds all metrics.
 
     Returns
     -------
@@ -187,23 +106,23 @@ class Requirement:
 
     Attributes
     ----------
-    figure : Figure
+    figure : Metric
     operator : {"<=", "<", ">=", ">"}
     limit : float
-        In the figure's unit.
+        In the metric's unit.
     """
 
-    figure: Figure
+    figure: Metric
     operator: Operator
     limit: float
 
     def met(self, values: npt.ArrayLike) -> BoolArray:
-        """Where it is met, (d,); NaN, a figure that a design does not have, never is.
+        """Where it is met, (d,); NaN, a metric that a design does not have, never is.
 
         Parameters
         ----------
         values : (d,)
-            Of the figure.
+            Of the metric.
 
         Examples
         --------
@@ -215,17 +134,17 @@ class Requirement:
 
     @property
     def text(self) -> str:
-        """The requirement with the figure's own name: ``"a_y_peak_p95 <= 3"``."""
+        """The requirement with the metric's own name: ``"a_y_peak_p95 <= 3"``."""
         return f"{self.figure.name} {self.operator} {self.limit!r}".removesuffix(".0")
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Read a requirement: a figure, an operator and a number, in this order.
+    """Read a requirement: a metric, an operator and a number, in this order.
 
     Raises
     ------
     UnknownNameError
-        For an unknown figure; the message names the nearest.
+        For an unknown metric; the message names the nearest.
     InputError
         For anything else that is no requirement; the message names the text and what is allowed.
 
@@ -248,37 +167,9 @@ def parse_requirement(text: str) -> Requirement:
         limit = float(found["limit"])
     except ValueError:
         limit = math.nan
-    lower, upper = {_SHARE: (0.0, 1.0), _COUNT: (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
+    lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
     if not (math.isfinite(limit) and lower <= limit <= upper):
-        kind = {_SHARE: "a share from 0 to 1", _COUNT: "a number >= 0"}.get(wanted.unit, "a finite number")
+        kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(wanted.unit, "a finite number")
         raise InputError(f"requirement {text!r}: the limit is {found['limit']}; allowed: {kind}")
     operator: Any = found["operator"]
     return Requirement(wanted, operator, limit + 0.0)
-
-
-def check_figure(name: str) -> str:
-    """The figure's own name.
-
-    Raises
-    ------
-    InputError
-        If there is no such figure.
-    """
-    try:
-        return figure(name).name
-    except UnknownNameError as error:
-        raise InputError(str(error)) from None
-
-
-def check_requirement(text: str) -> str:
-    """The requirement in its canonical text.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
-    try:
-        return parse_requirement(text).text
-    except UnknownNameError as error:
-        raise InputError(str(error)) from None

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from studies.ranking.case_figures import DrivableCase
+from studies.ranking.case_figures import DrivableCase, mean_reduction
 from studies.ranking.resampled import Interval, Resampled, critical_value, simultaneous_interval
 from studies.ranking.standard_error import half_widths
 from studies.ranking.winner import choose_winner
@@ -171,7 +171,8 @@ def fresh_scores(
         taken = every.take(np.searchsorted(positions, among))
         reference = int(np.searchsorted(among, search.baseline))
         to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
-        reduction = spread(_reduction(taken.mean, reference), among)
+        without = np.full_like(taken.mean, taken.mean[reference])
+        reduction = spread(mean_reduction(taken.mean, without), among)
     paired = search.paired and there
     if finalists.size:
         among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
@@ -201,11 +202,6 @@ def fresh_scores(
         int(finalists[np.argmin(resampled.mean)]) if finalists.size else None,
         winner,
     )
-
-
-def _reduction(S: FloatArray, reference: int) -> FloatArray:
-    result: FloatArray = 1.0 - S / S[reference] if S[reference] > 0 else np.full(S.size, np.nan)
-    return result
 
 
 def lost(before: Resampled, after: Resampled, confidence: float, reference: int | None = None) -> Interval:

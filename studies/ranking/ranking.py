@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
-from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order
+from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order, missed_requirements
 from studies.ranking.failed_commands import warnings_of
 from studies.ranking.few_scenarios import warnings_of_sample
 from studies.ranking.figures import Requirement, figure, parse_requirement
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
 from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
-from studies.ranking.requirements import missed_requirements
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.study_file.spec import Study
 

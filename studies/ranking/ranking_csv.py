@@ -16,15 +16,55 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit import controller_class
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from studies.design import Design
 from studies.ranking.ranking import Ranking
-from studies.ranking.release import COLUMNS
 from studies.results import Race
 from studies.storage.files import write_text
 
 _DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
 """Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
 lower bound of how much worse than the best it is."""
+
+
+_NUMBERS: Final = {
+    "S": METRICS["S"].column,
+    "S_low": "S_low_m_s",
+    "S_high": "S_high_m_s",
+    "S_p95": METRICS["S_p95"].column,
+    "S_cvar95": METRICS["S_cvar95"].column,
+    "S_left": METRICS["S_left"].column,
+    "S_right": METRICS["S_right"].column,
+    "S_uncorrected": "S_uncorrected_m_s",
+    "reduction": METRICS["reduction"].column,
+    "reduction_left": METRICS["reduction_left"].column,
+    "reduction_right": METRICS["reduction_right"].column,
+    "difference": "difference_to_best_m_s",
+    "difference_low": "difference_low_m_s",
+    "difference_high": "difference_high_m_s",
+    "baseline_difference": "baseline_difference_m_s",
+    "baseline_difference_low": "baseline_difference_low_m_s",
+    "baseline_difference_high": "baseline_difference_high_m_s",
+    "set_of_best": "set_of_best",
+    "best_frequency": "best_frequency",
+    "pareto": "pareto",
+    "fresh_S": "fresh_S_m_s",
+    "fresh_low": "fresh_low_m_s",
+    "fresh_high": "fresh_high_m_s",
+    "fresh_difference": "fresh_difference_to_first_m_s",
+    "fresh_difference_low": "fresh_difference_to_first_low_m_s",
+    "fresh_difference_high": "fresh_difference_to_first_high_m_s",
+    "fresh_baseline_difference": "fresh_baseline_difference_m_s",
+    "fresh_baseline_difference_low": "fresh_baseline_difference_low_m_s",
+    "fresh_baseline_difference_high": "fresh_baseline_difference_high_m_s",
+    "fresh_reduction": "fresh_reduction",
+    "optimism": "optimism_m_s",
+    "optimism_low": "optimism_low_m_s",
+    "optimism_high": "optimism_high_m_s",
+}
+"""Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""
+
+_COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "invalid", "failed_solves")
 
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
@@ -77,51 +117,11 @@ def _columns_of(law: str) -> list[str]:
 
 
 def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    numbers = {
-        "S_m_s": ranking.S,
-        "S_low_m_s": ranking.S_low,
-        "S_high_m_s": ranking.S_high,
-        "S_p95_m_s": ranking.S_p95,
-        "S_cvar95_m_s": ranking.S_cvar95,
-        "S_left_m_s": ranking.S_left,
-        "S_right_m_s": ranking.S_right,
-        "S_uncorrected_m_s": ranking.S_uncorrected,
-        "reduction": ranking.reduction,
-        "reduction_left": ranking.reduction_left,
-        "reduction_right": ranking.reduction_right,
-        "difference_to_best_m_s": ranking.difference,
-        "difference_low_m_s": ranking.difference_low,
-        "difference_high_m_s": ranking.difference_high,
-        "baseline_difference_m_s": ranking.baseline_difference,
-        "baseline_difference_low_m_s": ranking.baseline_difference_low,
-        "baseline_difference_high_m_s": ranking.baseline_difference_high,
-        "set_of_best": ranking.set_of_best,
-        "best_frequency": ranking.best_frequency,
-        "pareto": ranking.pareto,
-        "fresh_S_m_s": ranking.fresh_S,
-        "fresh_low_m_s": ranking.fresh_low,
-        "fresh_high_m_s": ranking.fresh_high,
-        "fresh_difference_to_first_m_s": ranking.fresh_difference,
-        "fresh_difference_to_first_low_m_s": ranking.fresh_difference_low,
-        "fresh_difference_to_first_high_m_s": ranking.fresh_difference_high,
-        "fresh_baseline_difference_m_s": ranking.fresh_baseline_difference,
-        "fresh_baseline_difference_low_m_s": ranking.fresh_baseline_difference_low,
-        "fresh_baseline_difference_high_m_s": ranking.fresh_baseline_difference_high,
-        "fresh_reduction": ranking.fresh_reduction,
-        "optimism_m_s": ranking.optimism,
-        "optimism_low_m_s": ranking.optimism_low,
-        "optimism_high_m_s": ranking.optimism_high,
-        "winner": np.arange(len(ranking)) == ranking.winner,
-        "triggered_share": ranking.triggered,
-        "deeper_than_D_y_share": ranking.deeper,
-        "solver_failed": ranking.solver_failed,
-        "diverged": ranking.diverged,
-        "timed_out": ranking.timed_out,
-        "crashed": ranking.crashed,
-        "invalid": ranking.invalid,
-        "failed_solves": ranking.failed_solves,
-        **{column: getattr(ranking.release, name) for name, column in COLUMNS.items()},
-    }
+    numbers: dict[str, Any] = {column: getattr(ranking, name) for name, column in _NUMBERS.items()}
+    numbers["winner"] = np.arange(len(ranking)) == ranking.winner
+    numbers |= {METRICS[name].column: getattr(ranking, name) for name in ("triggered", "deeper")}
+    numbers |= {name: getattr(ranking, name) for name in _COUNTS}
+    numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)

@@ -1,112 +1,165 @@
-"""What a release engineer asks of a design beside its mean S: one figure a design, from the companions of its runs."""
+"""What a release asks of a design beside its mean S: aggregates and shares of the metrics of its scenarios.
+
+They are taken from a few metrics of the scenarios and a block of designs at a time: all of them together would be the
+largest thing in memory by far.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, Final
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit import EventStatus
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
+from studies.design import Design
+from studies.ranking.masked import masked_max, masked_mean, masked_quantile
+from studies.results import CaseResults, status_among
+from studies.storage.stored_columns import StoredColumn
+
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+Values = dict[str, FloatArray]
+
+_BLOCK_ENTRIES: Final = 500_000
+"""Runs that are looked at at once (4 MB for each metric); no number depends on it."""
+
+_STORED_ENTRIES: Final = 50_000_000
+"""Numbers that are read from a study's folder at once (400 MB): all at once where possible, as every file holds many
+designs and no design has a file of its own."""
+
+_MOST_THREADS: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class ReleaseFigures:
-    """Figures of d designs, arrays of d. Each says over which departures it is taken.
+    """Metrics of d designs, arrays of d, one attribute for each of `ldctoolkit.metrics.RELEASE_METRICS`.
 
     What is taken over interventions is NaN where a design never intervened.
-
-    Attributes
-    ----------
-    deepest_mean, deepest_p95 : [m]
-        Deepest position of the edge beyond the line: mean and 95 % quantile over all departures.
-    dtle_mean, dtle_p5, dtle_min : [m]
-        Smallest distance of the front axle's edge to the line, negative beyond it: mean, 5 % quantile and least.
-    within_dtle : share
-        Departures whose distance stays at or above -0.3 m.
-    needless : share
-        Departures in which the design took over although they stay below D_y without control.
-    overshoot_share : share
-        Of the interventions, those that take the opposite edge beyond the opposite line.
-    overshoot_max : [m]
-        How far at most.
-    back_inside : share
-        Of the interventions, those after which the edge is back inside before the loop ends.
-    t_back_median : [s]
-        Over interventions, from the departure's start; one that is not back counts as infinite.
-    a_y_peak_mean, a_y_peak_p95, a_y_peak_max : [m/s^2]
-        Largest lateral acceleration, over interventions.
-    jerk_peak_mean, jerk_peak_p95, jerk_peak_max : [m/s^3]
-        Largest lateral jerk, over interventions.
-    comfortable : share
-        Of the interventions, those that keep both limits of ISO 11270.
-    delta_peak_max : [rad]
-        Largest steering angle of the wheel.
-    delta_rate_peak_max : [rad/s]
-        Largest rate of it.
-    effort_mean : [rad^2 s]
-        Mean integral of the squared steering angle, over interventions.
-    travel_mean : [rad]
-        Mean sum of the steering angle's changes, over interventions.
-    law_time : [us]
-        Mean wall time of the law's own step per command; 0 for a linear law, NaN where it was not measured.
     """
 
-    deepest_mean: FloatArray
-    deepest_p95: FloatArray
-    dtle_mean: FloatArray
-    dtle_p5: FloatArray
-    dtle_min: FloatArray
-    within_dtle: FloatArray
-    needless: FloatArray
-    overshoot_share: FloatArray
-    overshoot_max: FloatArray
-    back_inside: FloatArray
-    t_back_median: FloatArray
-    a_y_peak_mean: FloatArray
-    a_y_peak_p95: FloatArray
-    a_y_peak_max: FloatArray
-    jerk_peak_mean: FloatArray
-    jerk_peak_p95: FloatArray
-    jerk_peak_max: FloatArray
-    comfortable: FloatArray
-    delta_peak_max: FloatArray
-    delta_rate_peak_max: FloatArray
-    effort_mean: FloatArray
-    travel_mean: FloatArray
-    law_time: FloatArray
+    __annotations__ = dict.fromkeys(RELEASE_METRICS, "FloatArray")
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: FloatArray) -> None: ...
+
+        def __getattr__(self, name: str) -> FloatArray: ...
 
     def take(self, order: Sequence[int] | npt.NDArray[np.int64]) -> ReleaseFigures:
         """The same for some of the designs, in the order given."""
-        changes: dict[str, Any] = {name: getattr(self, name)[order] for name in COLUMNS}
-        return dataclasses.replace(self, **changes)
+        return ReleaseFigures(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
 
 
-COLUMNS: Final = {
-    "deepest_mean": "deepest_mean_m",
-    "deepest_p95": "deepest_p95_m",
-    "dtle_mean": "dtle_mean_m",
-    "dtle_p5": "dtle_p5_m",
-    "dtle_min": "dtle_min_m",
-    "within_dtle": "within_dtle_share",
-    "needless": "needless_share",
-    "overshoot_share": "overshoot_share",
-    "overshoot_max": "overshoot_max_m",
-    "back_inside": "back_inside_share",
-    "t_back_median": "t_back_median_s",
-    "a_y_peak_mean": "a_y_peak_mean_m_s2",
-    "a_y_peak_p95": "a_y_peak_p95_m_s2",
-    "a_y_peak_max": "a_y_peak_max_m_s2",
-    "jerk_peak_mean": "jerk_peak_mean_m_s3",
-    "jerk_peak_p95": "jerk_peak_p95_m_s3",
-    "jerk_peak_max": "jerk_peak_max_m_s3",
-    "comfortable": "comfortable_share",
-    "delta_peak_max": "delta_peak_max_rad",
-    "delta_rate_peak_max": "delta_rate_peak_max_rad_s",
-    "effort_mean": "effort_mean_rad2_s",
-    "travel_mean": "travel_mean_rad",
-    "law_time": "law_time_us",
-}
-"""Figure -> its column in a table, with the unit or the word share at the end."""
+def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
+    """Every metric of a design that is taken from metrics of its scenarios.
+
+    Parameters
+    ----------
+    case : CaseResults
+        Scenarios that can be driven only.
+    designs : sequence of Design
+        In the order of `case`.
+    d_y : (n,) [m]
+        Depth of the departures without control.
+    D_y : float [m]
+        Depth from which on a departure is deep, and below which it needs no intervention.
+
+    Returns
+    -------
+    dict of str to (d,)
+        The fields of `ReleaseFigures`, and ``deeper``.
+    """
+    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted[[design.is_baseline for design in designs]] = False
+    blocks = _Blocks(case, acted)
+
+    def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
+        def values(acted: BoolArray, *columns: FloatArray) -> Values:
+            by, there = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
+            return {one.name: _taken(one, by, *(there[name] for name in one.of)) for one in group}
+
+        return values
+
+    found: Values = {}
+    for group in _groups():
+        names = tuple(dict.fromkeys(name for one in group for name in one.of))
+        found |= blocks.values(of(group, names), *names)
+    return found
+
+
+def _groups() -> list[list[Metric]]:
+    """Metrics that are taken from the same metrics of the scenarios stand together: each of these is read once."""
+    groups: list[list[Metric]] = []
+    for one in METRICS.values():
+        if one.aggregate or one.share is not None:
+            joined = [group for group in groups if any(set(one.of) & set(other.of) for other in group)]
+            groups = [group for group in groups if group not in joined]
+            groups.append([*(other for group in joined for other in group), one])
+    return groups
+
+
+def _taken(one: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
+    """A metric of some designs, over all departures or the interventions."""
+    if one.share is not None:
+        return np.asarray(one.share(by, *values))
+    (only,) = values
+    of_all = SCENARIO_METRICS[one.of[0]].over == "all"
+    if one.aggregate == "mean":
+        return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
+    if one.aggregate == "max":
+        return np.asarray(only.max(axis=1)) if of_all else masked_max(only, by.acted)
+    if one.aggregate == "min":
+        return np.asarray(only.min(axis=1)) if of_all else -masked_max(-only, by.acted)
+    share = 0.5 if one.aggregate == "median" else float(one.aggregate[1:]) / 100.0
+    return np.asarray(np.quantile(only, share, axis=1)) if of_all else masked_quantile(only, by.acted, share)
+
+
+class _Blocks:
+    """Metrics of scenarios that are in memory, or read when they are needed, by blocks of designs in threads.
+
+    Parameters
+    ----------
+    case : CaseResults
+    acted : (d, n) bool
+        Where each design took over.
+    """
+
+    def __init__(self, case: CaseResults, acted: BoolArray) -> None:
+        self._case, self._acted = case, acted
+        self._size = max(1, _BLOCK_ENTRIES // acted.shape[1])
+        stored = not isinstance(case.companions.deepest, np.ndarray)
+        self._room = np.empty(max(min(_STORED_ENTRIES, acted.size), 2 * acted.shape[1]) if stored else 0)
+
+    def values(self, function: Callable[..., Values], *names: str) -> Values:
+        """Metrics of designs: `function` takes where a block of designs took over, and each metric of the scenarios."""
+        columns: list[Any] = [getattr(self._case.companions, name) for name in names]
+        (d, n), count = self._acted.shape, max(1, len(names))
+        at_once = max(1, self._room.size // (count * n)) if self._room.size else d
+        found: list[Values] = []
+        for first in range(0, d, at_once):
+            rows = slice(first, min(first + at_once, d))
+            rooms = np.array_split(self._room, count)
+            values = [_values(column, rows, room) for column, room in zip(columns, rooms, strict=False)]
+            found += self._of_blocks(function, rows, values)
+        return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
+
+    def _of_blocks(self, function: Callable[..., Values], rows: slice, values: Sequence[FloatArray]) -> list[Values]:
+        def one(start: int) -> Values:
+            block = slice(start, min(start + self._size, rows.stop - rows.start))
+            acted = self._acted[rows][block]
+            # one row after the other in memory: the sum of a row depends on it in the last bit
+            return function(acted, *(np.ascontiguousarray(column[block], dtype=np.float64) for column in values))
+
+        starts = range(0, rows.stop - rows.start, self._size)
+        with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
+            return list(pool.map(one, starts))
+
+
+def _values(column: FloatArray | StoredColumn, rows: slice, room: FloatArray) -> FloatArray:
+    return column[rows] if isinstance(column, np.ndarray) else column.read(rows, room)

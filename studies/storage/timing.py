@@ -78,5 +78,9 @@ def write_times(folder: Path, times: Mapping[RunKey, LawTime]) -> None:
     """Write or replace the times of a folder, sorted by design and convention."""
     designs: dict[str, dict[str, Any]] = {}
     for (design, convention), time in sorted(times.items()):
-        designs.setdefault(design, {})[convention] = {"law_seconds": time.seconds, "commands": time.commands}
+        designs.setdefault(design, {})[convention] = {
+            "law_seconds": time.seconds,
+            "commands": time.commands,
+            "law_time_us": 1e6 * time.per_command,
+        }
     write_text(folder / FILE_NAME, json.dumps({"designs": designs}, indent=1) + "\n")

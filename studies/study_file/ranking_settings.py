@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ldctoolkit import LdcError
-from studies.ranking.figures import check_figure, check_requirement
+from studies.ranking.figures import figure, parse_requirement
 from studies.study_file._part import Part, fail
+
+T = TypeVar("T")
 
 
 def _names(entry: Any) -> Any:
@@ -20,14 +22,14 @@ def _names(entry: Any) -> Any:
 
 
 def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_checked(check_requirement, text) for text in texts)
+    return tuple(_checked(parse_requirement, text).text for text in texts)
 
 
 def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_checked(check_figure, name) for name in names)
+    return tuple(_checked(figure, name).name for name in names)
 
 
-def _checked(check: Callable[[str], str], text: str) -> str:
+def _checked(check: Callable[[str], T], text: str) -> T:
     try:
         return check(text)
     except LdcError as error:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.setup import Setup
 
 # columns of a scenario: constant over a run
@@ -55,19 +56,25 @@ SLOT: Final = 13  # place of its path, or -1
 COUNT: Final = 14  # entries of its path so far
 INTEGRAL: Final = 15  # of e_y as the law saw it, for a law that feeds it back
 SCORE: Final = 16
-# scores, counted from SCORE
+
+
+def score_column(metric: str) -> int:
+    """Column of a metric of a scenario, counted from SCORE: in the order of their table, behind the area."""
+    return 1 + tuple(SCENARIO_METRICS).index(metric)
+
+
 AREA: Final = 0  # integral of |e_y| up to T
-DEEP: Final = 1  # max of e_y up to T
-FRONT: Final = 2  # max of e_y + l_f e_psi up to T
-BACK: Final = 3  # time of the first crossing back inside
-OVER: Final = 4  # max of -e_y
-A_Y: Final = 5
-JERK: Final = 6
-DELTA: Final = 7
-RATE: Final = 8
-EFFORT: Final = 9
-TRAVEL: Final = 10
-SCORES: Final = 11
+DEEP: Final = score_column("deepest")  # max of e_y up to T
+FRONT: Final = score_column("dtle")  # max of e_y + l_f e_psi up to T
+BACK: Final = score_column("t_back")  # time of the first crossing back inside
+OVER: Final = score_column("overshoot")  # max of -e_y
+A_Y: Final = score_column("a_y_peak")
+JERK: Final = score_column("jerk_peak")
+DELTA: Final = score_column("delta_peak")
+RATE: Final = score_column("delta_rate_peak")
+EFFORT: Final = score_column("effort")
+TRAVEL: Final = score_column("travel")
+SCORES: Final = 1 + len(SCENARIO_METRICS)
 STATE: Final = SCORE + SCORES
 """Then, in this order: a ring of commands, a ring of frames (2 each), two rings of lateral accelerations."""
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.simulation import _philox
 from ldctoolkit.simulation.kernel import (
     between,
@@ -71,7 +72,7 @@ FloatArray = npt.NDArray[np.float64]
 
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
-    text = hashlib.sha256()
+    text = hashlib.sha256(",".join(SCENARIO_METRICS).encode())
     lane_modules = (lane_cuts, lane_events, lane_table, lanes)
     for module in (data, *lane_modules, between, fused, plant, sample, senses, _philox, _nonlinear_compiled):
         text.update(Path(str(module.__file__)).read_bytes())

@@ -11,16 +11,15 @@ import numpy.typing as npt
 
 from ldctoolkit import controller_class
 from ldctoolkit.gains import Gain, GainValue
+from ldctoolkit.metrics import GROUPS
 from studies.design import CONVENTION_GAIN, FOLLOWS_CASE
-from studies.ranking.figures import figure_values
 from studies.report.context import Context
 from studies.report.embedded.packed import packed
-from studies.report.embedded.shown_figures import GROUPS, SHOWN, shown_limits, shown_values
 from studies.report.figures.landscape import swept_axes
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row, is_baseline
 from studies.report.tables.tabulate import tried
-from studies.report.words.figure_names import requirement_text
+from studies.report.words.metric_text import SHOWN, requirement_text, shown_limits, shown_values
 from studies.report.words.text import printable, unit_text
 
 FLAGS: Final = ("set_of_best", "pareto", "winner", "baseline", "paper", "passive", "best_of_law")
@@ -50,7 +49,10 @@ def designs_data(context: Context) -> dict[str, object]:
     laws = tuple(dict.fromkeys(design.law for design in ranking.designs))
     figures = [
         {
-            **{key: getattr(one, key) for key in ("name", "title", "unit", "group", "digits", "better", "scale")},
+            "name": one.name,
+            "title": one.title,
+            "unit": one.shown_unit,
+            **{key: getattr(one, key) for key in ("group", "digits", "better", "scale")},
             "values": column(shown_values(one.name, ranking)),
         }
         for one in SHOWN
@@ -159,10 +161,7 @@ def _law(context: Context, law: str) -> dict[str, object]:
     }
     values = [dict(design.gains) for design in members]
     gains = [_gain(gain, [of[gain.name] for of in values], gain.name in swept) for gain in kind.gains()]
-    timed = figure_values("law_time", ranking)
-    acting = [k for k, design in enumerate(ranking.designs) if design.law == law and not design.is_baseline]
-    linear = bool(acting) and bool((timed[acting] == 0.0).all())
-    return {"name": law, "title": printable(kind.title), "gains": gains, "linear": linear}
+    return {"name": law, "title": printable(kind.title), "gains": gains}
 
 
 def _gain(gain: Gain, values: Sequence[GainValue], swept: bool) -> dict[str, object]:

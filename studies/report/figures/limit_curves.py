@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus
-from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
+from ldctoolkit.metrics import DTLE_LIMIT, SCENARIO_METRICS
 from studies.report.context import Context
 from studies.report.figures.limit_figure import LimitCurve
 from studies.report.look.style import RECORDED
@@ -51,7 +51,7 @@ def comfort_curves(context: Context, name: str) -> tuple[LimitCurve, ...]:
     context : Context
     name : {"a_y_peak", "jerk_peak"}
     """
-    limit = {"a_y_peak": A_Y_LIMIT, "jerk_peak": JERK_LIMIT}[name]
+    limit = SCENARIO_METRICS[name].limit
 
     def curves() -> Iterator[LimitCurve]:
         for row in context.shown:

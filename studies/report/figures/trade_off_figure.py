@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from studies.ranking.figures import Better
+from ldctoolkit.metrics import Better
 from studies.ranking.pareto import pareto_front
 from studies.report.figures.scores import new_panel
 from studies.report.look.style import LineStyle, figure_settings

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.metrics import METRICS, Metric
 from studies.ranking.ranking import Ranking
 from studies.report.context import Context
 from studies.report.embedded.designs import BAR_END, designs_data
-from studies.report.embedded.shown_figures import ShownFigure, shown_figure, shown_limits, shown_values
 from studies.report.rendering import render
 from studies.report.section import Section
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row
-from studies.report.words.figure_names import requirement_text
-from studies.report.words.text import number
+from studies.report.words.metric_text import metric_text, requirement_text, shown_limits, shown_values
 
 MOST_ROWS: Final = 100
 """First designs of a table that stands without script, and at most as many of a set of designs beside them."""
@@ -87,25 +85,22 @@ _OWN_COLUMNS: Final = (
 
 @dataclasses.dataclass(frozen=True)
 class Required:
-    """A column of a figure that has a limit: its name, the limits, and the figure of every design as text."""
+    """A column of a metric that has a limit: its name, the limits, and the metric of every design as text."""
 
-    figure: ShownFigure
+    metric: Metric
     limits: tuple[str, ...]
     values: npt.NDArray[np.float64]
 
     def said(self, place: int) -> str:
-        """The figure of the design at this place."""
-        value = float(self.values[place]) * self.figure.scale
-        return number(value, self.figure.digits) + (
-            "\u00a0%" if self.figure.unit == "%" and not math.isnan(value) else ""
-        )
+        """The metric of the design at this place."""
+        return metric_text(self.metric.name, self.values[place])
 
 
 def _required(table: CaseTable, ranking: Ranking) -> list[Required]:
-    """Figures of the requirements that have no column otherwise."""
+    """Metrics of the requirements that have no column otherwise."""
     limits = shown_limits(table.require)
     return [
-        Required(shown_figure(name), limits[name], shown_values(name, ranking))
+        Required(METRICS[name], limits[name], shown_values(name, ranking))
         for name in limits
         if name not in _OWN_COLUMNS
     ]

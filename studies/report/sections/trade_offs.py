@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.metrics import METRICS
 from studies.report.context import Context
-from studies.report.embedded.shown_figures import shown_figure, shown_values
 from studies.report.figures.trade_off_figure import Group, front_of_two, trade_off_figure
 from studies.report.rendering import render
 from studies.report.section import Drawing, Section
 from studies.report.tables.release_table import against_limits, limits_table
+from studies.report.words.metric_text import shown_values
 from studies.report.words.text import printable
 
 MOST_POINTS = 600
@@ -30,8 +31,8 @@ def section(context: Context) -> Section:
         drawn=drawn,
         finite=len(places),
         limited=bool(context.ranking.require) and bool((context.ranking.rank[places] > 0).any()),
-        x=shown_figure(x),
-        y=shown_figure(y),
+        x=METRICS[x],
+        y=METRICS[y],
     )
     return Section(
         "trade-offs",
@@ -61,7 +62,7 @@ def _different(context: Context, name: str) -> int:
 def _scatter(context: Context, x: str, y: str) -> tuple[Drawing | None, int, npt.NDArray[np.int64]]:
     """The figure, how many designs are in it, and which have both figures."""
     table, ranking = context.primary, context.ranking
-    shown = shown_figure(x), shown_figure(y)
+    shown = METRICS[x], METRICS[y]
     values = np.stack([shown_values(name, ranking) * one.scale for name, one in zip((x, y), shown, strict=True)])
     finite = np.flatnonzero(np.isfinite(values).all(axis=0))
     if not finite.size:

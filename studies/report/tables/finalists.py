@@ -6,7 +6,7 @@ import dataclasses
 
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Interval, Row
-from studies.report.words.figure_names import requirement_text
+from studies.report.words.metric_text import requirement_text
 
 
 @dataclasses.dataclass(frozen=True)

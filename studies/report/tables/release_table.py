@@ -1,18 +1,20 @@
-"""What a release asks for beside S, as a table of figures and a few sentences on the best design."""
+"""What a release asks for beside S, as a table of metrics and a few sentences on the best design."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
+from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT
+from studies.ranking.figures import figure_values
 from studies.ranking.ranking import Ranking
 from studies.ranking.release import ReleaseFigures
 from studies.report.inputs import ReportInput
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row, is_baseline
+from studies.report.words.metric_text import metric_text
 from studies.report.words.prose import design_text
 from studies.report.words.text import compact, number, percent, plural, symbols
 
@@ -32,7 +34,7 @@ class Column:
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """One figure of every design, and the limit that it is held against."""
+    """One metric of every design, and the limit that it is held against."""
 
     name: Markup
     limit: str
@@ -41,7 +43,7 @@ class Line:
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """Figures that are taken over the same departures."""
+    """Metrics that are taken over the same departures."""
 
     title: str
     over: str
@@ -50,7 +52,7 @@ class Group:
 
 @dataclasses.dataclass(frozen=True)
 class LimitsTable:
-    """Figures down, designs across."""
+    """Metrics down, designs across."""
 
     columns: tuple[Column, ...]
     groups: tuple[Group, ...]
@@ -76,76 +78,82 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
     rows = [row for row in table.best_of_each_law if not is_baseline(row)][:MOST_COLUMNS]
     baseline = next((row for row in table.rows if is_baseline(row)), None)
     rows += [baseline] if baseline is not None else []
-    places = [row.place for row in rows]
-    figures, settle = ranking.release, report.setup.settle
+    settle = report.setup.settle
 
-    def line(name: str, show: Callable[[Row, int], str], limit: str = "", *, acts: bool = False) -> Line:
-        """`acts`: a figure of the interventions, of which the baseline has none."""
-        cells = (DASH if acts and is_baseline(r) else show(r, k) for r, k in zip(rows, places, strict=True))
-        return Line(Markup(name), limit, tuple(cells))
+    def line(title: str, show: Callable[[Row], str | Markup], limit: str = "", *, acts: bool = True) -> Line:
+        """`acts`: what is shown is of the interventions, of which the baseline has none."""
+        return Line(Markup(title), limit, tuple(DASH if acts and is_baseline(row) else show(row) for row in rows))
 
-    def spread(quantity: str) -> Callable[[Row, int], str]:
-        return lambda _, k: _spread(figures, quantity, k)
+    def of(name: str, digits: int) -> Callable[[Row], str]:
+        return lambda row: metric_text(name, figure_values(name, ranking)[row.place], digits)
 
+    def spread(quantity: str) -> Callable[[Row], str]:
+        def text(row: Row) -> str:
+            parts = [of(f"{quantity}_{word}", 1)(row) for word in ("mean", "p95", "max")]
+            return DASH if DASH in parts else " / ".join(parts)
+
+        return text
+
+    def overshoot(row: Row) -> str | Markup:
+        text = of("overshoot_max", 2)(row)
+        far = ranking.release.overshoot_max[row.place] > report.setup.vehicle.w_l
+        return Markup('<span class="bad">{}</span> <small>{}</small>').format(text, _TOO_FAR) if far else text
+
+    def law_time(row: Row) -> str:
+        """A linear law has no step of its own to be timed."""
+        seconds = report.results.cases[0].law_time[row.index]
+        return number(1e6 * seconds, 1) if seconds else "linear"
+
+    D_y = compact(table.D_y)
     groups = (
         Group(
             "In the lane",
             "all departures, to the departure\u2019s end",
             (
-                line("DTLE stays above \u22120.3\u00a0m", lambda _, k: percent(figures.within_dtle[k]), _DTLE_LIMIT),
-                line("DTLE, 5\u00a0% quantile [m]", lambda _, k: number(figures.dtle_p5[k], 2)),
-                line("DTLE at its worst [m]", lambda _, k: number(figures.dtle_min[k], 2)),
-                line(f"Deeper than D<sub>y</sub> = {compact(table.D_y)}\u00a0m", lambda r, _: percent(r.deeper)),
+                line("DTLE stays above \u22120.3\u00a0m", of("within_dtle", 1), _DTLE_LIMIT, acts=False),
+                line("DTLE, 5\u00a0% quantile [m]", of("dtle_p5", 2), acts=False),
+                line("DTLE at its worst [m]", of("dtle_min", 2), acts=False),
+                line(f"Deeper than D<sub>y</sub> = {D_y}\u00a0m", of("deeper", 1), acts=False),
             ),
         ),
         Group(
             "Back to the lane",
             "interventions" + (f", to {compact(settle)}\u00a0s after the departure\u2019s end" if settle else ""),
             (
-                line("Back inside at some time", lambda _, k: percent(figures.back_inside[k]), acts=True),
-                line("Back inside after, median [s]", lambda _, k: number(figures.t_back_median[k], 2), acts=True),
-                line("Opposite line crossed", lambda _, k: percent(figures.overshoot_share[k]), acts=True),
-                line(
-                    "Opposite line crossed by at most [m]",
-                    lambda _, k: _overshoot(figures.overshoot_max[k], report.setup.vehicle.w_l),
-                    acts=True,
-                ),
+                line("Back inside at some time", of("back_inside", 1)),
+                line("Back inside after, median [s]", of("t_back_median", 2)),
+                line("Opposite line crossed", of("overshoot_share", 1)),
+                line("Opposite line crossed by at most [m]", overshoot),
             ),
         ),
         Group(
             "Comfort",
             "interventions; mean / 95\u00a0% quantile / largest",
             (
-                line("Both limits kept", lambda _, k: percent(figures.comfortable[k]), "ISO 11270", acts=True),
-                line("Peak lateral acceleration [m/s²]", spread("a_y_peak"), "limit 3", acts=True),
-                line("Peak lateral jerk [m/s³]", spread("jerk_peak"), "limit 5", acts=True),
+                line("Both limits kept", of("comfortable", 1), "ISO 11270"),
+                line("Peak lateral acceleration [m/s²]", spread("a_y_peak"), f"limit {compact(A_Y_LIMIT)}"),
+                line("Peak lateral jerk [m/s³]", spread("jerk_peak"), f"limit {compact(JERK_LIMIT)}"),
             ),
         ),
         Group(
             "Steering",
             "interventions",
             (
-                line("Largest angle [°]", lambda _, k: _degrees(figures.delta_peak_max[k]), acts=True),
-                line("Largest rate [°/s]", lambda _, k: _degrees(figures.delta_rate_peak_max[k]), acts=True),
-                line(
-                    "Mean effort ∫δ² dt [°²·s]", lambda _, k: number(_DEGREES**2 * figures.effort_mean[k], 2), acts=True
-                ),
+                line("Largest angle [°]", of("delta_peak_max", 1)),
+                line("Largest rate [°/s]", of("delta_rate_peak_max", 1)),
+                line("Mean effort ∫δ² dt [°²·s]", of("effort_mean", 2)),
             ),
         ),
         Group(
             "Interventions",
             "all departures",
             (
-                line("Departures taken over", lambda r, _: percent(r.triggered), acts=True),
-                line(
-                    f"Needless: without control not deeper than {compact(table.D_y)}\u00a0m",
-                    lambda _, k: percent(figures.needless[k]),
-                    acts=True,
-                ),
-                line("Departures with a failed solve", lambda r, _: f"{r.solver_failed:,}", acts=True),
-                line("Departures that diverged", lambda r, _: f"{r.diverged:,}", acts=True),
-                line("Departures that timed out or crashed", lambda r, _: f"{r.timed_out + r.crashed:,}", acts=True),
-                line("Time of the law per command [µs]", lambda _, k: _law_time(figures.law_time[k]), acts=True),
+                line("Departures taken over", of("triggered", 1)),
+                line(f"Needless: without control not deeper than {D_y}\u00a0m", of("needless", 1)),
+                line("Departures with a failed solve", lambda row: f"{row.solver_failed:,}"),
+                line("Departures that diverged", lambda row: f"{row.diverged:,}"),
+                line("Departures that timed out or crashed", lambda row: f"{row.timed_out + row.crashed:,}"),
+                line("Time of the law per command [µs]", law_time),
             ),
         ),
     )
@@ -153,7 +161,7 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
 
 
 _DTLE_LIMIT = "Euro NCAP LSS, EU 2021/646"
-_DEGREES = math.degrees(1.0)
+_TOO_FAR = "more than the lane\u2019s width"
 
 
 def _column(row: Row) -> Column:
@@ -162,28 +170,6 @@ def _column(row: Row) -> Column:
     threshold = f"y_s\u00a0=\u00a0{compact(row.design.y_s)}\u00a0m"
     gains = (f"{name}\u00a0=\u00a0{value}{chr(0xA0) + unit if unit else ''}" for name, value, unit in row.gains)
     return Column(row.title, symbols(", ".join([threshold, *gains, *([] if row.rank else ["not ranked"])])))
-
-
-def _spread(figures: ReleaseFigures, quantity: str, k: int) -> str:
-    values = [float(getattr(figures, f"{quantity}_{word}")[k]) for word in ("mean", "p95", "max")]
-    return DASH if math.isnan(values[0]) else " / ".join(number(value, 1) for value in values)
-
-
-def _degrees(value: float) -> str:
-    return number(_DEGREES * value, 1)
-
-
-def _overshoot(value: float, w_l: float) -> Markup:
-    shown = Markup(number(value, 2))
-    return Markup('<span class="bad">{}</span> <small>{}</small>').format(shown, _TOO_FAR) if value > w_l else shown
-
-
-_TOO_FAR = "more than the lane\u2019s width"
-
-
-def _law_time(value: float) -> str:
-    """A linear law has no step of its own to be timed."""
-    return number(value, 1) if value else "linear"
 
 
 def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> Iterator[Markup]:

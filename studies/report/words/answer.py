@@ -17,7 +17,7 @@ from studies.report.tables.reduction import ratio_interval
 from studies.report.tables.row import Interval, Row, is_baseline
 from studies.report.tables.tabulate import tried
 from studies.report.words.cost import beyond_grip, cost
-from studies.report.words.figure_names import figure_name, requirement_text
+from studies.report.words.metric_text import metric_name, requirement_text
 from studies.report.words.other_plants import on_other_plants
 from studies.report.words.prose import between, between_differences, between_percent, design_text, rank_text
 from studies.report.words.race import race_sentences
@@ -313,7 +313,7 @@ def _pareto(table: CaseTable) -> Markup:
     count = sum(row.pareto for row in table.rows)
     said = Markup("The Pareto front over {} holds {} of the {}; the <a href='#ranking'>ranking</a> marks {}.{}")
     return said.format(
-        symbols(", ".join(figure_name(name) for name in table.pareto_figures)),
+        symbols(", ".join(metric_name(name) for name in table.pareto_figures)),
         plural(count, "design"),
         f"{table.ranked:,} ranked",
         "it" if count == 1 else "them",

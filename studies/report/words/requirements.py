@@ -7,7 +7,7 @@ from collections import Counter
 from markupsafe import Markup
 
 from studies.report.tables.case_table import CaseTable
-from studies.report.words.figure_names import requirement_text
+from studies.report.words.metric_text import requirement_text
 from studies.report.words.prose import design_text
 from studies.report.words.text import number, plural, symbols
 

@@ -14,11 +14,10 @@ import scipy.stats
 
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.metrics import Companions
+from ldctoolkit.metrics import RELEASE_METRICS, Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
 from studies.ranking.bootstrap import bootstrap_means, percentile_interval
 from studies.ranking.ranking_csv import write_csv
-from studies.ranking.release import COLUMNS
 
 
 def companions_of(d: int, n: int, seed: int = 7) -> Companions:
@@ -225,7 +224,6 @@ def by_hand(results: StudyResults, i: int, D_y: float) -> dict[str, float]:
         "delta_rate_peak_max_rad_s": max(of("delta_rate_peak")),
         "effort_mean_rad2_s": sum(of("effort")) / len(acted),
         "travel_mean_rad": sum(of("travel")) / len(acted),
-        "law_time_us": 1e6 * case.law_time[i],
     }
     for name, unit in (("a_y_peak", "m_s2"), ("jerk_peak", "m_s3")):
         wanted[f"{name}_mean_{unit}"] = sum(of(name)) / len(acted)
@@ -243,7 +241,6 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
     case.status[:] = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=case.status.shape)
     case.companions.t_back[generator.random(case.status.shape) < 0.2] = np.inf
     case.companions.t_back[3] = np.inf  # not back after most: the median is infinite too
-    case.law_time[:] = [0.0, 1e-6, 2.5e-6, np.nan]
     results = dataclasses.replace(results, scenarios=scenarios)
     ranking = rank(results, D_y=0.4)
     write_csv([ranking], tmp_path / "r.csv")
@@ -251,7 +248,7 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
         rows = list(csv.DictReader(stream))
     for row, i in zip(rows, ranking.index, strict=True):
         wanted = by_hand(results, int(i), 0.4)
-        assert set(wanted) == set(COLUMNS.values())
+        assert set(wanted) == {one.column for one in RELEASE_METRICS.values()}
         for name, value in wanted.items():
             if math.isnan(value):
                 assert row[name] == "", name
@@ -267,10 +264,10 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
     results = results_of(scores[:1], left=150, law="toy")
     results.cases[0].status[:] = EventStatus.NEVER_TRIGGERED
     for figures in (baseline, rank(results).release):
-        empty = {name for name in COLUMNS if np.isnan(getattr(figures, name)).all()}
+        empty = {name for name in RELEASE_METRICS if np.isnan(getattr(figures, name)).all()}
         assert empty == {
             "overshoot_share", "overshoot_max", "back_inside", "t_back_median", "comfortable",
-            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "law_time",
+            "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean",
             *(f"{quantity}_{word}" for quantity in ("a_y_peak", "jerk_peak") for word in ("mean", "p95", "max")),
         }  # fmt: skip
 
@@ -294,9 +291,9 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     for field in dataclasses.fields(Ranking):
         if field.name not in ("invalid", "warnings", "release"):
             np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
-    for name in COLUMNS:
+    for name in RELEASE_METRICS:
         np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
-        assert name == "law_time" or np.isfinite(getattr(ranking.release, name)).all()
+        assert np.isfinite(getattr(ranking.release, name)).all()
 
 
 def test_nothing_that_can_be_driven_is_refused() -> None:
@@ -376,7 +373,7 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     for field in dataclasses.fields(Ranking):
         if field.name not in ("index", "release"):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
-    for name in COLUMNS:
+    for name in RELEASE_METRICS:
         np.testing.assert_array_equal(getattr(one.release, name), getattr(two.release, name), err_msg=name)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
-from studies.ranking import bootstrap, companion_figures, resampled, row_blocks
+from studies.ranking import bootstrap, release, resampled, row_blocks
 
 
 def invented(d: int, n: int) -> StudyResults:
@@ -70,7 +70,7 @@ def test_no_figure_depends_on_the_size_of_a_block(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(bootstrap, "_GRID_ENTRIES", entries)
     monkeypatch.setattr(bootstrap, "_KEPT_ENTRIES", entries)
     monkeypatch.setattr(resampled, "_KEPT_ENTRIES", 0)
-    monkeypatch.setattr(companion_figures, "_BLOCK_ENTRIES", entries)
+    monkeypatch.setattr(release, "_BLOCK_ENTRIES", entries)
     parted = ranked(invented(40, 100))
     assert [name for name in whole if parted[name] != whole[name]] == []
 

@@ -147,7 +147,8 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     content = json.loads((tmp_path / "a" / "timing.json").read_text())["designs"]
     mpc, lqr = (content[design.id]["consistent"] for design in study.designs)
     assert mpc["law_seconds"] > 0
-    assert lqr["law_seconds"] == 0
+    assert lqr["law_seconds"] == lqr["law_time_us"] == 0
+    assert mpc["law_time_us"] == pytest.approx(1e6 * mpc["law_seconds"] / mpc["commands"], rel=1e-12)
     case = read_results(tmp_path / "a").cases[0]
     assert case.law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
     assert mpc["commands"] == commands_of(study, 0.1, read_results(tmp_path / "a"))

@@ -98,8 +98,7 @@
   // A figure with its digits, scaled to the unit that is shown.
   function shownValue(name, i) {
     var one = byName[name], value = figure(name)[i] * one.scale;
-    if (Number.isNaN(value)) return name === "law_time" && data.laws[law[i]].linear ? "linear" : LDC.number(value);
-    return one.unit === "%" ? LDC.number(value, one.digits) + "\u00a0%" : LDC.number(value, one.digits);
+    return one.unit === "%" && !Number.isNaN(value) ? LDC.number(value, one.digits) + "\u00a0%" : LDC.number(value, one.digits);
   }
   function withUnit(one) { return one.unit && one.unit !== "%" ? one.title + " [" + one.unit + "]" : one.title; }
   function axis(one) { return one.unit ? one.title + " [" + one.unit + "]" : one.title; }

@@ -17,8 +17,8 @@ import numpy.typing as npt
 import pytest
 
 from controllers import NoControl, PreviewProportional
+from ldctoolkit.metrics import METRICS
 from studies.design import Design
-from studies.ranking.figures import FIGURES
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
 from studies.report import ReportInput, page
@@ -63,16 +63,14 @@ def test_every_number_is_the_rankings(report: ReportInput, monkeypatch: pytest.M
     data, ranking = on_page(report, monkeypatch), report.rankings[0]
     d = data["count"]
     assert d == len(ranking)
-    assert {one["name"] for one in data["figures"]} == set(FIGURES)
+    assert {one["name"] for one in data["figures"]} == set(METRICS)
     for one in data["figures"]:
         name = one["name"]
         wanted = getattr(ranking, name) if hasattr(ranking, name) else getattr(ranking.release, name)
         if name in ("triggered", "needless"):
             wanted = np.where([design.law == "none" for design in ranking.designs], np.nan, wanted)
-        if name == "law_time":
-            wanted = np.full(d, np.nan)  # stored as 0: the laws of this study are linear
         same(expanded(one["values"], d), wanted)
-        assert one["better"] == FIGURES[name].better
+        assert one["better"] == METRICS[name].better
     for name in ("S", "difference", "baseline_difference"):
         for end in ("low", "high"):
             same(expanded(data["ends"][name][end], d), getattr(ranking, f"{name}_{end}"))
@@ -91,11 +89,9 @@ def test_numbers_are_those_of_ranking_csv(report: ReportInput, tmp_path: Path, m
         lines = list(csv.DictReader(stream))
     assert len(lines) == data["count"]
     for one in data["figures"]:
-        wanted = [float(line[FIGURES[one["name"]].column] or "nan") for line in lines]
+        wanted = [float(line[METRICS[one["name"]].column] or "nan") for line in lines]
         if one["name"] in ("triggered", "needless"):
             wanted = [np.nan if line["law"] == "none" else number for line, number in zip(lines, wanted, strict=True)]
-        if one["name"] == "law_time":
-            wanted = [number or np.nan for number in wanted]  # 0 where no time was taken
         same(expanded(one["values"], len(lines)), np.array(wanted))
     laws = [data["laws"][int(k)] for k in numbers(data["law"])]
     assert [law["name"] for law in laws] == [line["law"] for line in lines]
@@ -145,17 +141,6 @@ def test_flags_and_fresh_scores(make: ModuleType, results: StudyResults, monkeyp
     ):
         for end, field in zip(("value", "low", "high"), fields, strict=True):
             same(expanded(data["ends"][name][end], d), getattr(ranking, field))
-
-
-def test_laws_without_a_time_are_told(make: ModuleType, results: StudyResults) -> None:
-    time = np.where([design.law == "lqr" for design in results.designs], 2e-6, 0.0)
-    timed = dataclasses.replace(results, cases=(dataclasses.replace(results.cases[0], law_time=time),))
-    data: Any = designs_data(Context.of(make.report_input(timed)))
-    linear = {law["name"]: law["linear"] for law in data["laws"]}
-    assert linear == {"none": False, "preview_proportional": True, "lqr": False}
-    (values,) = (one["values"] for one in data["figures"] if one["name"] == "law_time")
-    laws = [data["laws"][int(k)]["name"] for k in numbers(data["law"])]
-    np.testing.assert_allclose(expanded(values, data["count"]), [2.0 if law == "lqr" else np.nan for law in laws])
 
 
 def test_columns_are_short() -> None:

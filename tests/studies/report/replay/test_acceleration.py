@@ -10,7 +10,6 @@ import pytest
 
 from controllers import LQR, LinearMPC, PreviewProportional
 from ldctoolkit import Controller, Setup
-from ldctoolkit.metrics import linear_lateral_acceleration
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.simulation import Takeover, drive
 from studies.report.replay.acceleration import path_acceleration
@@ -61,7 +60,12 @@ def test_it_is_that_of_the_linear_model(make: ModuleType, convention: str) -> No
     over, _, (t, x, delta), (left, right) = driven(make, PreviewProportional(), PlantOptions(), convention)
     v = over.plant.v
     lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
-    before, after = linear_lateral_acceleration(over.setup.model, v, np.nan_to_num(x), delta, lane, delta[:, 0])
+    A, B, E = over.setup.model.matrices(v)
+    # Rajamani, eq. 2.45, the row of d2e_y/dt2; a_y = d2e_y/dt2 + v dpsi_l/dt
+    free = np.sum(A[:, None, 1] * np.nan_to_num(x), axis=-1) + (E[:, 1] + v)[:, None] * lane
+    wheel = np.column_stack([delta[:, 0], delta])
+    held = np.where(np.isnan(delta), wheel[:, :-1], delta)
+    before, after = free + B[:, 1:2] * wheel[:, :-1], free + B[:, 1:2] * held
     known = np.isfinite(t)
     assert left[known] == pytest.approx(before[known], abs=1e-9)
     assert right[known] == pytest.approx(after[known], abs=1e-9)

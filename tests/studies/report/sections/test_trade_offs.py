@@ -61,17 +61,6 @@ def test_many_designs_are_thinned_and_told(report: ReportInput, monkeypatch: pyt
     assert f" of {acting} designs (the front, the best of each law and every so many by rank)" in made.body
 
 
-def test_a_law_that_is_not_timed_is_no_point(report: ReportInput, results: StudyResults) -> None:
-    times = np.where([design.law == "lqr" for design in results.designs], np.arange(len(results.designs)) + 1.0, 0.0)
-    cases = tuple(dataclasses.replace(case, law_time=1e-6 * times) for case in results.cases)
-    timed = dataclasses.replace(results, cases=cases)
-    made = trade_offs.section(with_pareto(dataclasses.replace(report, results=timed), timed, ["law_time", "S"]))
-    (axes,) = made.drawings[0].figure.axes
-    points = [line for line in axes.lines if line.get_marker() != "None"]
-    assert "Preview P" not in {line.get_label() for line in points}
-    assert min(np.min(line.get_xdata()) for line in points) > 0
-
-
 @pytest.mark.parametrize(("require", "said"), [((), False), (("S <= 100",), True), (("S <= 0",), False)])
 def test_the_line_is_told_of_designs_that_meet_the_requirements(
     report: ReportInput, results: StudyResults, require: tuple[str, ...], said: bool

@@ -1,0 +1,667 @@
+"""Metrics: one table of what is measured beside S, what it is called and how it is shown, and the shares taken of it.
+
+A metric of a scenario is a field of `Companions`, a row with its unit, title, digits and limit. A metric of a design is
+a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns of
+the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
+
+Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+Better = Literal["less", "more"]
+Over = Literal["all", "interventions"]
+
+DTLE_LIMIT: Final = -0.3
+"""Distance to lane edge [m] that is still allowed, 0.3 m beyond the line: Euro NCAP, Test Protocol - Lane Support
+Systems; Commission Implementing Regulation (EU) 2021/646."""
+
+A_Y_LIMIT: Final = 3.0
+"""Largest lateral acceleration [m/s^2] of a lane keeping action (ISO 11270:2014, 5.4)."""
+
+JERK_LIMIT: Final = 5.0
+"""Largest lateral jerk [m/s^3] of a lane keeping action, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
+
+
+# ------------------------------------------------------------------------------------------------ of a scenario
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenarioMetric:
+    """One number a scenario beside S: a row of the table, kept with the field of `Companions` that holds the values.
+
+    Attributes
+    ----------
+    unit : str
+    title : str
+        What a page calls it.
+    group : str
+        A key of `GROUPS`.
+    digits : int
+        Decimals on a page, in its shown unit.
+    over : {"all", "interventions"}
+        Which scenarios it is about; aggregates are taken over these.
+    better : {"less", "more"}
+        Which way is good.
+    limit : float
+        What a standard allows, NaN where none says anything.
+    short : str
+        Another beginning of its aggregates' names: ``ay_p95`` for ``a_y_peak_p95``.
+    """
+
+    unit: str
+    title: str
+    group: str
+    digits: int
+    over: Over = "interventions"
+    better: Better = "less"
+    limit: float = math.nan
+    short: str = ""
+
+
+def _column(name: str, unit: str) -> str:
+    """A column with the unit at the end: ``a_y_peak_m_s2``."""
+    return f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Companions:
+    """What is reported beside S, one number a scenario: arrays of n, or of (d, n) for d designs.
+
+    The first two are about the departure, [0, T]; the others about everything that was driven, [t_s, T + settle]. The
+    compiled loops and the store hold them in this order.
+    """
+
+    deepest: FloatArray = field(metadata={"row": ScenarioMetric("m", "Deepest crossing", "lane", 3, "all")})
+    """Deepest position of the edge beyond the line [m]."""
+
+    dtle: FloatArray = field(
+        metadata={"row": ScenarioMetric("m", "DTLE", "lane", 3, "all", better="more", limit=DTLE_LIMIT)}
+    )
+    """Smallest distance of the front axle's edge to the line [m], negative beyond it."""
+
+    t_back: FloatArray = field(metadata={"row": ScenarioMetric("s", "Back inside after", "back", 2)})
+    """Time since the departure's start at which the edge is first back inside after the trigger [s]; infinite where it
+    is not back by the end."""
+
+    overshoot: FloatArray = field(metadata={"row": ScenarioMetric("m", "Opposite line crossed by", "back", 3)})
+    """How far the opposite edge gets beyond the opposite line [m]; 0 where it does not."""
+
+    a_y_peak: FloatArray = field(
+        metadata={"row": ScenarioMetric("m/s^2", "Peak a_y", "comfort", 2, limit=A_Y_LIMIT, short="ay")}
+    )
+    """Largest lateral acceleration [m/s^2]."""
+
+    jerk_peak: FloatArray = field(
+        metadata={"row": ScenarioMetric("m/s^3", "Peak lateral jerk", "comfort", 2, limit=JERK_LIMIT, short="jerk")}
+    )
+    """Largest lateral jerk, as a moving average over 0.5 s [m/s^3]."""
+
+    delta_peak: FloatArray = field(metadata={"row": ScenarioMetric("rad", "Steering angle", "steering", 2)})
+    """Largest steering angle of the wheel [rad]."""
+
+    delta_rate_peak: FloatArray = field(metadata={"row": ScenarioMetric("rad/s", "Steering rate", "steering", 1)})
+    """Largest change of that angle from one sample to the next, over dt [rad/s]."""
+
+    effort: FloatArray = field(metadata={"row": ScenarioMetric("rad^2 s", "Steering effort", "steering", 3)})
+    """Integral of the squared steering angle [rad^2 s]."""
+
+    travel: FloatArray = field(metadata={"row": ScenarioMetric("rad", "Steering travel", "steering", 2)})
+    """Sum of the changes of the steering angle, without their signs [rad]."""
+
+
+SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
+    one.name: one.metadata["row"] for one in dataclasses.fields(Companions)
+}
+"""Every metric of a scenario beside S by its name."""
+
+COMPANION_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}
+"""Metric of a scenario -> its unit."""
+
+COMPANION_COLUMNS: Final = {name: _column(name, one.unit) for name, one in SCENARIO_METRICS.items()}
+"""Metric of a scenario -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
+
+
+# ------------------------------------------------------------------------------------------------ of a design
+
+GROUPS: Final[Mapping[str, str]] = {
+    "score": "Score",
+    "lane": "In the lane, all departures",
+    "back": "Back to the lane, interventions",
+    "comfort": "Comfort, interventions",
+    "steering": "Steering, interventions",
+    "interventions": "Interventions",
+    "failures": "Failures",
+}
+"""Which metrics belong together, in the order to be shown."""
+
+_SHOWN_UNITS: Final[Mapping[str, tuple[float, str]]] = {
+    "share": (100.0, "%"),
+    "1": (100.0, "%"),  # a reduction
+    "count": (1.0, ""),
+    "rad": (math.degrees(1.0), "°"),
+    "rad/s": (math.degrees(1.0), "°/s"),
+    "rad^2 s": (math.degrees(1.0) ** 2, "°²·s"),
+    "m s": (1.0, "m·s"),
+    "m/s^2": (1.0, "m/s²"),
+    "m/s^3": (1.0, "m/s³"),
+}
+"""Unit -> factor and unit on a page; others stand as they are."""
+
+_AGGREGATES: Final[Mapping[str, str]] = {"mean": "mean", "median": "median", "min": "least", "max": "largest"}
+"""Aggregate -> end of a title; ``p95`` is the 95 % quantile."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Interventions:
+    """Where d designs took over (d, n), the depth of the departures without control (n,), and what counts as deep."""
+
+    acted: BoolArray
+    d_y: FloatArray
+    D_y: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """One number that a design is judged by.
+
+    Attributes
+    ----------
+    name : str
+        What study files and `studies.Ranking` call it.
+    unit : str
+        SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
+        ``"1"`` for another pure number.
+    better : {"less", "more"}
+        Which way is good.
+    column : str
+        Its column in ``ranking.csv``.
+    title : str
+        What a page calls it.
+    group : str
+        A key of `GROUPS`.
+    digits : int
+        Decimals on a page, in its shown unit.
+    aliases : tuple of str
+        Other names beside the column.
+    of : tuple of str
+        The metrics of a scenario that it is taken from.
+    aggregate : str
+        ``"mean"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and for what comes
+        from elsewhere.
+    share : callable, optional
+        Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,).
+    """
+
+    name: str
+    unit: str
+    better: Better
+    column: str
+    title: str
+    group: str
+    digits: int
+    aliases: tuple[str, ...] = ()
+    of: tuple[str, ...] = ()
+    aggregate: str = ""
+    share: Callable[..., Any] | None = None
+
+    @property
+    def scale(self) -> float:
+        """What a page shows is the number times this."""
+        return _SHOWN_UNITS.get(self.unit, (1.0, self.unit))[0]
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit on a page: per cent, degrees."""
+        return _SHOWN_UNITS.get(self.unit, (1.0, self.unit))[1]
+
+    @property
+    def label(self) -> str:
+        """Title and unit, for an axis.
+
+        Examples
+        --------
+        >>> METRICS["delta_peak_max"].label
+        'Steering angle, largest [°]'
+        """
+        return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
+
+
+def _of(name: str, *aggregates: str, title: str = "", alias: str = "") -> Iterator[Metric]:
+    """Aggregates of a metric of a scenario."""
+    one = SCENARIO_METRICS[name]
+    for aggregate in aggregates:
+        full, end = f"{name}_{aggregate}", _AGGREGATES.get(aggregate, f"{aggregate[1:]} % quantile")
+        aliases = tuple(text for text in (alias, one.short and f"{one.short}_{aggregate}") if text)
+        shown, column = title or f"{one.title}, {end}", _column(full, one.unit)
+        yield Metric(full, one.unit, one.better, column, shown, one.group, one.digits, aliases, (name,), aggregate)
+
+
+def _share(
+    name: str, title: str, group: str, of: tuple[str, ...] = (), share: Callable[..., Any] | None = None, **other: Any
+) -> Metric:
+    """A share of the departures, or of the interventions."""
+    usual: dict[str, Any] = {"better": "less", "column": f"{name.removesuffix('_share')}_share", "digits": 1}
+    return Metric(name=name, unit="share", title=title, group=group, of=of, share=share, **(usual | other))
+
+
+def _score(name: str, title: str, *alias: str) -> Metric:
+    return Metric(name, "m s", "less", f"{name}_m_s", title, "score", 3, alias)
+
+
+def _reduction(name: str, title: str) -> Metric:
+    return Metric(name, "1", "more", name, title, "score", 1)
+
+
+def _count(name: str, title: str) -> Metric:
+    return Metric(name, "count", "less", name, title, "failures", 0)
+
+
+def _table(*rows: Metric) -> dict[str, Metric]:
+    return {row.name: row for row in rows}
+
+
+_RANKED: Final = _table(
+    _score("S", "Mean S", "mean_S"),
+    _score("S_left", "Mean S, left"),
+    _score("S_right", "Mean S, right"),
+    _score("S_p95", "S, 95 % quantile"),
+    _score("S_cvar95", "S, mean of the worst 5 %"),
+    _reduction("reduction", "Mean S saved against no control"),
+    _reduction("reduction_left", "Saved, left"),
+    _reduction("reduction_right", "Saved, right"),
+    _share(
+        "deeper",
+        "Deeper than D_y",
+        "lane",
+        ("deepest",),
+        lambda by, deepest: (deepest > by.D_y).mean(axis=1),
+        column="deeper_than_D_y_share",
+    ),
+    _share("triggered", "Taken over", "interventions"),
+    _count("solver_failed", "Departures with a failed solve"),
+    _count("diverged", "Departures that diverged"),
+    _count("timed_out", "Departures that timed out"),
+    _count("crashed", "Departures that crashed"),
+    _count("failed_solves", "Failed solves [commands]"),
+)
+
+RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
+    *_of("deepest", "mean", "p95"),
+    *_of("dtle", "mean", "p5"),
+    *_of("dtle", "min", title="DTLE at its worst"),
+    _share(
+        "within_dtle",
+        "DTLE stays above \u22120.3 m",
+        "lane",
+        ("dtle",),
+        lambda _, dtle: share_within_dtle(dtle),
+        better="more",
+        aliases=("dtle_0p3_share",),
+    ),
+    _share(
+        "needless",
+        "Needless interventions",
+        "interventions",
+        (),
+        lambda by: needless_share(by.acted, by.d_y, by.D_y),
+    ),
+    _share(
+        "overshoot_share",
+        "Opposite line crossed",
+        "back",
+        ("overshoot",),
+        lambda by, overshoot: overshoot_share(overshoot, by.acted),
+    ),
+    *_of("overshoot", "max", title="Opposite line crossed by at most"),
+    _share(
+        "back_inside",
+        "Back inside",
+        "back",
+        ("t_back",),
+        lambda by, t_back: back_inside_share(t_back, by.acted),
+        better="more",
+    ),
+    *_of("t_back", "median"),
+    *_of("a_y_peak", "mean", "p95", "max"),
+    *_of("jerk_peak", "mean", "p95", "max"),
+    _share(
+        "comfortable",
+        "Both limits of ISO 11270 kept",
+        "comfort",
+        ("a_y_peak", "jerk_peak"),
+        lambda by, a_y_peak, jerk_peak: comfortable_share(a_y_peak, jerk_peak, by.acted),
+        better="more",
+    ),
+    *_of("delta_peak", "max"),
+    *_of("delta_rate_peak", "max"),
+    *_of("effort", "mean", alias="effort"),
+    *_of("travel", "mean", alias="travel"),
+)
+"""What a release asks for beside S, by its name, in the order of ``ranking.csv``."""
+
+METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}
+"""Every metric of a design by its name."""
+
+
+# ------------------------------------------------------------------------------------------------ reduction and shares
+
+
+def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
+    """Reduction 1 - S/S_uncorrected, per scenario; 0 where there was nothing to reduce.
+
+    Parameters
+    ----------
+    S, S_uncorrected : (n,) [m s]
+
+    Returns
+    -------
+    (n,) [1]
+
+    Examples
+    --------
+    >>> reduction(np.array([0.25, 0.0]), np.array([1.0, 0.0]))
+    array([0.75, 0.  ])
+    """
+    ratio = np.divide(S, S_uncorrected, out=np.ones_like(S), where=~(S_uncorrected <= 0))
+    return 1.0 - ratio
+
+
+# Two rules hold for every share. A share of all scenarios is 0 where there are none; a share of the interventions is
+# NaN where nobody intervened, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
+# the values counted gives NaN.
+
+
+def share_deeper(deepest: FloatArray, D_y: float) -> float:
+    """Share of departures whose edge goes deeper than D_y beyond the line.
+
+    Parameters
+    ----------
+    deepest : (n,) [m]
+        Deepest position of the edge beyond the line, of one design.
+    D_y : float [m]
+        Depth, Table I: 0.5 m.
+
+    Returns
+    -------
+    float [1]
+        Of all n; 0 for no departures.
+
+    Raises
+    ------
+    InputError
+        If D_y is not a number.
+
+    Examples
+    --------
+    >>> share_deeper(np.array([0.2, 0.5, 0.7, 0.8]), 0.5)
+    0.5
+    """
+    (values,) = _together(deepest=deepest)
+    if values.ndim != 1:
+        raise InputError(f"deepest: shape {values.shape}; allowed: (n,)")
+    return float(_fraction(values > _number("D_y", D_y), np.isnan(values)))
+
+
+def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
+    """Share of scenarios whose distance to lane edge never falls below a limit: dtle >= limit.
+
+    Parameters
+    ----------
+    dtle : (n,) or (d, n) [m]
+        Smallest distance of the front axle's edge to the line, negative beyond it.
+    limit : float [m]
+
+    Returns
+    -------
+    float or (d,) [1]
+        Of all n; 0 for no scenarios.
+
+    Raises
+    ------
+    InputError
+        If the limit is not a number.
+
+    Examples
+    --------
+    >>> share_within_dtle([0.1, -0.3, -0.31, -0.5])
+    0.5
+    """
+    (values,) = _together(dtle=dtle)
+    return _fraction(values >= _number("limit", limit), np.isnan(values))
+
+
+def comfortable(
+    a_y_peak: npt.ArrayLike, jerk_peak: npt.ArrayLike, a_y_limit: float = A_Y_LIMIT, jerk_limit: float = JERK_LIMIT
+) -> BoolArray:
+    """Which scenarios stay within both limits: a_y_peak <= a_y_limit and jerk_peak <= jerk_limit.
+
+    Parameters
+    ----------
+    a_y_peak : (n,) or (d, n) [m/s^2]
+    jerk_peak : (n,) or (d, n) [m/s^3]
+        As a moving average over 0.5 s.
+    a_y_limit : float [m/s^2]
+    jerk_limit : float [m/s^3]
+
+    Returns
+    -------
+    (n,) or (d, n) bool
+        False for a NaN.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit, or limits that are no numbers.
+
+    Examples
+    --------
+    >>> comfortable([3.0, 1.0, 4.0], [5.0, 6.0, 1.0])
+    array([ True, False, False])
+    """
+    a_y, jerk = _together(a_y_peak=a_y_peak, jerk_peak=jerk_peak)
+    result: BoolArray = (a_y <= _number("a_y_limit", a_y_limit)) & (jerk <= _number("jerk_limit", jerk_limit))
+    return result
+
+
+def comfortable_share(
+    a_y_peak: npt.ArrayLike,
+    jerk_peak: npt.ArrayLike,
+    triggered: npt.ArrayLike,
+    a_y_limit: float = A_Y_LIMIT,
+    jerk_limit: float = JERK_LIMIT,
+) -> float | FloatArray:
+    """Share of the interventions that stay within the limits of lateral acceleration and jerk.
+
+    Parameters
+    ----------
+    a_y_peak : (n,) or (d, n) [m/s^2]
+    jerk_peak : (n,) or (d, n) [m/s^3]
+    triggered : (n,) or (d, n) bool
+    a_y_limit : float [m/s^2]
+    jerk_limit : float [m/s^3]
+
+    Returns
+    -------
+    float or (d,) [1]
+        Of the triggered scenarios; NaN where nobody intervened.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit, or limits that are no numbers.
+
+    Examples
+    --------
+    >>> comfortable_share([3.0, 1.0, 0.0], [5.0, 6.0, 0.0], [True, True, False])
+    0.5
+    """
+    a_y, jerk, flags = _together(a_y_peak=a_y_peak, jerk_peak=jerk_peak, triggered=triggered)
+    within = comfortable(a_y, jerk, a_y_limit, jerk_limit)
+    return _fraction(within, np.isnan(a_y) | np.isnan(jerk), flags)
+
+
+def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> BoolArray:
+    """Which interventions were needless: triggered, though the recorded departure itself stays below D_y.
+
+    Parameters
+    ----------
+    triggered : (n,) or (d, n) bool
+    d_y : (n,) [m]
+        Peak of the recorded departure beyond the line.
+    D_y : float [m]
+        Depth from which a departure counts as deep; Table I: 0.5 m.
+
+    Returns
+    -------
+    (n,) or (d, n) bool
+        Triggered and d_y < D_y; False for a NaN.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit, or a D_y that is no number.
+
+    Examples
+    --------
+    >>> needless([True, True, False], [0.3, 0.6, 0.1], 0.5)
+    array([ True, False, False])
+    """
+    depth, flags = _together(d_y=d_y, triggered=triggered)
+    result: BoolArray = flags & (depth < _number("D_y", D_y))
+    return result
+
+
+def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> float | FloatArray:
+    """Share of all scenarios in which the intervention was needless.
+
+    Parameters
+    ----------
+    triggered : (n,) or (d, n) bool
+    d_y : (n,) [m]
+        Peak of the recorded departure beyond the line.
+    D_y : float [m]
+        Depth from which a departure counts as deep; Table I: 0.5 m.
+
+    Returns
+    -------
+    float or (d,) [1]
+        Of all n, not of the interventions, so that a design cannot make it smaller by triggering more; 0 for no
+        scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit, or a D_y that is no number.
+
+    Examples
+    --------
+    >>> needless_share([True, True, False, False], [0.3, 0.6, 0.1, 0.9], 0.5)
+    0.25
+    """
+    depth, flags = _together(d_y=d_y, triggered=triggered)
+    return _fraction(needless(flags, depth, D_y), flags & np.isnan(depth))
+
+
+def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
+    """Share of the interventions after which the edge is back inside by the end of the settling horizon.
+
+    Parameters
+    ----------
+    t_back : (n,) or (d, n) [s]
+        Time until back inside, infinite where it is not.
+    triggered : (n,) or (d, n) bool
+
+    Returns
+    -------
+    float or (d,) [1]
+        Of the triggered scenarios; NaN where nobody intervened.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit.
+
+    Examples
+    --------
+    >>> back_inside_share([2.5, float("inf"), 4.0], [True, True, False])
+    0.5
+    """
+    time, flags = _together(t_back=t_back, triggered=triggered)
+    return _fraction(np.isfinite(time), np.isnan(time), flags)
+
+
+def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
+    """Share of the interventions that take the vehicle beyond the opposite line: overshoot > 0.
+
+    Parameters
+    ----------
+    overshoot : (n,) or (d, n) [m]
+    triggered : (n,) or (d, n) bool
+
+    Returns
+    -------
+    float or (d,) [1]
+        Of the triggered scenarios; NaN where nobody intervened.
+
+    Raises
+    ------
+    InputError
+        For shapes that do not fit.
+
+    Examples
+    --------
+    >>> overshoot_share([0.2, 0.0, 0.0], [True, True, False])
+    0.5
+    """
+    past, flags = _together(overshoot=overshoot, triggered=triggered)
+    return _fraction(past > 0, np.isnan(past), flags)
+
+
+def _fraction(holds: BoolArray, unknown: BoolArray, interventions: BoolArray | None = None) -> float | FloatArray:
+    """Share of all, or of the interventions."""
+    among, of_none = (np.ones_like(holds), 0.0) if interventions is None else (interventions, np.nan)
+    total = np.sum(among, axis=-1)
+    count = np.sum(holds & among, axis=-1)
+    share = np.divide(count, total, out=np.full(total.shape, of_none), where=total > 0)
+    share = np.where(np.any(unknown & among, axis=-1), np.nan, share)
+    return float(share) if share.ndim == 0 else share
+
+
+def _together(**named: npt.ArrayLike) -> tuple[Any, ...]:
+    """Arguments as arrays of one shape: floats, and booleans for `triggered`."""
+    arrays = []
+    for name, values in named.items():
+        try:
+            array = np.asarray(values) if name == "triggered" else np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{name}: not an array of numbers") from None
+        if name == "triggered" and array.size and array.dtype != np.bool_:
+            raise InputError(f"triggered: an array of {array.dtype}; allowed: booleans")
+        arrays.append(array.astype(bool) if name == "triggered" else array)
+    shapes = {array.shape for array in arrays}
+    largest = max(shapes, key=len)
+    if not largest or any(shape not in (largest, largest[-1:]) for shape in shapes):
+        text = ", ".join(f"{name} {array.shape}" for name, array in zip(named, arrays, strict=True))
+        raise InputError(f"shapes: {text}; allowed: (n,) or (d, n), with the same n")
+    return tuple(np.broadcast_to(array, largest) for array in arrays)
+
+
+def _number(name: str, value: float) -> float:
+    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool) or np.isnan(value):
+        raise InputError(f"{name}: {value!r}; allowed: a number")
+    return float(value)
