@@ -7,42 +7,25 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 
+from helpers.docs import blocks, install
 from ldctoolkit.testing import CHECKS
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parent.parent
-GUIDE = (ROOT / "docs" / "writing-a-controller.md").read_text(encoding="utf-8")
+GUIDE = "docs/writing-a-controller.md"
+RUN = "-m ldctoolkit run sweep.toml -o out --no-robustness --no-figures --workers"
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", GUIDE, flags=re.S)
-
-
-def install(project: Path, site: Path) -> dict[str, str]:
-    """What pip leaves of a pure package, without a build backend or a network; the environment that finds it."""
-    declared = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    name, version = declared["name"].replace("-", "_"), declared["version"]
-    info = site / f"{name}-{version}.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {declared['name']}\nVersion: {version}\n")
-    groups = (
-        f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in points.items())
-        for group, points in declared["entry-points"].items()
-    )
-    (info / "entry_points.txt").write_text("\n".join(groups))
-    (site / name).symlink_to(project / name, target_is_directory=True)
+def process(line: str, cwd: Path, site: Path) -> subprocess.CompletedProcess[str]:
+    """Python with the packages of a folder."""
     path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
-
-
-def process(*arguments: str, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], cwd=cwd, env=env, capture_output=True, text=True, check=False)
+    env = os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, *line.split()]
+    return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
 
 
 def ranking(folder: Path) -> list[dict[str, str]]:
@@ -57,12 +40,12 @@ def project(tmp_path: Path) -> Path:
     (folder / "lane_laws").mkdir(parents=True)
     (folder / "tests").mkdir()
     (folder / "lane_laws" / "__init__.py").write_text("")
-    (folder / "lane_laws" / "offset.py").write_text(blocks("python")[0], encoding="utf-8")
-    (folder / "tests" / "test_offset.py").write_text(blocks("py")[0], encoding="utf-8")
-    (folder / "lane_laws" / "limited.py").write_text("\n\n".join(blocks("python")), encoding="utf-8")
-    limited = re.sub(r"\bOffset\b", "LimitedOffset", blocks("py")[0]).replace("laws.offset", "laws.limited")
+    (folder / "lane_laws" / "offset.py").write_text(blocks(GUIDE, "python")[0], encoding="utf-8")
+    (folder / "tests" / "test_offset.py").write_text(blocks(GUIDE, "py")[0], encoding="utf-8")
+    (folder / "lane_laws" / "limited.py").write_text("\n\n".join(blocks(GUIDE, "python")), encoding="utf-8")
+    limited = re.sub(r"\bOffset\b", "LimitedOffset", blocks(GUIDE, "py")[0]).replace("laws.offset", "laws.limited")
     (folder / "tests" / "test_limited.py").write_text(limited, encoding="utf-8")
-    pyproject, sweep = blocks("toml")
+    pyproject, sweep = blocks(GUIDE, "toml")
     (folder / "pyproject.toml").write_text(pyproject, encoding="utf-8")
     small = sweep.replace("= 200", "= 15") + "\n[ranking]\nbootstrap = 200\n"
     (folder / "sweep.toml").write_text(small, encoding="utf-8")
@@ -70,26 +53,14 @@ def project(tmp_path: Path) -> Path:
 
 
 def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) -> None:
-    env = install(project, tmp_path / "site")
+    site = tmp_path / "site"
+    install(project, site)
 
-    listed = process("-m", "ldctoolkit", "controllers", "offset", cwd=project, env=env)
+    listed = process("-m ldctoolkit controllers offset", project, site)
     assert listed.returncode == 0, listed.stderr
     assert "K_rate" in listed.stdout
 
-    ran = process(
-        "-m",
-        "ldctoolkit",
-        "run",
-        "sweep.toml",
-        "-o",
-        "out",
-        "--workers",
-        "2",
-        "--no-robustness",
-        "--no-figures",
-        cwd=project,
-        env=env,
-    )
+    ran = process(f"{RUN} 2", project, site)
     assert ran.returncode == 0, ran.stderr
     assert "Offset" in ran.stdout
     rows = ranking(project / "out")
@@ -101,7 +72,7 @@ def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) ->
     assert page.count("<br><code>offset</code>") == 8
     assert "K<sub>y</sub>" in page
 
-    checked = process("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", cwd=project, env=env)
+    checked = process("-m pytest -q -p no:cacheprovider tests", project, site)
     assert checked.returncode == 0, checked.stdout
     assert re.search(rf"^{2 * len(CHECKS)} passed", checked.stdout, flags=re.M)  # both laws of the guide
 
@@ -192,21 +163,9 @@ def broken(project: Path) -> Path:
 
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_broken_laws_are_named_and_stop_nothing(broken: Path, tmp_path: Path, workers: str) -> None:
-    env = install(broken, tmp_path / "site")
-    ran = process(
-        "-m",
-        "ldctoolkit",
-        "run",
-        "sweep.toml",
-        "-o",
-        "out",
-        "--workers",
-        workers,
-        "--no-robustness",
-        "--no-figures",
-        cwd=broken,
-        env=env,
-    )
+    site = tmp_path / "site"
+    install(broken, site)
+    ran = process(f"{RUN} {workers}", broken, site)
     assert ran.returncode == 3, ran.stderr
     assert "Traceback" not in ran.stderr
     assert "8 designs failed and are not ranked:" in ran.stdout
@@ -230,28 +189,16 @@ def test_broken_laws_are_named_and_stop_nothing(broken: Path, tmp_path: Path, wo
     parts = {path: path.stat().st_mtime_ns for path in (broken / "out" / "results").iterdir()}
     text = BROKEN.replace("return Law(self.how)", "return Law('no_number')")
     (broken / "lane_laws" / "broken.py").write_text(text, encoding="utf-8")
-    ran = process(
-        "-m",
-        "ldctoolkit",
-        "run",
-        "sweep.toml",
-        "-o",
-        "out",
-        "--workers",
-        workers,
-        "--no-robustness",
-        "--no-figures",
-        cwd=broken,
-        env=env,
-    )
+    ran = process(f"{RUN} {workers}", broken, site)
     assert ran.returncode == 0, ran.stderr
     assert parts.items() <= {path: path.stat().st_mtime_ns for path in (broken / "out" / "results").iterdir()}.items()
     assert not any(row["failure"] for row in ranking(broken / "out"))
 
 
 def test_the_contract_names_each_of_them(broken: Path, tmp_path: Path) -> None:
-    env = install(broken, tmp_path / "site")
-    checked = process("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/test_broken.py", cwd=broken, env=env)
+    site = tmp_path / "site"
+    install(broken, site)
+    checked = process("-m pytest -q -p no:cacheprovider tests/test_broken.py", broken, site)
     assert checked.returncode == 1, checked.stdout
     for name, sentence in CONTRACT.items():
         assert f"ContractError: {name}: {sentence}" in checked.stdout, name

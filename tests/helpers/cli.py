@@ -7,6 +7,7 @@ import io
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from studies.cli import main
@@ -24,9 +25,9 @@ def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(["ldc", *words], code, out.getvalue(), err.getvalue())
 
 
-def ldc_process(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """The same as a process of its own."""
-    command = [sys.executable, "-m", "ldctoolkit", *map(str, arguments)]
+def ldc_process(*arguments: object, cwd: Path, python: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
+    """The same as a process of its own; `python`: options of the interpreter."""
+    command = [sys.executable, *python, "-m", "ldctoolkit", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
 
 

@@ -527,11 +527,8 @@ def test_wrong_thresholds_are_named(pair: Any) -> None:
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "design-review.md"
 
 
-def test_the_pages_python_runs_and_its_table_is_that_of_the_thresholds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_pages_table_is_that_of_the_thresholds() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.S)
-    exec(compile(code, PAGE.name, "exec"), {"__name__": "page"})
-    assert len(capsys.readouterr().out.splitlines()) == 2
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+?) \|", text, flags=re.M))
     t = Thresholds()
     assert rows["gain_margin"] == f"{t.gain_margin[0]:g} dB"

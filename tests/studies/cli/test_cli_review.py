@@ -1,21 +1,17 @@
-"""``ldc review`` and the listing of ``ldc controllers``, as real processes."""
+"""``ldc review`` and the listing of ``ldc controllers``."""
 
 from __future__ import annotations
 
 import csv
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from controllers import LQR
+from helpers.cli import bad, good, ldc
 from ldctoolkit import LinearLaw, Plant
-from ldctoolkit.review import review
-from studies.cli import main
-from studies.cli.review import _print_loop, _print_overview, _shown
 
 STUDY = """
 name = "tiny"
@@ -32,17 +28,6 @@ y_s = [0.1, 0.2]
 [design.gains]
 r_delta = [30.0, 30000.0]
 """
-
-
-def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
 
 
 def reviewed(code: int, *arguments: object, cwd: Path) -> str:
@@ -156,12 +141,7 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_wrong_arguments_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
-    done = ldc("review", *arguments, cwd=folder)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
-    assert message in done.stderr
-    assert [path.name for path in folder.iterdir()] == ["s.toml"]
+    assert message in bad("review", *arguments, cwd=folder)
 
 
 def test_the_number_of_speeds_counts_without_their_range(tmp_path: Path) -> None:
@@ -184,7 +164,7 @@ def test_every_convention_of_a_study_is_reviewed(folder: Path) -> None:
 
 
 def test_a_design_that_raises_does_not_hide_the_others(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prepare = LQR.prepare
 
@@ -194,9 +174,8 @@ def test_a_design_that_raises_does_not_hide_the_others(
         return prepare(self, plant)
 
     monkeypatch.setattr(LQR, "prepare", exiting)
-    monkeypatch.chdir(folder)
-    assert main(["review", "s.toml", "--json", "r.json"]) == 3
-    assert re.search(r"fault: No review: controller 'lqr': prepare raised SystemExit: 3", capsys.readouterr().out)
+    out = reviewed(3, "s.toml", "--json", "r.json", cwd=folder)
+    assert "fault: No review: controller 'lqr': prepare raised SystemExit: 3" in out
     found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
     assert [[f["name"] for f in entry["findings"] if f["severity"] == "fault"] for entry in found] == [
         [],
@@ -206,22 +185,39 @@ def test_a_design_that_raises_does_not_hide_the_others(
     assert len(found[2]["loop"]["v_m_s"]) == 13
 
 
-def test_labels_are_no_markup_and_zeros_have_no_sign(capsys: pytest.CaptureFixture[str]) -> None:
-    label = "a [b]c[/b] [/x] :smile:"
-    found = review(LQR(), speeds=[20.0])
-    _print_loop(label, found)
-    _print_overview([(label, (), found), (label, (), found)])
-    assert capsys.readouterr().out.count(label) == 3
-    assert _shown(-1e-4, 1.0, ".3f") == "0.000"
-    assert _shown(-6e-4, 1.0, ".3f") == "-0.001"
+def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LQR, "title", "a [b]c[/b] [/x] :smile:")
+    assert reviewed(0, "lqr", "--speed", "20", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 1
+    assert reviewed(3, "s.toml", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 4
+
+
+def table(out: str) -> list[list[str]]:
+    """Cells of the rows of a printed table, its heading first."""
+    return [[cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in out.splitlines() if line[0] in "│┃"]
+
+
+def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> None:
+    arguments = ("--gain", "r_delta=30000", "--lag", "0.1", "--speed", "30", "--json", "r.json")
+    heading, row = table(reviewed(0, "lqr", *arguments, cwd=tmp_path))
+    assert dict(zip(heading, row, strict=True)) == {
+    }
+    loop = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))[0]["loop"]
+    assert {name: float(f"{value[0]:.3g}") for name, value in loop.items() if value[0] is not None} == {
+    }
+
+
+def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
+    """Speeds of 10 and 40 m/s: margins are least at one end, offsets largest at the other."""
+    arguments = ("s.toml", "--speed", "10:40", "--points", "2")
+    _, *rows = table(reviewed(3, *arguments, cwd=folder))
+    assert rows == []
 
 
 def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
-    done = ldc("controllers", "lqr", "linear_mpc", "none", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "lqr: LQR, linear law" in done.stdout
-    assert "linear_mpc: Linear MPC, steering law" in done.stdout
-    assert "none: No control, recorded path, no gains" in done.stdout
-    row = next(line for line in done.stdout.splitlines() if "r_delta" in line)
+    out = good("controllers", "lqr", "linear_mpc", "none", cwd=tmp_path)
+    assert "lqr: LQR, linear law" in out
+    assert "linear_mpc: Linear MPC, steering law" in out
+    assert "none: No control, recorded path, no gains" in out
+    row = next(line for line in out.splitlines() if "r_delta" in line)
     cells = [cell.strip() for cell in re.split("[│┃]", row)][1:-1]
     assert cells == ["r_delta", "1/rad^2", "100.0", "0.001 .. 1e+06", "log", "weight on delta^2"]
