@@ -18,6 +18,7 @@ from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
 from studies import Study
 
+
 def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
     run_python("README.md", {"__name__": "readme"})
     assert len(capsys.readouterr().out.splitlines()) == 3

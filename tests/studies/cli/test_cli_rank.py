@@ -15,7 +15,7 @@ import pytest
 
 from helpers.cli import bad, ldc
 from studies import Study, read_results, run_study
-from studies.cli._race_table import print_race
+from studies.cli._results import print_race
 from studies.design import Design
 from studies.results import Dropped, Race
 
