@@ -160,7 +160,7 @@ def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def table(out: str) -> list[list[str]]:
-    """Cells of the rows of a printed table, its heading first."""
+    """Cells of the lines of a printed table, its heading first."""
     return [
         [cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in out.splitlines() if re.match("[│┃]", line)
     ]
@@ -168,8 +168,8 @@ def table(out: str) -> list[list[str]]:
 
 def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> None:
     arguments = ("--gain", "r_delta=30000", "--lag", "0.1", "--speed", "30", "--json", "r.json")
-    heading, row = table(reviewed(0, "lqr", *arguments, cwd=tmp_path))
-    assert dict(zip(heading, row, strict=True)) == {
+    headings, units, row = table(reviewed(0, "lqr", *arguments, cwd=tmp_path))
+    assert {f"{a} {b}".strip(): c for a, b, c in zip(headings, units, row, strict=True)} == {
         "v [m/s]": "30",
         "slowest pole [s]": "0.982",
         "damping": "0.68",
@@ -208,9 +208,14 @@ def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> No
 
 def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
     """Speeds of 10 and 40 m/s: margins are least at one end, offsets largest at the other."""
-    arguments = ("s.toml", "--speed", "10:40", "--points", "2")
-    _, *rows = table(reviewed(3, *arguments, cwd=folder))
-    assert rows == []
+    headings, *rows = table(reviewed(3, "s.toml", "--speed", "10:40", "--points", "2", cwd=folder))
+    assert headings == ["design", "gain margin [dB]", "phase margin [deg]", "disk margin", "e_y in a bend [m]",
+                        "other tyres [m]", "faults", "warnings"]  # fmt: skip
+    assert rows == [
+        ["No control, y_s=0.2 m", "-", "-", "-", "-", "-", "0", "0"],
+        ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.000", "inf", "6", "2"],
+        ["LQR, y_s=0.1, 0.2 m, r_delta=30000", "24.2", "46.1", "0.85", "0.000", "0.442", "0", "1"],
+    ]
 
 
 def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
