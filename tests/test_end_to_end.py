@@ -102,9 +102,12 @@ def test_planted_departures_to_a_report(tmp_path: Path) -> None:
     table = pl.read_parquet(tmp_path / "d.parquet")
     assert table.height == kept, found
     good("fit", "d.parquet", "-o", "m.json", "--components", "1", cwd=tmp_path)
+    assert "recordings: 1\n" in good("models", "m.json", cwd=tmp_path)
     good("sample", "m.json", "--left", "30", "--right", "20", "--seed", "5", "-o", "s.csv", cwd=tmp_path)
     assert pl.read_csv(tmp_path / "s.csv").height == 50
     (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
-    good("run", "small.toml", "-o", "out", "--workers", "1", "--no-robustness", "--no-figures", cwd=tmp_path)
+    ran = good("run", "small.toml", "-o", "out", "--workers", "1", "--no-robustness", "--no-figures", cwd=tmp_path)
+    assert "small: 6 designs x 80 scenarios, " in ran
+    assert ran.splitlines()[-2:] == ["ranking: out/ranking.csv", "report:  out/report.html"]
     check_study(tmp_path / "out", designs=6)
-    good("rank", "out", cwd=tmp_path)
+    assert [row["rank"] for row in ranking(tmp_path / "out")] == ["1", "2", "3", "4", "5", "6"]

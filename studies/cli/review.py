@@ -137,7 +137,9 @@ def _print_loop(label: str, review: Review) -> None:
     columns = list(_COLUMNS)
     if not all(map(math.isnan, review.loop.hessian_condition)):
         columns.append(("condition", "hessian_condition", 1.0, ".2g"))
-    table = new_table(f"{label}, dt = {review.dt:g} s", [heading.replace(" [", "\n[") for heading, *_ in columns], left=())
+    table = new_table(
+        f"{label}, dt = {review.dt:g} s", [heading.replace(" [", "\n[") for heading, *_ in columns], left=()
+    )
     for i in range(review.loop.v.size):
         cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
         add_row(table, cells, None if review.loop.stable[i] else "red")

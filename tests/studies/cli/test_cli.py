@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import gzip
 import json
@@ -51,59 +50,6 @@ def recordings(n: int = 120) -> str:
     return "".join(lines)
 
 
-@pytest.mark.slow
-def test_from_recordings_to_a_report(tmp_path: Path) -> None:
-    (tmp_path / "r.csv").write_text(recordings())
-    (tmp_path / "s.toml").write_text(STUDY)
-    out = good("extract", "r.csv", "--vehicle-width", "1.8", "-o", "d.parquet", cwd=tmp_path)
-    assert "departures written to d.parquet" in out
-    assert "refused: too short" in out
-    out = good("fit", "d.parquet", "-o", "m.json", "--components", "1:2", cwd=tmp_path)
-    assert "BIC" in out
-    assert json.loads((tmp_path / "m.json").read_text())["provenance"]["source"]["recordings"] == 120
-    assert "recordings: 120" in good("models", "m.json", cwd=tmp_path)
-    good("sample", "m.json", "-n", "9", "-o", "s.csv", cwd=tmp_path)
-    assert len((tmp_path / "s.csv").read_text().splitlines()) == 10
-
-    out = good("run", "s.toml", "--model", "m.json", "-o", "o", "--workers", "1", cwd=tmp_path)
-    assert "3 designs x 12 scenarios" in out
-    assert f"ranking: {Path('o') / 'ranking.csv'}" in out
-    assert f"report:  {Path('o') / 'report.html'}" in out
-    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
-        ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",
-        "ranking.md", "report.html", "results", "robustness.json", "scenarios.parquet", "timing.json",
-    ]  # fmt: skip
-    with (tmp_path / "o" / "ranking.csv").open(newline="") as stream:
-        assert [row["rank"] for row in csv.DictReader(stream)] == ["1", "2", "3"]
-    manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
-    assert manifest["model"] == "m.json"
-    assert manifest["command"].endswith("run s.toml --model m.json -o o --workers 1")
-
-    ranking = (tmp_path / "o" / "ranking.csv").read_bytes()
-    (tmp_path / "o" / "ranking.csv").unlink()
-    (tmp_path / "o" / "report.html").unlink()
-    assert "by mean S" in good("rank", "o", "--top", "2", cwd=tmp_path)
-    assert (tmp_path / "o" / "ranking.csv").read_bytes() == ranking
-    good("report", "o", cwd=tmp_path)
-    assert (tmp_path / "o" / "report.html").read_text().lstrip().lower().startswith("<!doctype html>")
-
-    # numbers on other plants: shown where they are stored, else left out, or worked out to the same bytes
-    other_plants = (tmp_path / "o" / "robustness.json").read_bytes()
-    page = (tmp_path / "o" / "report.html").read_bytes()
-    good("report", "o", "--no-robustness", cwd=tmp_path)
-    assert (tmp_path / "o" / "report.html").read_bytes() == page
-    (tmp_path / "o" / "robustness.json").unlink()
-    good("report", "o", "--no-robustness", cwd=tmp_path)
-    assert not (tmp_path / "o" / "robustness.json").exists()
-    assert b"Other plants are left out of this page" in (tmp_path / "o" / "report.html").read_bytes()
-    good("report", "o", cwd=tmp_path)
-    assert (tmp_path / "o" / "robustness.json").read_bytes() == other_plants
-
-    # the same folder with another model is refused, with the same one it resumes
-    assert "holds another study (tiny): model: m.json" in bad("run", "s.toml", "-o", "o", cwd=tmp_path)
-    good("run", "s.toml", "--model", "m.json", "-o", "o", "--quiet", "--no-robustness", "--no-figures", cwd=tmp_path)
-
-
 def test_a_fit_keeps_to_the_criteria_of_the_extraction(tmp_path: Path) -> None:
     """Other criteria than the defaults bound the model too, wider or narrower."""
     (tmp_path / "r.csv").write_text(recordings())
@@ -122,13 +68,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-GOOD_ROWS = "a,0.0,0.1,3.6,25\na,0.1,0.2,3.6,25\n"
 BAD_RECORDINGS = {
     "missing column": (b"recording,t,lane_offset,speed\na,0,0,25\n", "lane_width"),
     "empty": (b"", "r.csv"),
-    "unsorted": ((HEADER + "a,1.0,0.1,3.6,25\na,0.5,0.2,3.6,25\n").encode(), "r.csv"),
-    "repeated": ((HEADER + "a,1.0,0.1,3.6,25\na,1.0,0.2,3.6,25\n").encode(), "r.csv"),
-    "words": ((HEADER + "a,0.0,x,3.6,25\na,0.1,0.2,3.6,25\n").encode(), "lane_offset"),
     "binary": (bytes(range(256)), "r.csv"),
 }
 
