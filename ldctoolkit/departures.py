@@ -325,12 +325,6 @@ def curvature(p: DepartureParameters, t: FloatArray) -> FloatArray:
     return p.c_0 + p.dc * np.minimum(t / p.T, 1.0)
 
 
-def curvature_integral(p: DepartureParameters, t: FloatArray) -> FloatArray:
-    """Integral of c from 0 to t [s/m], in closed form, with c held beyond T."""
-    inside = np.minimum(t, p.T)
-    return p.c_0 * t + p.dc * (0.5 * inside**2 / p.T + np.maximum(t - p.T, 0.0))
-
-
 def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
     """First time at which y(t) exceeds y_s [s]; infinite where the departure never gets that far.
 

@@ -47,3 +47,9 @@ def bad(*arguments: object, cwd: Path) -> str:
     assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
     assert {path: path.stat().st_mtime_ns for path in cwd.rglob("*")} == before
     return done.stderr
+
+
+def printed_rows(out: str) -> list[list[str]]:
+    """Cells of the lines of printed tables, headings first."""
+    lines = (line for line in out.splitlines() if re.match("[│┃]", line))
+    return [[cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in lines]

@@ -41,11 +41,6 @@ def test_closed_forms_equal_brute_force(event: Scenarios, share: float) -> None:
     assert dep.lateral_integral(event, t)[0] == pytest.approx(integral, abs=1e-12)
     travelled, _ = quad(lambda s: float(dep.speed(event, np.array([s]))[0]), 0.0, float(t[0]), epsabs=1e-10)
     assert dep.position(event, t)[0] == pytest.approx(travelled, abs=1e-9)
-    ahead = 1.5 * t
-    turned, _ = quad(
-        lambda s: float(dep.curvature(event, np.array([s]))[0]), 0.0, float(ahead[0]), points=[float(event.T[0])]
-    )
-    assert dep.curvature_integral(event, ahead)[0] == pytest.approx(turned, abs=1e-10)
 
 
 @given(events(), st.floats(0.05, 0.95))

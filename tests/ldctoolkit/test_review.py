@@ -181,6 +181,10 @@ def test_margins_below_their_thresholds() -> None:
     assert "Raise r_delta" in finding.sentence
     faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
     assert named(faulty, "gain_margin").severity == "fault"
+    # the threshold itself is still allowed
+    edge = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value)))
+    assert named(edge, "gain_margin").severity == "warning"
+    assert "gain_margin" not in names(review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value, value))))
 
 
 def test_limits_against_the_actuator_and_the_corridor() -> None:
@@ -205,6 +209,7 @@ def test_soft_limits_that_contradict() -> None:
     found = review(Soft(e_y_max=1.0), y_s=0.2, speeds=[20.0])
     assert named(found, "corridor").allowed == pytest.approx(0.85 + 0.2)
     assert "corridor" not in names(review(Soft(e_y_max=1.1), y_s=0.2, speeds=[20.0]))
+    assert "corridor" in names(review(Soft(e_y_max=BicycleModel().parameters.edge_offset), speeds=[20.0]))
     # delta_max = 0.1 rad at 10 m/s reaches 0.1/delta_ss v = 3.4 m/s^2
     note = named(review(Soft(a_y_max=4.0), speeds=[10.0, 30.0]), "acceleration_limit")
     assert note.severity == "note"

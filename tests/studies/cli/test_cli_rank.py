@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from helpers.cli import bad, ldc
+from helpers.cli import bad, ldc, printed_rows
 from studies import Study, read_results, run_study
 from studies.cli._results import print_race
 from studies.design import Design
@@ -81,6 +81,37 @@ def test_the_studys_own_ranking(folder: Path, rank: Rank) -> None:
     assert (same.stdout, same.stderr) == (f"ranking: {Path('plain') / 'ranking.csv'}\n", "")
 
 
+def test_the_table_shows_what_the_file_holds(folder: Path, rank: Rank) -> None:
+    """Which column is which: every cell to the digits that are printed."""
+    above, below, *lines = printed_rows(rank("plain", "--top", 4).stdout)
+    headings = [f"{a} {b}".strip() for a, b in zip(above, below, strict=True)]
+    columns = {
+        "mean S [m s]": "S_m_s",
+        "to the best [m s]": "difference_to_best_m_s",
+        "reduction": "reduction",
+        "left": "reduction_left",
+        "right": "reduction_right",
+        "deeper 0.5 m": "deeper_than_D_y_share",
+        "fresh S [m s]": "fresh_S_m_s",
+    }
+    rows = rows_of(folder / "plain" / "ranking.csv")
+    assert len(rows) == len(lines) == 4
+    for line, row in zip(lines, rows, strict=True):
+        cells = dict(zip(headings, line, strict=True))
+        assert cells["#"] == row["rank"]
+        assert float(cells["y_s [m]"]) == float(row["y_s_m"])
+        low, high = (float(end) for end in cells["95% interval"].split(" .. "))
+        assert (low, high) == pytest.approx((float(row["S_low_m_s"]), float(row["S_high_m_s"])), abs=6e-4)
+        for heading, name in columns.items():
+            shown = cells[heading].removesuffix(" =")
+            if shown == "-":
+                assert row[name] == ""
+            elif shown.endswith(" %"):
+                assert float(shown[:-2]) == pytest.approx(100 * float(row[name]), abs=0.06)
+            else:
+                assert float(shown) == pytest.approx(float(row[name]), abs=6e-5)
+
+
 def test_other_requirements_rank_others_and_change_no_file(folder: Path, rank: Rank, tmp_path: Path) -> None:
     rank("plain", "--quiet")
     before = stored(folder / "plain")
@@ -121,11 +152,14 @@ def test_more_confidence_makes_wider_intervals(folder: Path, rank: Rank, tmp_pat
     assert all(float(b["S_low_m_s"]) < float(a["S_low_m_s"]) for a, b in zip(own, wide, strict=True))
 
 
-def test_json(rank: Rank) -> None:
+def test_json(folder: Path, rank: Rank) -> None:
     own = json.loads(rank("plain", "--json").stdout)
     assert (own["event"], own["designs"], own["confidence"], own["race"]) == ("ranked", 4, 0.95, None)
     assert own["ranking"] == str(Path("plain") / "ranking.csv")
-    assert own["winner"]["S_fresh_m_s"] > 0
+    first = rows_of(folder / "plain" / "ranking.csv")[0]
+    for name, column_name in {"S_m_s": "S_m_s", "S_low_m_s": "S_low_m_s", "S_high_m_s": "S_high_m_s",
+                              "S_fresh_m_s": "fresh_S_m_s"}.items():  # fmt: skip
+        assert own["winner"][name] == float(first[column_name]) > 0
     done = rank("plain", "--json", "--require", "S <= 0.0001")
     other = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from controllers import LQR
-from helpers.cli import bad, good, ldc
+from helpers.cli import bad, good, ldc, printed_rows
 from ldctoolkit import LinearLaw, Plant
 
 STUDY = """
@@ -159,16 +159,9 @@ def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert reviewed(3, "s.toml", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 4
 
 
-def table(out: str) -> list[list[str]]:
-    """Cells of the lines of a printed table, its heading first."""
-    return [
-        [cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in out.splitlines() if re.match("[│┃]", line)
-    ]
-
-
 def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> None:
     arguments = ("--gain", "r_delta=30000", "--lag", "0.1", "--speed", "30", "--json", "r.json")
-    headings, units, row = table(reviewed(0, "lqr", *arguments, cwd=tmp_path))
+    headings, units, row = printed_rows(reviewed(0, "lqr", *arguments, cwd=tmp_path))
     assert {f"{a} {b}".strip(): c for a, b, c in zip(headings, units, row, strict=True)} == {
         "v [m/s]": "30",
         "slowest pole [s]": "0.982",
@@ -208,7 +201,8 @@ def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> No
 
 def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
     """Speeds of 10 and 40 m/s: margins are least at one end, offsets largest at the other."""
-    headings, *rows = table(reviewed(3, "s.toml", "--speed", "10:40", "--points", "2", cwd=folder))
+    out = reviewed(3, "s.toml", "--speed", "10:40", "--points", "2", cwd=folder)
+    headings, *rows = printed_rows(out)
     assert headings == ["design", "gain margin [dB]", "phase margin [deg]", "disk margin", "e_y in a bend [m]",
                         "other tyres [m]", "faults", "warnings"]  # fmt: skip
     assert rows == [
@@ -216,6 +210,14 @@ def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
         ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.000", "inf", "6", "2"],
         ["LQR, y_s=0.1, 0.2 m, r_delta=30000", "24.2", "46.1", "0.85", "0.000", "0.442", "0", "1"],
     ]
+    for sentence in (
+        "fault: At 40 m/s the loop gets unstable if its gain shrinks by 2.3 dB; allowed: at least 6 dB (so at 1 of 2",
+        "fault: At 40 m/s the loop has a phase margin of 1.16 deg; allowed: at least 30 deg",
+        "fault: At 40 m/s the loop stands no more additional delay than 2.55 ms; allowed: at least 50 ms",
+        "fault: At 40 m/s the closed loop has a damping ratio of 0.012; allowed: at least 0.3",
+        "warning: At 40 m/s the slowest pole of the closed loop has a time constant of 10.5 s; allowed: at most 10 s",
+    ):
+        assert sentence in out
 
 
 def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:

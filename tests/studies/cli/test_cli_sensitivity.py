@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from helpers.cli import bad, good, ldc
+from helpers.cli import bad, good, ldc, printed_rows
 from studies import Study, read_results, run_study
 
 STUDY = {
@@ -51,6 +51,14 @@ def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
         "total": 2,
         "profile": table.filter(pl.col("kind") == "profile").height,
     }
+    # the printed indices are those of the file
+    for name in ("y_s", "K_y"):
+        (cells,) = [row for row in printed_rows(out) if row[0] == name and " .. " in row[2] and len(row) == 5]
+        first, total = (table.filter(kind=kind, dimension=name).row(0, named=True) for kind in ("first", "total"))
+        for shown, interval, stored in ((cells[1], cells[2], first), (cells[3], cells[4], total)):
+            ends = [float(end) for end in interval.split(" .. ")]
+            wanted = [float(stored[key]) for key in ("index", "index_low", "index_high")]
+            assert [float(shown), *ends] == pytest.approx(wanted, abs=6e-4)
     # the design with the smallest mean S is the middle
     results = read_results(folder)
     best = results.designs[int(results.cases[0].counted.mean(axis=1).argmin())]
