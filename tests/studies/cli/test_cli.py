@@ -50,18 +50,6 @@ def recordings(n: int = 120) -> str:
     return "".join(lines)
 
 
-def test_a_fit_keeps_to_the_criteria_of_the_extraction(tmp_path: Path) -> None:
-    """Other criteria than the defaults bound the model too, wider or narrower."""
-    (tmp_path / "r.csv").write_text(recordings())
-    for least in ("0.3", "1.5"):
-        good("extract", "r.csv", "--min-duration", least, "--min-speed", "15", "-o", "d.parquet", cwd=tmp_path)
-        good("fit", "d.parquet", "-o", "m.json", "--components", "1", "--n-init", "1", "--no-page", cwd=tmp_path)
-        side = json.loads((tmp_path / "m.json").read_text())["sides"]["left"]
-        bounds = dict(zip(side["parameters"], zip(side["lower"], side["upper"], strict=True), strict=True))
-        assert bounds["T"] == (float(least), 10.0)
-        assert bounds["v_mean"] == (15.0, None)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "s.toml").write_text(STUDY)
