@@ -62,7 +62,8 @@ def python(*arguments: str, cwd: Path, path: str | None = None) -> subprocess.Co
 
 def test_the_command_uses_its_own_packages(tmp_path: Path) -> None:
     folder = write(tmp_path, "raising packages")
-    done = python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=".")
+    root = Path(launcher.__file__).resolve().parent.parent
+    done = python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=f".{os.pathsep}{root}")
     assert (done.returncode, done.stderr) == (0, "")
     assert "none: No control" in done.stdout
 
