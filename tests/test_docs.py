@@ -8,37 +8,29 @@ import sys
 import tomllib
 import types
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.docs import ROOT, blocks, run_python
 from ldctoolkit import Scenarios, SteeringLaw, controller_class, register, registry, simulate
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
 from studies import Study
 
-ROOT = Path(__file__).resolve().parent.parent
-
-
-def blocks(path: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (ROOT / path).read_text(encoding="utf-8"), flags=re.S)
-
 
 def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = blocks("README.md", "python")
-    exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    run_python("README.md", {"__name__": "readme"})
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
 @pytest.mark.parametrize(
-    ("page", "lines"), [("docs/simulation.md", 7), ("docs/plant-options.md", 1), ("docs/metrics.md", 4)]
+    ("page", "lines"),
+    [("docs/simulation.md", 7), ("docs/plant-options.md", 1), ("docs/metrics.md", 4), ("docs/design-review.md", 2)],
 )
 def test_the_pages_python_runs(page: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
     """All blocks of a page in one go; each prints what it says."""
-    scope = {"__name__": "page"}
-    for code in blocks(page, "python"):
-        exec(compile(code, page, "exec"), scope)
+    run_python(page, {"__name__": "page"})
     printed = capsys.readouterr().out
     assert len(printed.splitlines()) == lines
     assert "nan" not in printed
@@ -53,11 +45,12 @@ def test_the_toml_of_the_plant_options_is_its_python() -> None:
     assert study.plant == scope["options"]
 
 
-@pytest.mark.parametrize("page", ["docs/simulation.md", "docs/metrics.md", "docs/plant-options.md"])
-def test_pages_link_to_pages_that_exist(page: str) -> None:
-    text = (ROOT / page).read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([\w/.-]+)\)", text):
-        assert (ROOT / page).parent.joinpath(link).exists(), link
+def test_pages_link_to_pages_that_exist() -> None:
+    for page in (ROOT / "docs").rglob("*.md"):
+        for link in re.findall(r"\]\(([\w/.-]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), (page.name, link)
+    for page in re.findall(r"`(docs/[\w/.-]+)`", (ROOT / "README.md").read_text(encoding="utf-8")):
+        assert (ROOT / page).exists(), page
 
 
 def test_metrics_names_every_companion() -> None:
@@ -85,8 +78,7 @@ def guide() -> Iterator[types.ModuleType]:
     """The controllers of the guide, in a module of their own (dataclasses look their module up)."""
     module = types.ModuleType("guide")
     sys.modules["guide"] = module
-    for code in blocks("docs/writing-a-controller.md", "python"):
-        exec(compile(code, "writing-a-controller.md", "exec"), module.__dict__)
+    run_python("docs/writing-a-controller.md", module.__dict__)
     yield module
     del sys.modules["guide"]
 
@@ -140,8 +132,3 @@ def test_the_guides_law_is_cut_down_without_a_change(guide: types.ModuleType) ->
     np.testing.assert_array_equal(whole.S, cut.S)
     for name in COMPANION_UNITS:
         np.testing.assert_array_equal(getattr(whole.companions, name), getattr(cut.companions, name))
-
-
-def test_readme_names_pages_that_exist() -> None:
-    for page in re.findall(r"`(docs/[\w/.-]+)`", (ROOT / "README.md").read_text(encoding="utf-8")):
-        assert (ROOT / page).exists(), page

@@ -1,26 +1,17 @@
-"""The main job as a user does it: recordings in, a ranked comparison report out, by real processes."""
+"""The main job as a user does it: recordings in, a ranked comparison report out."""
 
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+from helpers.cli import good
 from ldctoolkit import load_model, rebuild_signals
 from ldctoolkit.vehicle import VehicleParameters
-
-
-def ldc(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "ldctoolkit", *arguments], cwd=cwd, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done
 
 
 def ranking(folder: Path) -> list[dict[str, str]]:
@@ -36,31 +27,19 @@ def check_study(folder: Path, designs: int) -> None:
     (none,) = (row for row in rows if row["law"] == "none")
     assert float(none["reduction"]) == 0.0
     report = (folder / "report.html").read_text(encoding="utf-8")
-    for section in (
-        "answer",
-        "ranking",
-        "trade-offs",
-        "limits",
-        "landscape",
-        "departures",
-        "distributions",
-        "confidence",
-        "model",
-        "robustness",
-        "failures",
-        "settings",
-    ):
+    for section in ("answer", "ranking", "trade-offs", "limits", "landscape", "departures", "distributions",
+                    "confidence", "model", "robustness", "failures", "settings"):  # fmt: skip
         assert f'id="{section}"' in report
 
 
 @pytest.mark.slow
 def test_real_driving_to_a_report(ngsim_recordings: Path, tmp_path: Path) -> None:
-    found = ldc("extract", str(ngsim_recordings), "--vehicle-width", "1.8", "-o", "d.parquet", cwd=tmp_path)
-    assert "refused: lane change" in found.stdout
+    found = good("extract", str(ngsim_recordings), "--vehicle-width", "1.8", "-o", "d.parquet", cwd=tmp_path)
+    assert "refused: lane change" in found
     assert 200 <= pl.read_parquet(tmp_path / "d.parquet").height <= 300  # about 250, says the data's README
-    ldc("fit", "d.parquet", "-o", "m.json", cwd=tmp_path)
-    ran = ldc("run", "trigger-and-gains", "--model", "m.json", "-o", "out", cwd=tmp_path)
-    assert "report:" in ran.stdout
+    good("fit", "d.parquet", "-o", "m.json", cwd=tmp_path)
+    ran = good("run", "trigger-and-gains", "--model", "m.json", "-o", "out", cwd=tmp_path)
+    assert "report:" in ran
     check_study(tmp_path / "out", designs=117)
 
 
@@ -119,14 +98,16 @@ y_s = 0.1
 
 def test_planted_departures_to_a_report(tmp_path: Path) -> None:
     kept = plant_recording(tmp_path / "trip.csv")
-    found = ldc("extract", "trip.csv", "-o", "d.parquet", cwd=tmp_path)
+    found = good("extract", "trip.csv", "-o", "d.parquet", cwd=tmp_path)
     table = pl.read_parquet(tmp_path / "d.parquet")
-    assert table.height == kept, found.stdout
-    ldc("fit", "d.parquet", "-o", "m.json", "--components", "1", cwd=tmp_path)
-    sampled = ldc("sample", "m.json", "--left", "30", "--right", "20", "--seed", "5", "-o", "s.csv", cwd=tmp_path)
-    assert sampled.stdout
+    assert table.height == kept, found
+    good("fit", "d.parquet", "-o", "m.json", "--components", "1", cwd=tmp_path)
+    assert "recordings: 1\n" in good("models", "m.json", cwd=tmp_path)
+    good("sample", "m.json", "--left", "30", "--right", "20", "--seed", "5", "-o", "s.csv", cwd=tmp_path)
     assert pl.read_csv(tmp_path / "s.csv").height == 50
     (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
-    ldc("run", "small.toml", "-o", "out", "--workers", "1", "--no-robustness", "--no-figures", cwd=tmp_path)
+    ran = good("run", "small.toml", "-o", "out", "--workers", "1", "--no-robustness", "--no-figures", cwd=tmp_path)
+    assert "small: 6 designs x 80 scenarios, " in ran
+    assert ran.splitlines()[-2:] == ["ranking: out/ranking.csv", "report:  out/report.html"]
     check_study(tmp_path / "out", designs=6)
-    ldc("rank", "out", cwd=tmp_path)
+    assert [row["rank"] for row in ranking(tmp_path / "out")] == ["1", "2", "3", "4", "5", "6"]

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import pytest
+
+from ldctoolkit import launcher
 
 STUDY = """
 name = "tiny"
@@ -20,25 +23,31 @@ bootstrap = 100
 law = "preview_proportional"
 y_s = [0.1, 0.2]
 """
+FILES = {
+    "packages": {"__init__.py": "mine = True\n", "lqr.py": "class LQR: pass\n"},
+    "folders": {"lqr.py": "class LQR: pass\n"},
+    "raising packages": {"__init__.py": "raise RuntimeError('the wrong package')\n"},
+}
+KINDS = (*FILES, "modules")
+LAUNCH = "from ldctoolkit.launcher import main; sys.exit(main())"
+RUN = ["run", "s.toml", "-o", "o", "--workers", "2", "--no-robustness", "--no-figures"]
 
-KINDS = ("packages", "folders", "modules", "raising packages")
+
+def write(folder: Path, kind: str) -> Path:
+    for name in ("controllers", "studies"):
+        if kind == "modules":
+            (folder / f"{name}.py").write_text("mine = True\n")
+        else:
+            (folder / name).mkdir()
+            for file, text in FILES[kind].items():
+                (folder / name / file).write_text(text)
+    (folder / "s.toml").write_text(STUDY)
+    return folder
 
 
 @pytest.fixture(params=KINDS)
 def user_folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    for name in ("controllers", "studies"):
-        if request.param == "modules":
-            (tmp_path / f"{name}.py").write_text("mine = True\n")
-            continue
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "lqr.py").write_text("class LQR: pass\n")
-        if request.param != "folders":
-            text = (
-                "raise RuntimeError('the wrong package')\n" if request.param.startswith("raising") else "mine = True\n"
-            )
-            (tmp_path / name / "__init__.py").write_text(text)
-    (tmp_path / "s.toml").write_text(STUDY)
-    return tmp_path
+    return write(tmp_path, request.param)
 
 
 def python(*arguments: str, cwd: Path, path: str | None = None) -> subprocess.CompletedProcess[str]:
@@ -51,30 +60,26 @@ def python(*arguments: str, cwd: Path, path: str | None = None) -> subprocess.Co
     )  # fmt: skip
 
 
+def test_the_command_uses_its_own_packages(tmp_path: Path) -> None:
+    folder = write(tmp_path, "raising packages")
+    root = Path(launcher.__file__).resolve().parent.parent
+    done = python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=f".{os.pathsep}{root}")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "none: No control" in done.stdout
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [None, "."], ids=["no PYTHONPATH", "PYTHONPATH=."])
-def test_the_command_uses_its_own_packages(user_folder: Path, path: str | None) -> None:
-    for start in (["-m", "ldctoolkit"], ["-c", "import sys; from ldctoolkit.launcher import main; sys.exit(main())"]):
-        done = python(*start, "controllers", "lqr", cwd=user_folder, path=path)
-        assert done.returncode == 0, done.stderr
-        assert "r_delta" in done.stdout
+@pytest.mark.parametrize("start", [["-m", "ldctoolkit"], ["-c", f"import sys; {LAUNCH}"]], ids=["-m", "ldc"])
+def test_it_does_so_however_it_is_started(user_folder: Path, start: list[str], path: str | None) -> None:
+    done = python(*start, "controllers", "lqr", cwd=user_folder, path=path)
+    assert done.returncode == 0, done.stderr
+    assert "r_delta" in done.stdout
 
 
 @pytest.mark.slow
 def test_workers_use_the_toolkits_packages(user_folder: Path) -> None:
-    done = python(
-        "-m",
-        "ldctoolkit",
-        "run",
-        "s.toml",
-        "-o",
-        "o",
-        "--workers",
-        "2",
-        "--no-robustness",
-        "--no-figures",
-        cwd=user_folder,
-        path=".",
-    )
+    done = python("-m", "ldctoolkit", *RUN, cwd=user_folder, path=".")
     assert done.returncode == 0, done.stderr
     assert (user_folder / "o" / "report.html").is_file()
 
@@ -84,50 +89,48 @@ def test_workers_that_start_afresh_use_the_toolkits_packages(user_folder: Path) 
     """The start method of macOS and Windows: a new interpreter, whose path begins with the user's folder."""
     (user_folder / "main.py").write_text(
         "import sys, multiprocessing\n"
-        "from ldctoolkit.launcher import main\n"
         "if __name__ == '__main__':\n"
-        "    multiprocessing.set_start_method('spawn')\n"
-        "    sys.exit(main())\n"
+        f"    multiprocessing.set_start_method('spawn'); {LAUNCH}\n"
     )
-    done = python(
-        "main.py",
-        "run",
-        "s.toml",
-        "-o",
-        "o",
-        "--workers",
-        "2",
-        "--no-robustness",
-        "--no-figures",
-        cwd=user_folder,
-        path=".",
-    )
+    done = python("main.py", *RUN, cwd=user_folder, path=".")
     assert done.returncode == 0, done.stderr
 
 
-def test_as_a_library_it_works_or_names_the_shadow_in_one_line(user_folder: Path) -> None:
-    code = "import ldctoolkit; print(ldctoolkit.controller_class('lqr').title)"
-    done = python("-c", code, cwd=user_folder)
+LIBRARY = """
+import sys, ldctoolkit
+print({'controllers', 'studies'} & set(sys.modules), flush=True)
+print(ldctoolkit.controller_class('lqr').title)
+"""
+
+
+@pytest.mark.parametrize("kind", ["packages", *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS[1:])])
+def test_as_a_library_it_works_or_names_the_shadow_in_one_line(kind: str, tmp_path: Path) -> None:
+    """Importing the toolkit alone touches neither package."""
+    folder = write(tmp_path, kind)
+    done = python("-c", LIBRARY, cwd=folder)
+    touched, *title = done.stdout.splitlines()
+    assert touched == "set()"
     if done.returncode == 0:
-        assert done.stdout == "LQR\n"
+        assert title == ["LQR"]
+        assert kind == "folders"  # found after the toolkit's own
         return
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("ldctoolkit.errors.ShadowedPackageError: ")
-    assert str(user_folder / "controllers") in last
+    assert str(folder / "controllers") in last
     assert "shadows the toolkit's own package 'controllers'" in last
 
 
-def test_importing_the_toolkit_alone_touches_neither_package(user_folder: Path) -> None:
-    code = "import sys, ldctoolkit; print({'controllers', 'studies'} & set(sys.modules))"
-    assert python("-c", code, cwd=user_folder).stdout == "set()\n"
-
-
-def test_a_package_that_is_in_place_already_is_named(user_folder: Path) -> None:
+def test_a_package_that_is_in_place_already_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Someone imported their own package before the launcher could do anything about it."""
-    code = "import sys, types\n"
-    code += "m = types.ModuleType('studies'); m.__path__ = ['/nowhere/studies']; sys.modules['studies'] = m\n"
-    code += "from ldctoolkit.launcher import main; sys.exit(main())"
-    done = python("-c", code, "--version", cwd=user_folder)
-    assert done.returncode == 2
-    assert done.stderr.startswith("ldc: error: /nowhere/studies shadows the toolkit's own package 'studies' at ")
-    assert done.stderr.count("\n") == 1
+    mine = types.ModuleType("studies")
+    mine.__path__ = ["/nowhere/studies"]
+    for name in [name for name in sys.modules if name.partition(".")[0] == "studies"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "studies", mine)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    assert launcher.main() == 2
+    error = capsys.readouterr().err
+    assert error.startswith("ldc: error: /nowhere/studies shadows the toolkit's own package 'studies' at ")
+    assert error.count("\n") == 1

@@ -224,7 +224,3 @@ class Loop:
         k = self.closed_A.shape[0]
         settled = np.linalg.solve(np.eye(k) - self.closed_A, self.closed_E)
         return np.array([*settled[:4], settled[-1], 1.0])  # the last state is the command before
-
-    def steady_offset(self) -> float:
-        """e_y in a bend of lane yaw rate 1 rad/s once it has settled [m per rad/s]."""
-        return float(self.steady()[0])

@@ -105,15 +105,14 @@ class Walk:
         road, k = self.road, self.k
         return road.start + k * self.dt, road.x[k].copy(), road.preview(k, self.times), self.previous.copy()
 
-    def go_on(self) -> FloatArray:
-        """Take one sample, and return the commands as they came."""
+    def go_on(self) -> None:
+        """Take one sample."""
         result = self.law.step(*self.seen(), self.state)
         delta, self.state, status = check_step(result, self.road.n, self.name)
         self.said.append((delta.copy(), status))
         # as the closed loop does
         self.previous = np.where(np.isfinite(delta), delta, self.previous)
         self.k += 1
-        return delta
 
     def take(self, rows: IntArray) -> bool:
         """Go on with some of the scenarios; False where the law cannot be cut down."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from ldctoolkit import LdcError, __version__
@@ -49,13 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0; 2 for wrong input, with one message on stderr; 3 where a command is done but says that a design is at fault,
         or that some of the input was left out; 130 after an interrupt.
     """
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))
-    logging.getLogger("studies").handlers[:] = [handler]
-    logging.getLogger("studies").propagate = False
     try:
-        chosen = parser().parse_args(arguments)
-        code: int = chosen.run(chosen) or 0
+        with _warnings_on_stderr():
+            chosen = parser().parse_args(arguments)
+            code: int = chosen.run(chosen) or 0
         sys.stdout.flush()
     except LdcError as error:
         print(f"ldc: error: {error}", file=sys.stderr)
@@ -68,3 +66,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return code
+
+
+@contextlib.contextmanager
+def _warnings_on_stderr() -> Iterator[None]:
+    """What the studies log, one line each, instead of what the process does with it otherwise."""
+    log, handler = logging.getLogger("studies"), logging.StreamHandler(sys.stderr)
+    before = log.handlers[:], log.propagate
+    handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))
+    log.handlers[:], log.propagate = [handler], False
+    try:
+        yield
+    finally:
+        log.handlers[:], log.propagate = before

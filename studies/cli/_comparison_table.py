@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from studies.cli._console import add_row, new_table, say
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.comparison.winners import Winners
@@ -22,16 +23,16 @@ _MOST_LISTED: Final = 20
 
 def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
     """What differs between the inputs first, then the cases, the failures, the warnings and one sentence."""
-    _say(out, f"old: {comparison.old} ({comparison.old_name})", f"new: {comparison.new} ({comparison.new_name})")
+    say(out, f"old: {comparison.old} ({comparison.old_name})", f"new: {comparison.new} ({comparison.new_name})")
     if comparison.differences:
-        _say(out, "Inputs that differ, old -> new:", *(f"  {text}" for text in comparison.differences))
+        say(out, "Inputs that differ, old -> new:", *(f"  {text}" for text in comparison.differences))
     else:
-        _say(out, "The inputs are the same: what differs below is in the code of a law, or in the machine.")
+        say(out, "The inputs are the same: what differs below is in the code of a law, or in the machine.")
     out.print()
     for i, case in enumerate(comparison.cases):
         if len(case):
             out.print(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
-        _say(out, *_told(case))
+        say(out, *_told(case))
         out.print()
     for heading, failed in (
         ("failed only in the new study, worse:", comparison.new_failures),
@@ -39,19 +40,14 @@ def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
         ("failed in both studies:", comparison.failed_in_both),
     ):
         if failed:
-            _say(out, f"{len(failed)} design{'s' if len(failed) > 1 else ''} {heading}")
-            _say(out, *_some([f"  {one.sentence}" for one in failed]))
+            say(out, f"{len(failed)} design{'s' if len(failed) > 1 else ''} {heading}")
+            say(out, *_some([f"  {one.sentence}" for one in failed]))
     for heading, designs in (("old", comparison.only_old), ("new", comparison.only_new)):
         if designs:
-            _say(out, f"Only in the {heading} study: {len(designs)} design{'s' if len(designs) > 1 else ''}")
+            say(out, f"Only in the {heading} study: {len(designs)} design{'s' if len(designs) > 1 else ''}")
     for warning in comparison.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False)
-    _say(out, comparison.summary)
-
-
-def _say(out: Console, *lines: str) -> None:
-    for line in lines:
-        out.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
+    say(out, comparison.summary)
 
 
 def _some(lines: Sequence[str]) -> Iterator[str]:
@@ -62,21 +58,15 @@ def _some(lines: Sequence[str]) -> Iterator[str]:
 
 def _table(comparison: Comparison, case: CaseComparison, top: int) -> Table:
     """Worse designs first; those that are the same are counted below."""
-    from rich.table import Table
-    from rich.text import Text
-
-    percent, shared = f"{100 * comparison.confidence:g}%", comparison.shared
     designs = f"{len(case)} design{'' if len(case) == 1 else 's'}"
-    title = f"{designs} in both studies, {shared.n:,} shared scenarios, {case.case.label}"
-    table = Table(title=Text(title, style="table.title"), title_justify="left")
-    table.add_column("verdict")
-    table.add_column("design")
-    for heading in ("old S\n[m s]", "new S\n[m s]", "new - old\n[m s]", f"{percent}\ninterval", "scenarios\nchanged",
-                    "largest change\n[m s]", "failed\nold, new"):  # fmt: skip
-        table.add_column(Text(heading), justify="right")
+    title = f"{designs} in both studies, {comparison.shared.n:,} shared scenarios, {case.case.label}"
+    headings = ("verdict", "design", "old S\n[m s]", "new S\n[m s]", "new - old\n[m s]",
+                f"{100 * comparison.confidence:g}%\ninterval", "scenarios\nchanged", "largest change\n[m s]",
+                "failed\nold, new")  # fmt: skip
+    table = new_table(title, headings, left=(0, 1))
     shown = [i for i in case.order if case.S.verdict[i] is not Verdict.SAME][:top] or list(case.order[:top])
     for i in shown:
-        table.add_row(*map(Text, _cells(comparison, case, i)), style=_STYLE[case.S.verdict[i]] or None)
+        add_row(table, _cells(comparison, case, i), _STYLE[case.S.verdict[i]] or None)
     return table
 
 

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,6 +14,9 @@ from ldctoolkit.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
+
+    from ldctoolkit.gains import GainValue
 
 _WIDTH = 160
 """Columns where stdout is no terminal: a file or a log has no width of its own."""
@@ -31,6 +34,35 @@ def console() -> Console:
     from rich.console import Console
 
     return Console() if sys.stdout.isatty() else Console(width=_WIDTH)
+
+
+def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,)) -> Table:
+    """A table whose columns `left` are words and all others numbers; neither title nor headings are markup."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title, style="table.title"), title_justify="left")
+    for i, heading in enumerate(headings):
+        table.add_column(Text(heading), justify="left" if i in left else "right")
+    return table
+
+
+def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> None:
+    """One row more; cells are no markup."""
+    from rich.text import Text
+
+    table.add_row(*map(Text, cells), style=style)
+
+
+def say(out: Console, *lines: str) -> None:
+    """Lines that stay as they are: whole, and no markup."""
+    for line in lines:
+        out.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+def gain_text(value: GainValue) -> str:
+    """A gain in a table."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def warn(message: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ldctoolkit import controller_class
-from ldctoolkit.gains import GainValue
+from studies.cli._console import add_row, gain_text, new_table
 from studies.ranking.ranking import Ranking
 
 if TYPE_CHECKING:
@@ -16,31 +16,24 @@ if TYPE_CHECKING:
 
 def ranking_table(ranking: Ranking, top: int = 10) -> Table:
     """The first `top` designs, the best of each law, the winner and the baseline."""
-    from rich.table import Table
-    from rich.text import Text
-
     named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
     shown = sorted({*range(min(top, len(ranking))), *ranking.best_of_each_law(), *named})
-    percent = f"{100 * ranking.confidence:g}%"
-    # Text everywhere: units in brackets and the words of a law are no markup
-    title = Text(f"{len(ranking)} designs by mean S, {ranking.case.label}", style="table.title")
-    table = Table(title=title, title_justify="left")
-    for heading in ("#", "law", "y_s\n[m]", "gains that differ\nfrom defaults"):
-        table.add_column(Text(heading), justify="right" if heading in ("#", "y_s\n[m]") else "left")
-    headings = ("mean S\n[m s]", f"{percent}\ninterval", "to the best\n[m s]", "reduction", "left", "right")
-    fresh = ("fresh S\n[m s]",) if ranking.fresh_scenarios else ()
-    for heading in (*headings, f"deeper\n{ranking.D_y:g} m", "failed", *fresh):
-        table.add_column(Text(heading), justify="right")
+    headings = ["#", "law", "y_s\n[m]", "gains that differ\nfrom defaults", "mean S\n[m s]",
+                f"{100 * ranking.confidence:g}%\ninterval", "to the best\n[m s]", "reduction", "left", "right",
+                f"deeper\n{ranking.D_y:g} m", "failed"]  # fmt: skip
+    if ranking.fresh_scenarios:
+        headings.append("fresh S\n[m s]")
+    table = new_table(f"{len(ranking)} designs by mean S, {ranking.case.label}", headings, left=(1, 3))
     for previous, i in zip([-1, *shown], shown, strict=False):
         if i > previous + 1:
             table.add_section()
-        table.add_row(*map(Text, _cells(ranking, i)), style="bold" if i == ranking.winner else None)
+        add_row(table, _cells(ranking, i), "bold" if i == ranking.winner else None)
     return table
 
 
 def _cells(ranking: Ranking, i: int) -> list[str]:
     design = ranking.designs[i]
-    gains = ", ".join(f"{name}={_text(value)}" for name, value in design.changed)
+    gains = ", ".join(f"{name}={gain_text(value)}" for name, value in design.changed)
     tie = " =" if i and ranking.set_of_best[i] else ""
     failed = int(ranking.solver_failed[i] + ranking.diverged[i] + ranking.timed_out[i] + ranking.crashed[i])
     fresh = "-" if np.isnan(ranking.fresh_S[i]) else f"{ranking.fresh_S[i]:.4f}"
@@ -61,7 +54,3 @@ def _cells(ranking: Ranking, i: int) -> list[str]:
 
 def _percent(value: float) -> str:
     return "-" if np.isnan(value) else f"{100 * value:.1f} %"
-
-
-def _text(value: GainValue) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -11,7 +11,7 @@ from studies.cli._ranking_table import ranking_table
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
 from studies.ranking.ranking_markdown import StudyHead, write_markdown
-from studies.results import StudyResults
+from studies.results import Race, StudyResults
 from studies.storage.manifest import Manifest
 from studies.study_file.spec import Study
 
@@ -44,6 +44,25 @@ def _print_failed(ranking: Ranking) -> None:
     if len(failed) > _MOST_FAILED:
         out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
     out.print()
+
+
+def print_race(race: Race) -> None:
+    """One line a round, and what the race saved."""
+    out = console()
+    before = len(race.dropped) + race.alive[-1]
+    for i, (size, alive) in enumerate(zip(race.rounds, race.alive, strict=True), start=1):
+        given_up = f"{before - alive} of {before} design{'' if before == 1 else 's'} given up"
+        out.print(f"round {i}: {size:,} scenario{'' if size == 1 else 's'}, {given_up}", highlight=False)
+        before = alive
+    share = 100 * race.runs / race.full_runs
+    number = len(race.dropped)
+    were = "1 design was" if number == 1 else f"{number} designs were"
+    out.print(
+        f"race: {race.runs:,} scenario runs, {share:.1f} % of the full study's; {were} separable from the best and "
+        f"{'was' if number == 1 else 'were'} given up, see ranking.csv\n",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def write_ranking(

@@ -1,10 +1,8 @@
-"""Reviews for machines: JSON and CSV."""
+"""Reviews for machines."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 import math
 from collections.abc import Sequence
@@ -66,25 +64,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value
-
-
-def to_csv(reviews: Sequence[tuple[str, tuple[str, ...], Review]]) -> str:
-    """Reviews as a table, one row a design and speed; designs without a loop have none. NaN is empty."""
-    stream = io.StringIO(newline="")
-    writer = None
-    for label, ids, review in reviews:
-        table = columns(review)
-        if not table:
-            continue
-        if writer is None:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(["design", "ids", *table])
-        for row in zip(*table.values(), strict=True):
-            writer.writerow([label, " ".join(ids), *(_cell(value) for value in row)])
-    return stream.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if isinstance(value, float) and math.isnan(value) else value

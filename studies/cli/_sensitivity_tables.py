@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ldctoolkit import controller_class
-from ldctoolkit.gains import GainValue
-from studies.cli._console import console
+from studies.cli._console import add_row, console, gain_text, new_table, say
 from studies.design import Design
 from studies.sensitivity.sensitivity import BlockSensitivity
 from studies.sensitivity.winner_profile import Profile
@@ -23,50 +22,33 @@ def print_indices(blocks: Sequence[BlockSensitivity], case: str, confidence: flo
     for block in blocks:
         title = f"design[{block.block}], {controller_class(block.law).title}"
         if block.indices is None:
-            _line(f"{title}: no Sobol indices: {block.reason}")
+            say(console(), f"{title}: no Sobol indices: {block.reason}")
         else:
             console().print(_index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
             notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
-            _line("; ".join(note for note in notes if note))
+            say(console(), "; ".join(note for note in notes if note))
         console().print()
 
 
 def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case: str, confidence: float) -> None:
     """One line for every dimension, the one that moves S most first; `which` says what the design in the middle is."""
-    _line(f"Around {middle.label} ({middle.id}), {which}, one at a time, {case}:")
+    say(console(), f"Around {middle.label} ({middle.id}), {which}, one at a time, {case}:")
     if not profiles:
-        _line("nothing varies in the designs of this law")
+        say(console(), "nothing varies in the designs of this law")
         return
     console().print(_profile_table(profiles, confidence))
     for profile in profiles:
         if (end := profile.beyond) is not None:
-            _line(f"{profile.name}: S is least at {_text(end)}, the end of its range in this study: "
+            say(console(), f"{profile.name}: S is least at {gain_text(end)}, the end of its range in this study: "
                   "something better may lie beyond")  # fmt: skip
         for value, reason in zip(profile.values, profile.failures, strict=True):
             if reason:
-                _line(f"{profile.name} = {_text(value)}: {reason}")
-
-
-def _line(words: str) -> None:
-    # a law's words are no markup
-    console().print(words, markup=False, emoji=False, highlight=False, soft_wrap=True)
-
-
-def _table(title: str, headings: Sequence[str]) -> Table:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title, style="table.title"), title_justify="left")
-    for i, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="right" if i else "left")
-    return table
+                say(console(), f"{profile.name} = {gain_text(value)}: {reason}")
 
 
 def _index_table(block: BlockSensitivity, title: str, confidence: float) -> Table:
-    from rich.text import Text
-
     found, interval = block.indices, f"{100 * confidence:g}%\ninterval"
-    table = _table(title, ("dimension", "first order", interval, "total", interval))
+    table = new_table(title, ("dimension", "first order", interval, "total", interval))
     if found is None:
         return table
     weight = np.where(np.isnan(found.total), found.first, found.total)
@@ -76,33 +58,27 @@ def _index_table(block: BlockSensitivity, title: str, confidence: float) -> Tabl
             row += ["-", "-"]
         else:
             row += [f"{found.total[i]:.3f}", f"{found.total_low[i]:.3f} .. {found.total_high[i]:.3f}"]
-        table.add_row(*map(Text, row))
+        add_row(table, row)
     return table
 
 
 def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
-    from rich.text import Text
-
     interval = f"{100 * confidence:g}%\ninterval"
     headings = ("dimension", "value", "from", "to", "values\n(driven)", "S moves by\n[m s]")
-    table = _table("", (*headings, "least S at", "there\n[m s]", interval))
+    table = new_table("", (*headings, "least S at", "there\n[m s]", interval))
     for one in sorted(profiles, key=lambda profile: -profile.spread):
         unit = "" if one.unit == "1" else f" {one.unit}"
         best = one.best
         row = [
             one.name,
-            f"{_text(one.values[one.at])}{unit}",
-            _text(one.values[0]),
-            _text(one.values[-1]),
+            f"{gain_text(one.values[one.at])}{unit}",
+            gain_text(one.values[0]),
+            gain_text(one.values[-1]),
             f"{len(one.values)} ({int((~one.stored).sum())})",
             f"{one.spread:.4f}",
-            _text(one.values[best]),
+            gain_text(one.values[best]),
             f"{one.difference[best]:+.4f}",
             f"{one.low[best]:+.4f} .. {one.high[best]:+.4f}",
         ]
-        table.add_row(*map(Text, row))
+        add_row(table, row)
     return table
-
-
-def _text(value: GainValue) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

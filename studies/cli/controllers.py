@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, get_type_hints
 
-from studies.cli._console import Subparsers, console, warn
+from studies.cli._console import Subparsers, add_row, console, new_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Gain
@@ -26,7 +26,6 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from rich.table import Table
     from rich.text import Text
 
     from ldctoolkit import LdcError, controller_class, controller_names
@@ -41,16 +40,13 @@ def run(chosen: argparse.Namespace) -> None:
             warn(str(error))  # one broken third-party law does not hide the others
             continue
         title = f"{name}: {kind.title}{_kind(kind)}"
-        # Text: the words of a law are no markup
-        table = Table(title=Text(title, style="table.title"), title_justify="left")
-        for heading in ("gain", "unit", "default", "allowed", "scale", "meaning"):
-            table.add_column(heading)
+        table = new_table(title, ("gain", "unit", "default", "allowed", "scale", "meaning"), left=range(6))
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
             allowed = ", ".join(words) if words else "any text" if g.text else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
             cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
-            table.add_row(*map(Text, cells))
+            add_row(table, cells)
         if kind.gains():
             out.print(table)
         else:

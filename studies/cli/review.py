@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, console, number, output_file, progress_bar
+from studies.cli._console import Subparsers, add_row, console, new_table, number, output_file, progress_bar
 from studies.cli._ranges import interval, named
 
 if TYPE_CHECKING:
@@ -49,8 +49,7 @@ def add_parser(commands: Subparsers) -> None:
         ("delta-max", "limit of its angle in rad"),
     ):
         parser.add_argument(f"--{name}", type=number, metavar="X", help=f"{meaning} (default: none, or the study's)")
-    parser.add_argument("--json", metavar="FILE.json", help="write everything for machines")
-    parser.add_argument("--csv", metavar="FILE.csv", help="write one row a design and speed")
+    parser.add_argument("--json", metavar="FILE.json", help="write numbers and findings for machines")
     parser.set_defaults(run=run)
 
 
@@ -78,14 +77,10 @@ def _range(text: str) -> tuple[float, float]:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
     from studies.cli._review_designs import reviewed_design, subjects
-    from studies.cli._review_files import to_csv, to_json
+    from studies.cli._review_files import to_json
     from studies.storage.files import write_text
 
-    targets = [
-        (output_file(path, suffix, option=f"-{suffix.replace('.', '-')}"), write)
-        for path, suffix, write in ((chosen.json, ".json", to_json), (chosen.csv, ".csv", to_csv))
-        if path is not None
-    ]
+    target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")
     wanted = subjects(chosen)
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:
@@ -104,9 +99,9 @@ def run(chosen: argparse.Namespace) -> int:
             print(f"{finding.severity}: {finding.sentence}")
         if not found.findings:
             print("nothing to object to")
-    for path, write in targets:
-        write_text(path, write(reviewed))
-        print(f"written to {path}")
+    if target is not None:
+        write_text(target, to_json(reviewed))
+        print(f"written to {target}")
     return FAULT if any(found.faults for _, _, found in reviewed) else 0
 
 
@@ -136,23 +131,18 @@ def _shown(value: float, factor: float, form: str) -> str:
 
 def _print_loop(label: str, review: Review) -> None:
     """Every speed of one design."""
-    from rich.table import Table
-    from rich.text import Text
-
     if review.loop is None:
         print(label)
         return
-    # as text and not as a string: brackets and colons of a label are no markup
-    title = Text(f"{label}, dt = {review.dt:g} s", style="table.title")
-    table = Table(title=title, title_justify="left")
     columns = list(_COLUMNS)
     if not all(map(math.isnan, review.loop.hessian_condition)):
         columns.append(("condition", "hessian_condition", 1.0, ".2g"))
-    for heading, *_ in columns:
-        table.add_column(heading, justify="right")
+    table = new_table(
+        f"{label}, dt = {review.dt:g} s", [heading.replace(" [", "\n[") for heading, *_ in columns], left=()
+    )
     for i in range(review.loop.v.size):
         cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
-        table.add_row(*cells, style=None if review.loop.stable[i] else "red")
+        add_row(table, cells, None if review.loop.stable[i] else "red")
     console().print(table)
 
 
@@ -162,14 +152,9 @@ _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mi
 
 def _print_overview(reviewed: Reviewed) -> None:
     """One row a design, the worst of all speeds."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title="worst of all speeds", title_justify="left")
-    table.add_column("design")
     shown = [column for column in _COLUMNS if column[1] in _WORST]
-    for heading in (*(column[0] for column in shown), "faults", "warnings"):
-        table.add_column(heading, justify="right")
+    headings = ("design", *(column[0] for column in shown), "faults", "warnings")
+    table = new_table("worst of all speeds", headings)
     for label, _, review in reviewed:
         cells = ["-"] * len(shown)
         if review.loop is not None and not review.loop.stable.all():
@@ -178,7 +163,7 @@ def _print_overview(reviewed: Reviewed) -> None:
             loop = review.loop
             cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
-        table.add_row(Text(label), *cells, str(len(review.faults)), str(warnings))
+        add_row(table, [label, *cells, str(len(review.faults)), str(warnings)])
     console().print(table)
 
 

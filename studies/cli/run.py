@@ -59,9 +59,8 @@ SOME_FAILED = 3
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from studies.cli._race_table import print_race
     from studies.cli._report import ReportOptions, write_study_report
-    from studies.cli._results import print_rankings, write_ranking
+    from studies.cli._results import print_race, print_rankings, write_ranking
     from studies.cli._summary import json_summary
     from studies.ranking.ranking import rank_study
     from studies.runner import TIME_LIMIT, run_study

@@ -7,6 +7,7 @@ import io
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from studies.cli import main
@@ -24,9 +25,9 @@ def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(["ldc", *words], code, out.getvalue(), err.getvalue())
 
 
-def ldc_process(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """The same as a process of its own."""
-    command = [sys.executable, "-m", "ldctoolkit", *map(str, arguments)]
+def ldc_process(*arguments: object, cwd: Path, python: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
+    """The same as a process of its own; `python`: options of the interpreter."""
+    command = [sys.executable, *python, "-m", "ldctoolkit", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
 
 
@@ -46,3 +47,9 @@ def bad(*arguments: object, cwd: Path) -> str:
     assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
     assert {path: path.stat().st_mtime_ns for path in cwd.rglob("*")} == before
     return done.stderr
+
+
+def printed_rows(out: str) -> list[list[str]]:
+    """Cells of the lines of printed tables, headings first."""
+    lines = (line for line in out.splitlines() if re.match("[│┃]", line))
+    return [[cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in lines]

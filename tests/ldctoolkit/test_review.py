@@ -29,12 +29,13 @@ from ldctoolkit import (
 )
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
-from ldctoolkit.review import Finding, Review, Thresholds, review, sampled_loop
+from ldctoolkit.review import Finding, Review, Thresholds, review
 from ldctoolkit.review.law_model import linear_view
 from ldctoolkit.review.limits import limit_of
-from ldctoolkit.review.loop_checks import _factor
 from ldctoolkit.review.notes import plant_notes
 from ldctoolkit.review.sampled_loop import System
+
+FEW = (10.0, 25.0, 40.0)
 
 
 def named(found: Review, name: str) -> Finding:
@@ -57,7 +58,7 @@ def test_a_sound_design_has_nothing_to_object_to() -> None:
 
 
 def test_planted_an_unstable_gain() -> None:
-    found = review(PreviewProportional(K_y=-1.0, K_psi=-0.05))
+    found = review(PreviewProportional(K_y=-1.0, K_psi=-0.05), speeds=FEW)
     fault = named(found, "stability")
     assert fault.severity == "fault"
     assert fault.value > 1
@@ -100,13 +101,13 @@ def test_an_initial_angle_that_is_given() -> None:
 
 def test_planted_a_bandwidth_above_nyquist() -> None:
     design = PreviewProportional(K_y=-1.0, K_psi=-5.0)
-    assert "sampling" not in {f.name for f in review(design, dt=0.01).findings}
-    found = review(design, dt=0.2)
+    assert "sampling" not in {f.name for f in review(design, dt=0.01, speeds=FEW).findings}
+    found = review(design, dt=0.2, speeds=FEW)
     fault = named(found, "sampling")
     assert fault.severity == "fault"
     assert fault.value > 0.5
     assert "above the Nyquist frequency" in fault.sentence
-    between = named(review(design, dt=0.05), "sampling")
+    between = named(review(design, dt=0.05, speeds=FEW), "sampling")
     assert (between.severity, between.allowed) == ("warning", 0.1)
 
 
@@ -180,6 +181,10 @@ def test_margins_below_their_thresholds() -> None:
     assert "Raise r_delta" in finding.sentence
     faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
     assert named(faulty, "gain_margin").severity == "fault"
+    # the threshold itself is still allowed
+    edge = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value)))
+    assert named(edge, "gain_margin").severity == "warning"
+    assert "gain_margin" not in names(review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value, value))))
 
 
 def test_limits_against_the_actuator_and_the_corridor() -> None:
@@ -204,6 +209,7 @@ def test_soft_limits_that_contradict() -> None:
     found = review(Soft(e_y_max=1.0), y_s=0.2, speeds=[20.0])
     assert named(found, "corridor").allowed == pytest.approx(0.85 + 0.2)
     assert "corridor" not in names(review(Soft(e_y_max=1.1), y_s=0.2, speeds=[20.0]))
+    assert "corridor" in names(review(Soft(e_y_max=BicycleModel().parameters.edge_offset), speeds=[20.0]))
     # delta_max = 0.1 rad at 10 m/s reaches 0.1/delta_ss v = 3.4 m/s^2
     note = named(review(Soft(a_y_max=4.0), speeds=[10.0, 30.0]), "acceleration_limit")
     assert note.severity == "note"
@@ -240,7 +246,7 @@ def test_a_hessian_that_is_too_stiff() -> None:
 
 def test_the_mpc_is_its_lqr_near_straight_driving() -> None:
     """Numerically linearised, the MPC far from its limits has the LQR's loop; tolerance: differences at 1e-3."""
-    mpc, lqr = review(LinearMPC(r_delta=300.0)).loop, review(LQR(r_delta=300.0)).loop
+    mpc, lqr = (review(law(r_delta=300.0), speeds=FEW).loop for law in (LinearMPC, LQR))
     assert mpc is not None
     assert lqr is not None
     for name in ("radius", "gain_margin", "phase_margin", "disk_margin", "bandwidth"):
@@ -315,66 +321,6 @@ def test_an_integral_takes_the_bias_away() -> None:
     assert found.stable.all()
     np.testing.assert_allclose(found.e_y_bend, 0.0, atol=1e-7)
     np.testing.assert_allclose(found.e_y_bend_mismatched, 0.0, atol=1e-7)
-
-
-@dataclasses.dataclass(frozen=True)
-class Everything(Controller):
-    """A linear law that uses all that one may, by its type or as a law that is called every sample."""
-
-    name: ClassVar[str] = "everything"
-    title: ClassVar[str] = "Everything"
-    called: bool = gain(False, unit="1", description="hand over a SteeringLaw")
-
-    def prepare(self, plant: Plant) -> LinearLaw | SteeringLaw:
-        n, rng = plant.n, np.random.default_rng(3)
-        law = dataclasses.replace(
-            LQR(r_delta=300.0).prepare(plant),
-            preview_times=np.array([0.0, 0.4, 1.1]),
-            G_yaw_rate=np.tile(rng.normal(0, 0.02, 3), (n, 1)),
-            G_heading=np.tile(rng.normal(0, 0.02, 3), (n, 1)),
-            f_u=np.full(n, 0.3),
-            f_i=np.full(n, -0.01),
-        )
-        return Called(law, plant.dt) if self.called else law
-
-
-@dataclasses.dataclass(frozen=True)
-class Called(SteeringLaw):
-    """A linear law, worked out as its definition reads."""
-
-    law: LinearLaw
-    dt: float
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return self.law.preview_times
-
-    def init(self, n: int) -> Any:
-        return np.zeros(n)
-
-    def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
-        law = self.law
-        delta = (law.F * x).sum(1) + (law.G_yaw_rate * preview.yaw_rate).sum(1)
-        delta = delta + (law.G_heading * preview.heading).sum(1) + law.f_u * delta_prev + law.f_i * state
-        return delta, state + self.dt * x[:, 0], np.zeros(delta.size, dtype=np.int8)
-
-
-def test_a_linear_law_is_the_same_by_its_type_and_by_its_answers() -> None:
-    """Integral, previous command and preview included; tolerance: rounding over the pulses' size."""
-    options = PlantOptions(actuator=Actuator(lag=0.05, delay=0.03))
-    exact, asked = (review(Everything(called=c), speeds=[15.0, 30.0], options=options).loop for c in (False, True))
-    assert exact is not None
-    assert asked is not None
-    for field in dataclasses.fields(exact):
-        if "bend" not in field.name:
-            np.testing.assert_allclose(getattr(asked, field.name), getattr(exact, field.name), rtol=1e-6)
-    np.testing.assert_allclose([exact.e_y_bend, asked.e_y_bend], 0.0, atol=1e-7)
-    view = linear_view(Everything(called=True), Plant.build(BicycleModel(), [15.0], 0.05))
-    law = Everything().prepare(Plant.build(BicycleModel(), [15.0], 0.05))
-    assert view is not None
-    assert isinstance(law, LinearLaw)
-    by_hand = law.G_yaw_rate[0].sum() + law.G_heading[0] @ [0.0, 0.4, 1.1]
-    assert view.models[0].D[5] == pytest.approx(by_hand, rel=1e-9)
 
 
 def test_laws_that_steer_for_nothing_or_give_no_numbers() -> None:
@@ -476,12 +422,6 @@ def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
     assert inner.loop.bend_error.max() == 0.0
 
 
-def test_a_slow_growth_is_told_with_its_digits() -> None:
-    assert _factor(1.0000021) == "1.0000021"
-    assert _factor(1.02) == "1.020"
-    assert _factor(1.5) == "1.5"
-
-
 def test_a_delay_of_too_many_samples_is_refused() -> None:
     for name, options in (
         ("actuator", PlantOptions(actuator=Actuator(delay=0.05))),
@@ -491,13 +431,13 @@ def test_a_delay_of_too_many_samples_is_refused() -> None:
             review(LQR(), dt=1e-6, options=options)
 
 
-def test_a_response_of_many_states_is_worked_out_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
+    """900 states of their own: H(z) = sum of c b/(z - a); four points fit in a block."""
     rng = np.random.default_rng(1)
-    system = System(0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(1, 3)), np.zeros((1, 2)))
+    a, b, c = rng.uniform(-0.9, 0.9, 900), rng.normal(size=900), rng.normal(size=900)
     z = np.exp(1j * np.linspace(0.1, 3.0, 7))
-    whole = system.response(z)
-    monkeypatch.setattr(sampled_loop, "_ENTRIES", 20)
-    np.testing.assert_array_equal(system.response(z), whole)
+    found = System(np.diag(a), b[:, None], c[None, :], np.full((1, 1), 0.5)).response(z)
+    np.testing.assert_allclose(found[:, 0, 0], 0.5 + (b * c / (z[:, None] - a)).sum(axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -527,11 +467,8 @@ def test_wrong_thresholds_are_named(pair: Any) -> None:
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "design-review.md"
 
 
-def test_the_pages_python_runs_and_its_table_is_that_of_the_thresholds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_pages_table_is_that_of_the_thresholds() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.S)
-    exec(compile(code, PAGE.name, "exec"), {"__name__": "page"})
-    assert len(capsys.readouterr().out.splitlines()) == 2
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+?) \|", text, flags=re.M))
     t = Thresholds()
     assert rows["gain_margin"] == f"{t.gain_margin[0]:g} dB"

@@ -156,6 +156,20 @@ def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
     assert found.gain == pytest.approx(20 * math.log10((2 + 2 * a) / (1 + b) / g), abs=1e-3)
 
 
+@pytest.mark.parametrize(("radius", "angle", "g"), [(0.95, 0.8, -0.1), (0.98, 0.5, -0.05), (0.97, 0.6, -0.2)])
+def test_a_delay_margin_is_the_delay_that_makes_the_loop_unstable(radius: float, angle: float, g: float) -> None:
+    """L = g/(z^2 - 2 a z + b), positive feedback of a resonance: at the lower crossing its phase leads, and a delay
+    has to turn it nearly once around. Delays of whole samples, by the roots of z^d (z^2 - 2 a z + b) + g.
+    """
+    h, denominator = 0.1, [1.0, -2.0 * radius * math.cos(angle), radius**2]
+    A = np.array([[-denominator[1], -denominator[2]], [1.0, 0.0]])
+    found = margins(System(A, np.array([[1.0], [0.0]]), np.array([[0.0, g]]), np.zeros((1, 1))), h)
+    d = 0
+    while np.abs(np.roots(np.polyadd(denominator + [0.0] * d, [g]))).max() < 1.0:
+        d += 1
+    assert (d - 1) * h < found.delay < d * h
+
+
 def test_no_loop_has_no_bounds() -> None:
     found = margins(System(np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1))), 0.1)
     assert (found.gain, found.phase, found.delay) == (math.inf,) * 3

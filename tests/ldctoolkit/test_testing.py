@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl
+from controllers import LQR
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import BOUND
@@ -165,11 +165,6 @@ def test_a_law_that_keeps_the_contract() -> None:
     check_controller_contract(made("well")(K=-0.05), [made("well")(K_i=0.0)], checks=IN_PROCESS)
 
 
-@pytest.mark.parametrize("controller", [LQR, LQR(r_delta=20.0), NoControl])
-def test_laws_of_the_zoo_keep_it_from_end_to_end(controller: Any) -> None:
-    check_controller_contract(controller)
-
-
 @pytest.mark.parametrize(
     ("how", "check", "sentence", "others"),
     [
@@ -260,12 +255,15 @@ def test_designs_that_worker_processes_cannot_load(tmp_path: Path) -> None:
     assert re.fullmatch(r"cannot be pickled: .*Local.*; allowed: a class at the top of a module", fault.sentence)
 
     code = (
+        "import sys, ldctoolkit.testing; print({'pytest', 'numba', 'scipy', 'polars'} & set(sys.modules))\n"
         "from controllers import LQR\nfrom ldctoolkit.testing import contract_faults\n"
         "class Main(LQR):\n    name = 'main'\n"
         "print(*contract_faults(Main, checks=['picklable']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert re.match(r"main: picklable: cannot be loaded in a fresh process: AttributeError: .*'Main'.*", done.stdout)
+    heavy, fault = done.stdout.splitlines()
+    assert heavy == "set()"
+    assert re.match(r"main: picklable: cannot be loaded in a fresh process: AttributeError: .*'Main'.*", fault)
 
 
 def test_gains_that_exclude_each_other_or_depend_on_the_vehicle() -> None:
@@ -397,9 +395,3 @@ def test_the_class_runs_every_check() -> None:
             getattr(TestBias(), name)()
     with pytest.raises(InputError, match=r"TestNone\.controller: missing"):
         type("TestNone", (ControllerContract,), {})().test_commands_are_finite()
-
-
-def test_importing_it_needs_no_pytest() -> None:
-    code = "import sys, ldctoolkit.testing; print(*sorted({'pytest', 'numba', 'scipy', 'polars'} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []

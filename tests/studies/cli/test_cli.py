@@ -1,11 +1,11 @@
-"""The command line as people meet it: real processes, exit codes, one message for wrong input, no traces of failure."""
+"""The command line as people meet it: exit codes, one message for wrong input, no traces of failure."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import gzip
 import json
+import logging
 import os
 import re
 import signal
@@ -16,6 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from helpers.cli import bad, good, ldc, ldc_process
+from ldctoolkit import load_model
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
 STUDY = """
@@ -33,35 +36,6 @@ y_s = [0.1, 0.2]
 """
 
 
-def ldc(*arguments: object, cwd: Path, stdin: object = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-
-
-def good(*arguments: object, cwd: Path) -> str:
-    done = ldc(*arguments, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout
-
-
-def bad(*arguments: object, cwd: Path) -> str:
-    """Run what must fail: exit code 2, one message, nothing on stdout, no file added or changed."""
-    before = {path: path.stat().st_mtime_ns for path in cwd.rglob("*")}
-    done = ldc(*arguments, cwd=cwd)
-    assert done.returncode == 2, (done.stdout, done.stderr)
-    assert done.stdout == ""
-    assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
-    assert {path: path.stat().st_mtime_ns for path in cwd.rglob("*")} == before
-    return done.stderr
-
-
 def recordings(n: int = 120) -> str:
     """n recordings of one departure each, alternating sides, all different."""
     generator = np.random.default_rng(0)
@@ -76,84 +50,15 @@ def recordings(n: int = 120) -> str:
     return "".join(lines)
 
 
-@pytest.mark.slow
-def test_from_recordings_to_a_report(tmp_path: Path) -> None:
-    (tmp_path / "r.csv").write_text(recordings())
-    (tmp_path / "s.toml").write_text(STUDY)
-    out = good("extract", "r.csv", "--vehicle-width", "1.8", "-o", "d.parquet", cwd=tmp_path)
-    assert "departures written to d.parquet" in out
-    assert "refused: too short" in out
-    out = good("fit", "d.parquet", "-o", "m.json", "--components", "1:2", cwd=tmp_path)
-    assert "BIC" in out
-    assert json.loads((tmp_path / "m.json").read_text())["provenance"]["source"]["recordings"] == 120
-    assert "recordings: 120" in good("models", "m.json", cwd=tmp_path)
-    good("sample", "m.json", "-n", "9", "-o", "s.csv", cwd=tmp_path)
-    assert len((tmp_path / "s.csv").read_text().splitlines()) == 10
-
-    out = good("run", "s.toml", "--model", "m.json", "-o", "o", "--workers", "1", cwd=tmp_path)
-    assert "3 designs x 12 scenarios" in out
-    assert f"ranking: {Path('o') / 'ranking.csv'}" in out
-    assert f"report:  {Path('o') / 'report.html'}" in out
-    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
-        ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",
-        "ranking.md", "report.html", "results", "robustness.json", "scenarios.parquet", "timing.json",
-    ]  # fmt: skip
-    with (tmp_path / "o" / "ranking.csv").open(newline="") as stream:
-        assert [row["rank"] for row in csv.DictReader(stream)] == ["1", "2", "3"]
-    manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
-    assert manifest["model"] == "m.json"
-    assert manifest["command"].endswith("run s.toml --model m.json -o o --workers 1")
-
-    ranking = (tmp_path / "o" / "ranking.csv").read_bytes()
-    (tmp_path / "o" / "ranking.csv").unlink()
-    (tmp_path / "o" / "report.html").unlink()
-    assert "by mean S" in good("rank", "o", "--top", "2", cwd=tmp_path)
-    assert (tmp_path / "o" / "ranking.csv").read_bytes() == ranking
-    good("report", "o", cwd=tmp_path)
-    assert (tmp_path / "o" / "report.html").read_text().lstrip().lower().startswith("<!doctype html>")
-
-    # numbers on other plants: shown where they are stored, else left out, or worked out to the same bytes
-    other_plants = (tmp_path / "o" / "robustness.json").read_bytes()
-    page = (tmp_path / "o" / "report.html").read_bytes()
-    good("report", "o", "--no-robustness", cwd=tmp_path)
-    assert (tmp_path / "o" / "report.html").read_bytes() == page
-    (tmp_path / "o" / "robustness.json").unlink()
-    good("report", "o", "--no-robustness", cwd=tmp_path)
-    assert not (tmp_path / "o" / "robustness.json").exists()
-    assert b"Other plants are left out of this page" in (tmp_path / "o" / "report.html").read_bytes()
-    good("report", "o", cwd=tmp_path)
-    assert (tmp_path / "o" / "robustness.json").read_bytes() == other_plants
-
-    # the same folder with another model is refused, with the same one it resumes
-    assert "holds another study (tiny): model: m.json" in bad("run", "s.toml", "-o", "o", cwd=tmp_path)
-    good("run", "s.toml", "--model", "m.json", "-o", "o", "--quiet", "--no-robustness", "--no-figures", cwd=tmp_path)
-
-
-def test_a_fit_keeps_to_the_criteria_of_the_extraction(tmp_path: Path) -> None:
-    """Other criteria than the defaults bound the model too, wider or narrower."""
-    (tmp_path / "r.csv").write_text(recordings())
-    for least in ("0.3", "1.5"):
-        good("extract", "r.csv", "--min-duration", least, "--min-speed", "15", "-o", "d.parquet", cwd=tmp_path)
-        good("fit", "d.parquet", "-o", "m.json", "--components", "1", "--no-page", cwd=tmp_path)
-        side = json.loads((tmp_path / "m.json").read_text())["sides"]["left"]
-        bounds = dict(zip(side["parameters"], zip(side["lower"], side["upper"], strict=True), strict=True))
-        assert bounds["T"] == (float(least), 10.0)
-        assert bounds["v_mean"] == (15.0, None)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "s.toml").write_text(STUDY)
     return tmp_path
 
 
-GOOD_ROWS = "a,0.0,0.1,3.6,25\na,0.1,0.2,3.6,25\n"
 BAD_RECORDINGS = {
     "missing column": (b"recording,t,lane_offset,speed\na,0,0,25\n", "lane_width"),
     "empty": (b"", "r.csv"),
-    "unsorted": ((HEADER + "a,1.0,0.1,3.6,25\na,0.5,0.2,3.6,25\n").encode(), "r.csv"),
-    "repeated": ((HEADER + "a,1.0,0.1,3.6,25\na,1.0,0.2,3.6,25\n").encode(), "r.csv"),
-    "words": ((HEADER + "a,0.0,x,3.6,25\na,0.1,0.2,3.6,25\n").encode(), "lane_offset"),
     "binary": (bytes(range(256)), "r.csv"),
 }
 
@@ -223,6 +128,7 @@ def test_wrong_units_are_warned_about(tmp_path: Path) -> None:
         (["extract", "s.toml", "-o", "d.parquet"], "s.toml"),
         (["extract", "s.toml", "-o", "d.csv"], "must end in .parquet"),
         (["extract", "s.toml", "-o", "d.parquet", "--vehicle-width", "wide"], "allowed: a number"),
+        (["sample", "reference", "-n", "999999999999", "-o", "s.csv"], "allowed: up to 10000000"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -254,10 +160,8 @@ def test_a_broken_model_gets_one_message(content: str, folder: Path) -> None:
 
 
 def test_a_model_with_a_number_that_is_not_one(folder: Path) -> None:
-    import ldctoolkit
-
-    text = (Path(ldctoolkit.__file__).parent / "models" / "reference.json").read_text()
-    model = json.loads(text)
+    load_model("reference").save(folder / "m.json")
+    model = json.loads((folder / "m.json").read_text(encoding="utf-8"))
     model["sides"]["left"]["weights"][0] = None
     (folder / "m.json").write_text(json.dumps(model))
     assert "weights" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
@@ -281,21 +185,24 @@ def test_lists_and_version(tmp_path: Path) -> None:
         assert "usage: ldc " + command in good(command, "--help", cwd=tmp_path)
 
 
-def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "ldctoolkit", "--help"],
-        cwd=tmp_path, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+def test_a_process_starts_without_anything_heavy_and_ends_with_one_line(tmp_path: Path) -> None:
+    done = ldc_process("rnu", cwd=tmp_path, python=("-X", "importtime"))
+    assert (done.returncode, done.stdout) == (2, "")
+    imports, others = [], []
+    for line in done.stderr.splitlines():
+        (imports if line.startswith("import time:") else others).append(line)
+    loaded = {line.rpartition("|")[2].strip() for line in imports}
     heavy = {"polars", "pydantic", "scipy", "matplotlib", "casadi", "control", "osqp", "jinja2", "rich", "qpsolvers"}
+    assert "studies.cli.run" in loaded
     assert not loaded & heavy
+    (message,) = others
+    assert message.startswith("ldc: error: argument COMMAND: invalid choice: 'rnu' (choose from ")
 
 
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "controllers"],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        [sys.executable, "-m", "ldctoolkit", "models"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout is not None
     process.stdout.close()
     assert process.stderr is not None
@@ -303,6 +210,28 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     process.stderr.close()
     assert process.wait(600) == 1
     assert message == ""
+
+
+def test_an_interrupt_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ldctoolkit.scenario_model.load_model", interrupted)
+    done = ldc("models", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "ldc: interrupted\n")
+
+
+def test_a_command_leaves_the_log_of_its_process_as_it_was(folder: Path) -> None:
+    """Whoever calls `main` from their own program keeps their handlers."""
+    log, mine = logging.getLogger("studies"), logging.NullHandler()
+    log.addHandler(mine)
+    try:
+        good("--version", cwd=folder)
+        bad("rank", "nowhere", cwd=folder)
+        assert log.handlers == [mine]
+        assert log.propagate
+    finally:
+        log.removeHandler(mine)
 
 
 @pytest.mark.slow
@@ -335,37 +264,27 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     assert re.search(r"\d+ of 303 designs are not complete \(\d+ % of", bad("rank", "o", cwd=folder))
 
 
-def test_the_report_names_the_vehicle_and_a_width_that_contradicts_the_model(tmp_path: Path) -> None:
-    """A departure depends on the vehicle's width: a model found with another one is a warning, not a footnote."""
-    from ldctoolkit import load_model
+def test_the_report_names_the_vehicle_and_a_width_that_contradicts_the_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A departure depends on the vehicle's width: a model found with another one is a warning, not a footnote.
 
+    The stored command holds no absolute path, in whatever form one was given.
+    """
     model = load_model("reference")
-    source = {"criteria": {"vehicle_width": 1.8}}
-    text = json.loads(json.dumps(source))
-    changed = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source=text))
-    changed.save(tmp_path / "m.json")
+    provenance = dataclasses.replace(model.provenance, source={"criteria": {"vehicle_width": 1.8}})
+    dataclasses.replace(model, provenance=provenance).save(tmp_path / "m.json")
     study = STUDY.replace("[scenarios]", '[vehicle]\nm = 1234.0\n[scenarios]\nmodel = "m.json"')
     (tmp_path / "s.toml").write_text(study, encoding="utf-8")
-    good("run", "s.toml", "-o", "with space", "--workers", "1", cwd=tmp_path)
-    page = (tmp_path / "with space" / "report.html").read_text(encoding="utf-8")
+    out = tmp_path / "with space"
+    words = ["run", f"{tmp_path}/s.toml", "-o", f"{tmp_path}/a", f"-o{tmp_path}/b", f"--output={out}"]
+    words += ["--workers", "1", "--quiet", "--no-robustness", "--no-figures"]
+    monkeypatch.setattr(sys, "argv", [f"{tmp_path}/bin/ldc", *words])
+    good(*words, cwd=tmp_path)
+    page = (out / "report.html").read_text(encoding="utf-8")
     assert "1234 kg" in page
     assert "departures were found with a vehicle 1.8 m wide, the study drives one of" in page
-    manifest = json.loads((tmp_path / "with space" / "manifest.json").read_text(encoding="utf-8"))
-    assert manifest["command"] == "ldc run s.toml -o 'with space' --workers 1"
-
-
-@pytest.mark.parametrize("form", ["-o", "-oX", "--output="])
-def test_the_stored_command_holds_no_absolute_path(tmp_path: Path, form: str) -> None:
-    (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
-    folder = tmp_path / "deep" / "out"
-    words = [form, str(folder)] if form == "-o" else [form.replace("X", "") + str(folder)]
-    good(
-        "run", tmp_path / "s.toml", *words, "--workers", "1", "--quiet", "--no-robustness", "--no-figures", cwd=tmp_path
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["command"] == (
+        "ldc run s.toml -o a -ob '--output=with space' --workers 1 --quiet --no-robustness --no-figures"
     )
-    command = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["command"]
-    assert command.startswith("ldc run s.toml ")
-    assert "/" not in command
-
-
-def test_more_departures_than_fit_in_memory_are_refused(tmp_path: Path) -> None:
-    assert "allowed: up to 10000000" in bad("sample", "reference", "-n", "999999999999", "-o", "s.csv", cwd=tmp_path)

@@ -5,26 +5,20 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from helpers.cli import bad, ldc, printed_rows
 from studies import Study, read_results, run_study
-from studies.cli._race_table import print_race
+from studies.cli._results import print_race
 from studies.design import Design
-from studies.results import Dropped, Race, StudyResults
+from studies.results import Dropped, Race
 
-STUDY: dict[str, Any] = {
-    "name": "s",
-    "seed": 2,
-    "scenarios": {"left": 60, "right": 60},
-    "ranking": {"bootstrap": 200, "finalists": 2},
-    "design": [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.2]}, {"law": "preview_proportional"}],
-}
 RACE: dict[str, Any] = {
     "race": True,
     "scenarios": {"left": 100, "right": 100},
@@ -34,30 +28,25 @@ RACE: dict[str, Any] = {
 }
 
 
-def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "ldctoolkit", *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``plain`` with finalists, ``raced`` with a race; neither has a ranking.csv yet."""
-    root = tmp_path_factory.mktemp("rank")
-    for folder, parts in {"plain": {}, "raced": RACE}.items():
-        run_study(Study.from_dict(STUDY | parts), directory=root / folder, workers=1)
-    return root
+@pytest.fixture(scope="session")
+def raced(content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a race. To be read only."""
+    folder = tmp_path_factory.mktemp("rank") / "raced"
+    run_study(Study.from_dict(content | RACE), directory=folder, workers=1, progress=False)
+    return folder
 
 
 @pytest.fixture
-def good(folders: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def folder(folder: Path, raced: Path) -> Path:
+    """A folder with ``plain``, with finalists, and ``raced``; neither has a ranking.csv yet."""
+    shutil.copytree(raced, folder / "raced")
+    return folder
+
+
+@pytest.fixture
+def rank(folder: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        done = ldc("rank", *arguments, cwd=folders)
+        done = ldc("rank", *arguments, cwd=folder)
         assert done.returncode == 0, done.stderr
         return done
 
@@ -77,30 +66,61 @@ def column(rows: Iterable[dict[str, str]], name: str) -> list[str]:
     return [row[name] for row in rows]
 
 
-Good = Callable[..., subprocess.CompletedProcess[str]]
+Rank = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_the_studys_own_ranking(folders: Path, good: Good) -> None:
-    done = good("plain", "--top", 1)
+def test_the_studys_own_ranking(folder: Path, rank: Rank) -> None:
+    done = rank("plain", "--top", 1)
     assert "4 designs" in done.stdout
     assert "fresh S" in done.stdout
     assert done.stdout.splitlines()[-1] == f"ranking: {Path('plain') / 'ranking.csv'}"
-    assert column(rows_of(folders / "plain" / "ranking.csv"), "rank") == ["1", "2", "3", "4"]
-    assert good("plain", "--quiet").stdout == f"ranking: {Path('plain') / 'ranking.csv'}\n"
+    assert column(rows_of(folder / "plain" / "ranking.csv"), "rank") == ["1", "2", "3", "4"]
+    assert rank("plain", "--quiet").stdout == f"ranking: {Path('plain') / 'ranking.csv'}\n"
     # what is asked for and is the study's own changes nothing
-    same = good("plain", "--confidence", 0.95, "--quiet")
+    same = rank("plain", "--confidence", 0.95, "--quiet")
     assert (same.stdout, same.stderr) == (f"ranking: {Path('plain') / 'ranking.csv'}\n", "")
 
 
-def test_other_requirements_rank_others_and_change_no_file(folders: Path, good: Good, tmp_path: Path) -> None:
-    good("plain", "--quiet")
-    before = stored(folders / "plain")
-    S = {row["design"]: float(row["S_m_s"]) for row in rows_of(folders / "plain" / "ranking.csv")}
+def test_the_table_shows_what_the_file_holds(folder: Path, rank: Rank) -> None:
+    """Which column is which: every cell to the digits that are printed."""
+    above, below, *lines = printed_rows(rank("plain", "--top", 4).stdout)
+    headings = [f"{a} {b}".strip() for a, b in zip(above, below, strict=True)]
+    columns = {
+        "mean S [m s]": "S_m_s",
+        "to the best [m s]": "difference_to_best_m_s",
+        "reduction": "reduction",
+        "left": "reduction_left",
+        "right": "reduction_right",
+        "deeper 0.5 m": "deeper_than_D_y_share",
+        "fresh S [m s]": "fresh_S_m_s",
+    }
+    rows = rows_of(folder / "plain" / "ranking.csv")
+    assert len(rows) == len(lines) == 4
+    for line, row in zip(lines, rows, strict=True):
+        cells = dict(zip(headings, line, strict=True))
+        assert cells["#"] == row["rank"]
+        assert float(cells["y_s [m]"]) == float(row["y_s_m"])
+        low, high = (float(end) for end in cells["95% interval"].split(" .. "))
+        assert (low, high) == pytest.approx((float(row["S_low_m_s"]), float(row["S_high_m_s"])), abs=6e-4)
+        for heading, name in columns.items():
+            shown = cells[heading].removesuffix(" =")
+            if shown == "-":
+                assert row[name] == ""
+            elif shown.endswith(" %"):
+                assert float(shown[:-2]) == pytest.approx(100 * float(row[name]), abs=0.06)
+            else:
+                assert float(shown) == pytest.approx(float(row[name]), abs=6e-5)
+
+
+def test_other_requirements_rank_others_and_change_no_file(folder: Path, rank: Rank, tmp_path: Path) -> None:
+    rank("plain", "--quiet")
+    before = stored(folder / "plain")
+    S = {row["design"]: float(row["S_m_s"]) for row in rows_of(folder / "plain" / "ranking.csv")}
     best, second = sorted(S, key=lambda design: S[design])[:2]
     target = tmp_path / "r.csv"
     text = f"S > {S[best] + 1e-9!r}"
-    done = good("plain", "--require", text, "--require", "triggered >= 0", "-o", target)
-    assert stored(folders / "plain") == before
+    done = rank("plain", "--require", text, "--require", "triggered >= 0", "-o", target)
+    assert stored(folder / "plain") == before
     rows = rows_of(target)
     assert (rows[0]["design"], rows[0]["rank"]) == (second, "1")
     assert (rows[-1]["design"], rows[-1]["rank"], rows[-1]["unmet"] != "") == (best, "", True)
@@ -111,58 +131,55 @@ def test_other_requirements_rank_others_and_change_no_file(folders: Path, good: 
     assert done.stdout.splitlines()[-1] == f"ranking: {target}"
 
 
-def test_another_baseline_and_front_keep_the_fresh_scores(folders: Path, good: Good, tmp_path: Path) -> None:
+def test_another_baseline_and_front_keep_the_fresh_scores(folder: Path, rank: Rank, tmp_path: Path) -> None:
     target = tmp_path / "r.csv"
-    done = good("plain", "--baseline", "lqr", "--pareto", "S", "--pareto", "effort", "-o", target)
+    done = rank("plain", "--baseline", "lqr", "--pareto", "S", "--pareto", "effort", "-o", target)
     assert done.stderr == ""
     assert "fresh S" in done.stdout
     assert "Pareto front over S, effort_mean" in done.stdout
     rows = rows_of(target)
     compared = [row for row in rows if row["law"] == "lqr" and row["y_s_m"] == "0.05"]
     assert column(compared, "baseline_difference_m_s") == ["0.0"]
-    assert "Pareto" not in good("plain", "--pareto", "", "-o", target).stdout
+    assert "Pareto" not in rank("plain", "--pareto", "", "-o", target).stdout
 
 
-def test_more_confidence_makes_wider_intervals(folders: Path, good: Good, tmp_path: Path) -> None:
-    good("plain", "--quiet")
-    done = good("plain", "--confidence", 0.99, "-o", tmp_path / "r.csv")
+def test_more_confidence_makes_wider_intervals(folder: Path, rank: Rank, tmp_path: Path) -> None:
+    rank("plain", "--quiet")
+    done = rank("plain", "--confidence", 0.99, "-o", tmp_path / "r.csv")
     assert "99%" in done.stdout
-    own, wide = rows_of(folders / "plain" / "ranking.csv"), rows_of(tmp_path / "r.csv")
+    own, wide = rows_of(folder / "plain" / "ranking.csv"), rows_of(tmp_path / "r.csv")
     assert column(own, "S_m_s") == column(wide, "S_m_s")
     assert all(float(b["S_low_m_s"]) < float(a["S_low_m_s"]) for a, b in zip(own, wide, strict=True))
 
 
-def test_json(good: Good) -> None:
-    own = json.loads(good("plain", "--json").stdout)
+def test_json(folder: Path, rank: Rank) -> None:
+    own = json.loads(rank("plain", "--json").stdout)
     assert (own["event"], own["designs"], own["confidence"], own["race"]) == ("ranked", 4, 0.95, None)
     assert own["ranking"] == str(Path("plain") / "ranking.csv")
-    assert own["winner"]["S_fresh_m_s"] > 0
-    done = good("plain", "--json", "--require", "S <= 0.0001")
+    first = rows_of(folder / "plain" / "ranking.csv")[0]
+    for name, column_name in {"S_m_s": "S_m_s", "S_low_m_s": "S_low_m_s", "S_high_m_s": "S_high_m_s",
+                              "S_fresh_m_s": "fresh_S_m_s"}.items():  # fmt: skip
+        assert own["winner"][name] == float(first[column_name]) > 0
+    done = rank("plain", "--json", "--require", "S <= 0.0001")
     other = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1
     assert (other["winner"], len(other["not_ranked"]), other["ranking"]) == (None, 4, None)
     assert other["require"] == ["S <= 0.0001"]
 
 
-@pytest.fixture(scope="module")
-def race(folders: Path) -> StudyResults:
-    results = read_results(folders / "raced")
+def test_a_race_is_told_and_what_it_gave_up_is_listed(folder: Path, rank: Rank) -> None:
+    results = read_results(folder / "raced")
     assert results.race is not None
     assert results.race.dropped
-    return results
-
-
-def test_a_race_is_told_and_what_it_gave_up_is_listed(folders: Path, good: Good, race: StudyResults) -> None:
-    assert race.race is not None
-    done = good("raced")
+    done = rank("raced")
     assert re.search(r"^round 1: 100 scenarios, \d of 4 designs given up$", done.stdout, re.M)
     assert "% of the full study's" in done.stdout
-    rows = rows_of(folders / "raced" / "ranking.csv")
+    rows = rows_of(folder / "raced" / "ranking.csv")
     cases = column(rows, "window")
     # behind the ranked ones of the primary case, and nowhere else
-    assert cases == ["departure"] * 4 + ["control"] * len(race.designs)
-    behind, others = rows[len(race.designs) : 4], [*rows[: len(race.designs)], *rows[4:]]
-    for row, one in zip(behind, race.race.dropped, strict=True):
+    assert cases == ["departure"] * 4 + ["control"] * len(results.designs)
+    behind, others = rows[len(results.designs) : 4], [*rows[: len(results.designs)], *rows[4:]]
+    for row, one in zip(behind, results.race.dropped, strict=True):
         assert (row["design"], row["law"], row["y_s_m"]) == (one.design.id, one.design.law, repr(one.design.y_s))
         assert (row["dropped_in_round"], row["dropped_scenarios"]) == (str(one.round), str(one.scenarios))
         assert (float(row["dropped_S_m_s"]), float(row["dropped_low_m_s"])) == (one.S, one.low)
@@ -171,7 +188,7 @@ def test_a_race_is_told_and_what_it_gave_up_is_listed(folders: Path, good: Good,
         assert (row["rank"], row["S_m_s"], row["set_of_best"], row["failure"]) == ("", "", "", "")
     for name in ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s"):
         assert set(column(others, name)) == {""}
-    assert json.loads(good("raced", "--json").stdout)["race"]["dropped"] == len(behind)
+    assert json.loads(rank("raced", "--json").stdout)["race"]["dropped"] == len(behind)
 
 
 @pytest.mark.parametrize(("number", "words"), [(1, "1 design was"), (2, "2 designs were"), (0, "0 designs were")])
@@ -185,8 +202,8 @@ def test_one_design_is_told_as_one(number: int, words: str, capsys: pytest.Captu
     assert f"75.0 % of the full study's; {words} separable from the best" in lines[2]
 
 
-def test_other_settings_of_a_raced_study(good: Good, race: StudyResults) -> None:
-    done = good("raced", "--confidence", 0.99, "--quiet")
+def test_other_settings_of_a_raced_study(rank: Rank) -> None:
+    done = rank("raced", "--confidence", 0.99, "--quiet")
     assert "ldc: warning: the race gave designs up at the study's own confidence, 0.95" in done.stderr
 
 
@@ -205,12 +222,9 @@ def test_other_settings_of_a_raced_study(good: Good, race: StudyResults) -> None
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_wrong_settings_get_one_message(arguments: list[str], message: str, folders: Path, race: StudyResults) -> None:
-    assert race.race is not None
-    before = stored(folders)
-    dropped = race.race.dropped[0].design.id
-    done = ldc("rank", *(dropped if word == "DROPPED" else word for word in arguments), cwd=folders)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"ldc: error: [^\n]+\n", done.stderr), done.stderr
-    assert message in done.stderr
-    assert stored(folders) == before
+def test_wrong_settings_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
+    if "DROPPED" in arguments:
+        race = read_results(folder / "raced").race
+        assert race is not None
+        arguments = [*arguments[:-1], race.dropped[0].design.id]
+    assert message in bad("rank", *arguments, cwd=folder)

@@ -9,8 +9,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from helpers.cli import bad, good, ldc, printed_rows
 from studies import Study, read_results, run_study
-from studies.cli import main
 
 STUDY = {
     "name": "tiny",
@@ -38,29 +38,12 @@ def folder(finished: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "out"))
 
 
-def refused(arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Exit code 2, one line on stderr, no file."""
-    try:
-        code = main(["sensitivity", *arguments])
-    except SystemExit as ended:  # argparse
-        code = ended.code  # type: ignore[assignment]
-    out = capsys.readouterr()
-    assert code == 2
-    assert out.out == ""
-    assert out.err.startswith("ldc: error: ")
-    assert out.err.count("\n") == 1
-    assert not (folder / "sensitivity.csv").exists()
-    return out.err
-
-
-def test_indices_and_profiles_are_printed_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sensitivity", str(folder), "--points", "3"]) == 0
-    out = capsys.readouterr()
-    assert out.err == ""
+def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
+    out = good("sensitivity", folder, "--points", "3", cwd=folder)
     for words in ("design[1], Preview P: Sobol indices", "design[2], LQR: Sobol indices", "first order only",
                   "intervals over scenarios", "one at a time, departure window"):  # fmt: skip
-        assert words in out.out
-    assert out.out.endswith(f"sensitivity: {folder / 'sensitivity.csv'}\n")
+        assert words in out
+    assert out.endswith(f"sensitivity: {folder / 'sensitivity.csv'}\n")
     table = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None)
     counts = table.group_by("kind").len()
     assert dict(zip(counts["kind"], counts["len"], strict=True)) == {
@@ -68,52 +51,54 @@ def test_indices_and_profiles_are_printed_and_written(folder: Path, capsys: pyte
         "total": 2,
         "profile": table.filter(pl.col("kind") == "profile").height,
     }
+    # the printed indices are those of the file
+    for name in ("y_s", "K_y"):
+        (cells,) = [row for row in printed_rows(out) if row[0] == name and " .. " in row[2] and len(row) == 5]
+        first, total = (table.filter(kind=kind, dimension=name).row(0, named=True) for kind in ("first", "total"))
+        for shown, interval, stored in ((cells[1], cells[2], first), (cells[3], cells[4], total)):
+            ends = [float(end) for end in interval.split(" .. ")]
+            wanted = [float(stored[key]) for key in ("index", "index_low", "index_high")]
+            assert [float(shown), *ends] == pytest.approx(wanted, abs=6e-4)
     # the design with the smallest mean S is the middle
     results = read_results(folder)
     best = results.designs[int(results.cases[0].counted.mean(axis=1).argmin())]
-    assert f"Around {best.label} ({best.id}), the winner, one at a time" in out.out
+    assert f"Around {best.label} ({best.id}), the winner, one at a time" in out
     assert best.id in table["design"]
 
 
-def test_the_middle_the_case_and_the_points_can_be_chosen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_middle_the_case_and_the_points_can_be_chosen(folder: Path) -> None:
     middle = next(d for d in Study.from_dict(STUDY).designs if d.law == "preview_proportional")
-    assert main(["sensitivity", str(folder), "--design", middle.id[:8], "--points", "0", "--case", "2"]) == 0
-    first = capsys.readouterr()
-    assert "control window" in first.out
-    assert "different y_s are not comparable" in first.err
-    assert middle.label in first.out
+    first = ldc("sensitivity", folder, "--design", middle.id[:8], "--points", "0", "--case", "2", cwd=folder)
+    assert "control window" in first.stdout
+    assert "different y_s are not comparable" in first.stderr
+    assert middle.label in first.stdout
     profile = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None).filter(pl.col("kind") == "profile")
     assert profile["stored"].to_list() == [True] * 4
     assert profile["dimension"].to_list() == ["y_s", "y_s", "K_y", "K_y"]
-    assert main(["sensitivity", str(folder), "--design", middle.label, "--points", "0", "--case", "2"]) == 0
-    assert capsys.readouterr().out == first.out
+    again = good("sensitivity", folder, "--design", middle.label, "--points", "0", "--case", "2", cwd=folder)
+    assert again == first.stdout
 
 
-def test_the_middle_is_no_winner_where_nothing_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_middle_is_no_winner_where_nothing_is_ranked(tmp_path: Path) -> None:
     settings = STUDY["ranking"] | {"require": ["S <= 0"]}  # type: ignore[operator]
     study = Study.from_dict(STUDY | {"ranking": settings, "design": STUDY["design"][:2]})  # type: ignore[index]
     run_study(study, directory=tmp_path / "out", workers=1, progress=False)
-    capsys.readouterr()
-    assert main(["sensitivity", str(tmp_path / "out"), "--points", "0"]) == 0
-    out = capsys.readouterr().out
+    out = good("sensitivity", "out", "--points", "0", cwd=tmp_path)
     assert ", smallest mean S, not ranked, one at a time, departure window" in out
     assert "the winner" not in out
 
 
-def test_a_design_without_neighbours_has_no_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_design_without_neighbours_has_no_profile(folder: Path) -> None:
     nothing = Study.from_dict(STUDY).designs[0]
-    assert main(["sensitivity", str(folder), "--design", nothing.id]) == 0
-    assert "nothing varies in the designs of this law" in capsys.readouterr().out
+    out = good("sensitivity", folder, "--design", nothing.id, cwd=folder)
+    assert "nothing varies in the designs of this law" in out
 
 
-def test_without_salib_the_rest_goes_on(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_salib_the_rest_goes_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "SALib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "SALib", None)
-    assert main(["sensitivity", str(folder), "--points", "0"]) == 0
-    out = capsys.readouterr().out
+    out = good("sensitivity", folder, "--points", "0", cwd=folder)
     assert "design[2], LQR: no Sobol indices: Sobol indices of a sample need SALib" in out
     assert 'pip install "ldctoolkit[sensitivity]"' in out
     assert "design[1], Preview P: Sobol indices" in out
@@ -130,11 +115,9 @@ def test_without_salib_the_rest_goes_on(
         (["--design", "No control, y_s=0.3 m"], "did you mean 'No control, y_s=0.2 m'? (allowed: a label, or the"),
     ],
 )
-def test_wrong_input_is_one_line(
-    arguments: list[str], words: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert words in refused([str(folder), *arguments], folder, capsys)
+def test_wrong_input_is_one_line(arguments: list[str], words: str, folder: Path) -> None:
+    assert words in bad("sensitivity", "out", *arguments, cwd=folder.parent)
 
 
-def test_a_folder_without_a_study_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "holds no study" in refused([str(tmp_path)], tmp_path, capsys)
+def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
+    assert "holds no study" in bad("sensitivity", ".", cwd=tmp_path)
