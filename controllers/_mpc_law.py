@@ -131,14 +131,6 @@ class MPCLaw(SteeringLaw):
         """Of the last sample: status 1 where the answer could be used, residuals as in `MPCState`."""
         return state.calls
 
-    def unconstrained(self, x: FloatArray, yaw_rate: FloatArray) -> FloatArray:
-        """Optimal commands over the horizon if there were no limits, (n, N) [rad]."""
-        from controllers import _mpc_kernel as kernel
-
-        U = np.empty((x.shape[0], self.horizon))
-        kernel.plans(self.condensed, self.limits, np.ascontiguousarray(x), np.ascontiguousarray(yaw_rate), U)
-        return U
-
     def step(
         self,
         t: FloatArray,

@@ -4,16 +4,15 @@ Two forces and one moment balance (Rajamani, *Vehicle Dynamics and Control*, 2nd
 angles, with the Magic Formula (Pacejka, *Tyre and Vehicle Dynamics*, section 4.3) for the lateral force. Static wheel
 loads, no load transfer, no longitudinal tyre force. At straight driving it linearises to Rajamani's eq. 2.45.
 
-The closed loop does not call CasADi: `tools/compile_nonlinear.py` translates `nonlinear_dynamics` into
+The closed loop does not call CasADi: `compile_nonlinear.py` translates `nonlinear_dynamics` into
 `ldctoolkit.vehicle._nonlinear_compiled`.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-GRAVITY: Final = 9.81
-"""Gravitational acceleration [m/s^2] of the static wheel loads."""
+from ldctoolkit.vehicle.parameters import GRAVITY
 
 INPUTS: Final = ("e_y_rate", "e_psi", "e_psi_rate", "delta", "r", "v", "dv")
 PARAMETERS: Final = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z", "mu", "shape")
