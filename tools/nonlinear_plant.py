@@ -10,55 +10,13 @@ The closed loop does not call CasADi: `compile_nonlinear.py` translates `nonline
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 from ldctoolkit.vehicle.parameters import GRAVITY
 
 INPUTS: Final = ("e_y_rate", "e_psi", "e_psi_rate", "delta", "r", "v", "dv")
 PARAMETERS: Final = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z", "mu", "shape")
 OUTPUTS: Final = ("e_y_acceleration", "e_psi_acceleration", "a_y")
-AXLES: Final = ("F_f", "F_r", "alpha_f", "alpha_r")
-
-
-class _Axles(NamedTuple):
-    """CasADi expressions of the two axles, and of the motion they come from."""
-
-    F_f: Any
-    F_r: Any
-    alpha_f: Any
-    alpha_r: Any
-    v_y: Any
-    omega: Any
-    sin: Any  # of e_psi
-    cos: Any
-
-
-def _symbols() -> dict[str, Any]:
-    import casadi
-
-    return {name: casadi.SX.sym(name) for name in (*INPUTS, *PARAMETERS)}
-
-
-def _axle_force(alpha: Any, C_alpha: Any, F_z: Any, mu: Any, shape: Any) -> Any:
-    """Lateral force of the two tyres of an axle; slope 2 C_alpha at zero, at most 2 mu F_z, F_z the load of one."""
-    import casadi
-
-    return 2.0 * mu * F_z * casadi.sin(shape * casadi.atan(C_alpha * alpha / (shape * mu * F_z)))
-
-
-def _axles(s: dict[str, Any]) -> _Axles:
-    import casadi
-
-    v, l_f, l_r = s["v"], s["l_f"], s["l_r"]
-    sin, cos = casadi.sin(s["e_psi"]), casadi.cos(s["e_psi"])
-    v_y = (s["e_y_rate"] - v * sin) / cos
-    omega = s["e_psi_rate"] + s["r"]
-    alpha_f = s["delta"] - casadi.atan((v_y + l_f * omega) / v)
-    alpha_r = -casadi.atan((v_y - l_r * omega) / v)
-    load = s["m"] * GRAVITY / (2.0 * (l_f + l_r))
-    F_f = _axle_force(alpha_f, s["C_af"], load * l_r, s["mu"], s["shape"])
-    F_r = _axle_force(alpha_r, s["C_ar"], load * l_f, s["mu"], s["shape"])
-    return _Axles(F_f, F_r, alpha_f, alpha_r, v_y, omega, sin, cos)
 
 
 def nonlinear_dynamics() -> Any:
@@ -89,37 +47,31 @@ def nonlinear_dynamics() -> Any:
     """
     import casadi
 
-    s = _symbols()
-    axles = _axles(s)
-    v, sin, cos = s["v"], axles.sin, axles.cos
-    front = axles.F_f * casadi.cos(s["delta"])
-    a_y = (front + axles.F_r) / s["m"]
-    v_y_rate = a_y - v * axles.omega
-    e_y_acceleration = s["dv"] * sin + v * cos * s["e_psi_rate"] + v_y_rate * cos - axles.v_y * sin * s["e_psi_rate"]
-    e_psi_acceleration = (s["l_f"] * front - s["l_r"] * axles.F_r) / s["I_z"]
+    s = {name: casadi.SX.sym(name) for name in (*INPUTS, *PARAMETERS)}
+    v, l_f, l_r = s["v"], s["l_f"], s["l_r"]
+    sin, cos = casadi.sin(s["e_psi"]), casadi.cos(s["e_psi"])
+    v_y = (s["e_y_rate"] - v * sin) / cos
+    omega = s["e_psi_rate"] + s["r"]
+    load = s["m"] * GRAVITY / (2.0 * (l_f + l_r))
+    front = _axle_force(s["delta"] - casadi.atan((v_y + l_f * omega) / v), s["C_af"], load * l_r, s) * casadi.cos(
+        s["delta"]
+    )
+    rear = _axle_force(-casadi.atan((v_y - l_r * omega) / v), s["C_ar"], load * l_f, s)
+    a_y = (front + rear) / s["m"]
+    v_y_rate = a_y - v * omega
+    e_y_acceleration = s["dv"] * sin + v * cos * s["e_psi_rate"] + v_y_rate * cos - v_y * sin * s["e_psi_rate"]
+    e_psi_acceleration = (l_f * front - l_r * rear) / s["I_z"]
     outputs = [e_y_acceleration, e_psi_acceleration, a_y]
     return casadi.Function("nonlinear_dynamics", list(s.values()), outputs, list(s), list(OUTPUTS))
 
 
-def nonlinear_axles() -> Any:
-    """Lateral forces and slip angles of the two axles as a CasADi function of scalars.
+def _axle_force(alpha: Any, C_alpha: Any, F_z: Any, s: dict[str, Any]) -> Any:
+    """Lateral force of the two tyres of an axle, F_z the load of one.
 
-    The Magic Formula without curvature factor (Pacejka, section 4.3, E = 0) with D = mu F_z and
-    B C D = C_alpha: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))) for each tyre; static loads
-    F_z = m g l_r/(2 L) front and m g l_f/(2 L) rear, L = l_f + l_r; slip angles as in Rajamani, section 2.3.
-
-    Returns
-    -------
-    casadi.Function
-        Inputs of `nonlinear_dynamics`; outputs F_f, F_r (both tyres of an axle) [N], alpha_f, alpha_r [rad].
-
-    Examples
-    --------
-    >>> f = nonlinear_axles()
-    >>> f.name_out()
-    ['F_f', 'F_r', 'alpha_f', 'alpha_r']
+    The Magic Formula without curvature factor (Pacejka, section 4.3, E = 0) with D = mu F_z and B C D = C_alpha:
+    slope 2 C_alpha at zero, at most 2 mu F_z.
     """
     import casadi
 
-    s = _symbols()
-    return casadi.Function("nonlinear_axles", list(s.values()), list(_axles(s)[:4]), list(s), list(AXLES))
+    mu, shape = s["mu"], s["shape"]
+    return 2.0 * mu * F_z * casadi.sin(shape * casadi.atan(C_alpha * alpha / (shape * mu * F_z)))

@@ -45,7 +45,7 @@ def test_equal_functions_share_one_interpolant_and_others_do_not() -> None:
 
 
 def test_a_speed_has_the_same_bits_in_any_set() -> None:
-    v = np.random.default_rng(1).uniform(*SPEED_RANGE, 200)
+    v = np.random.default_rng(1).uniform(*SPEED_RANGE, 70)
     together = scheduled(_Smooth(1.0), v, "values")
     alone = np.concatenate([scheduled(_Smooth(1.0), v[i : i + 1], "values") for i in range(v.size)])
     np.testing.assert_array_equal(together, alone)
