@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -138,18 +137,6 @@ def test_a_scenario_does_not_notice_a_slow_neighbour() -> None:
     np.testing.assert_array_equal(command(both, x, clothoid(both, r, slope))[:1], one)
 
 
-def test_rows_do_not_mix() -> None:
-    rng = np.random.default_rng(2)
-    law = PurePursuit(delta_max=1.0).prepare(plant_at(*rng.uniform(3, 40, 9)))
-    x, preview = rng.normal(0, 0.1, (9, 4)), clothoid(law, *rng.normal(0, 0.02, (2, 9)))
-    delta = command(law, x, preview)
-    for rows in (np.array([1, 4, 6]), np.array([8])):
-        some, _ = law.take(rows, None)
-        np.testing.assert_array_equal(some.preview_times, law.preview_times)
-        part = Preview(preview.yaw_rate[rows], preview.heading[rows])
-        np.testing.assert_array_equal(command(some, x[rows], part), delta[rows])
-
-
 @pytest.mark.parametrize("dt", [0.05, 0.1])
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     v = np.linspace(10, 40, 31)
@@ -166,40 +153,7 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     assert (-s.real / np.abs(s)).min() > 0.45
 
 
-NUMBER = st.floats(-3.0, 3.0)
-
-
-@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, slope=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(x: tuple[float, ...], r: float, slope: float, v: float) -> None:
-    law = PurePursuit().prepare(plant_at(v))
-    preview = clothoid(law, np.array([r]), np.array([slope]))
-    mirrored = Preview(-preview.yaw_rate, -preview.heading)
-    one, other = command(law, np.array([x]), preview), command(law, -np.array([x]), mirrored)
-    np.testing.assert_array_equal(one, -other)
-    assert abs(one[0]) <= 0.1
-
-
-def test_it_brings_departures_back() -> None:
-    scenarios = Scenarios.from_arrays(
-        T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
-    )
-    out = simulate(PurePursuit(), scenarios, y_s=0.1, settle=10.0, trajectories=True)
-    assert (out.status == EventStatus.OK).all()
-    assert (out.reduction > 0.2).all()
-    paths = out.trajectories
-    assert paths is not None
-    for i in range(4):
-        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
-        # what side slip leaves in a bend: tan(delta) = L c where delta_ss = L c + understeer is needed
-        assert abs(e_y[-1]) < (0.01 if scenarios.c_0[i] == 0 else 0.15)
-        assert e_y.min() > -0.3
-    assert np.nanmax(np.abs(paths.delta)) <= 0.1
-
-
-def test_designs_are_values_and_checked() -> None:
-    assert pickle.loads(pickle.dumps(PurePursuit(T_lp=2.0))) == PurePursuit(T_lp=2.0)
-    with pytest.raises(InputError, match=r"pure_pursuit\.T_lp: -1\.0; allowed: a number from 0 to 10 s"):
-        PurePursuit(T_lp=-1.0)
+def test_a_goal_behind_the_centre_of_gravity_is_named() -> None:
     long = BicycleModel(VehicleParameters(l_r=3.0))
     with pytest.raises(InputError, match=r"pure_pursuit\.l_min: 2 m; allowed: more than l_r = 3 m"):
         PurePursuit(l_min=2.0).prepare(plant_at(20.0, model=long))

@@ -145,7 +145,8 @@ def driven(
     factors = {name: low + (high - low) * u for name, (low, high), u in zip(names, ranges, draws, strict=True)}
     draw = normals(SEED, scenarios.index, RandomStream.CURVATURE, 1)[i, 0]
     return reference.drive(
-        reference.Path.of(scenarios, i, a, b), formula, options=options, vehicle=nominal, true=nominal.times(**factors), y_s=Y_S, dt=dt, settle=SETTLE,
+        reference.Path.of(scenarios, i, a, b), formula, options=options, vehicle=nominal,
+        true=nominal.times(**factors), y_s=Y_S, dt=dt, settle=SETTLE,
         curvature_draw=options.sensors.curvature_noise * draw,
     )  # fmt: skip
 
