@@ -12,6 +12,7 @@ from controllers import LQR
 from controllers.lqi import LQI
 from controllers.riccati import regulator
 from helpers.grids import grid
+from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Sensors
 
@@ -102,13 +103,12 @@ def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
 def closed_loop(plant: Plant, law: LinearLaw, r: np.ndarray, steps: int) -> np.ndarray:
     """The state after a bend of lane yaw rate r, written out."""
     x, z = np.tile([0.9, 0.1, 0.02, 0.0], (plant.n, 1)), np.zeros(plant.n)
-    step = plant.step
     for _ in range(steps):
         delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
         if law.f_i is not None:
             delta += law.f_i * z
         z = z + plant.dt * x[:, 0]
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+        x = moved(plant, x, delta, r)
     return x
 
 

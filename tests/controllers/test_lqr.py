@@ -9,6 +9,7 @@ import pytest
 from controllers import LQR
 from controllers.riccati import SPEED_RANGE, feedback, regulator
 from helpers.grids import grid, some
+from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
 from ldctoolkit.errors import InputError
 
@@ -44,10 +45,9 @@ def test_a_bend_leaves_no_bias() -> None:
     assert isinstance(law, LinearLaw)
     r = 2.0 / plant.v  # 2 m/s^2
     x = np.tile([0.9, 0.1, 0.02, 0.0], (3, 1))
-    step = plant.step
     for _ in range(2000):
         delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+        x = moved(plant, x, delta, r)
     np.testing.assert_allclose(x[:, 0], 0.0, atol=1e-9)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from controllers.pid import PID, PIDLaw
+from helpers.sampled_plant import DT, moved, plant_at
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -22,14 +23,9 @@ from ldctoolkit import (
     simulate,
 )
 
-DT = 0.05
 SOME = Scenarios.from_arrays(
     T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
 )
-
-
-def plant_at(*v: float, model: BicycleModel | None = None, dt: float = DT) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), dt)
 
 
 def lane(r: np.ndarray) -> Preview:
@@ -50,8 +46,7 @@ def closed_loop(
     state, e_y, integral = law.init(r.size), [], []
     for _ in range(steps):
         delta, state = command(law, x, r, state)
-        step = driven.step
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+        x = moved(driven, x, delta, r)
         e_y.append(x[:, 0])
         integral.append(state)
     return np.array(e_y), np.array(integral)
@@ -129,7 +124,7 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s() -> None:
         else:
             state += small
         delta, after = command(law, x, np.zeros(v.size), state)
-        loop[:, :4, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+        loop[:, :4, i] = moved(plant, x, delta) / small
         loop[:, 4, i] = after / small
     poles = np.log(np.linalg.eigvals(loop).astype(complex)) / DT
     assert (poles.real < -0.05).all()

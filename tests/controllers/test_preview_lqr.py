@@ -9,6 +9,7 @@ import pytest
 from controllers import LQR, LinearMPC
 from controllers.preview_lqr import PreviewLQR
 from helpers.grids import grid, some
+from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, Preview, Scenarios, VehicleParameters, simulate
 
 DT = 0.05
@@ -119,7 +120,7 @@ def test_feedback_and_constant_bends_are_those_of_the_lqr() -> None:
 
 def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.ndarray:
     """The sum of the design's cost over a lane yaw rate r (steps + 1) that ends in a constant, from rest."""
-    steady, step = plant.steady_state(), plant.step
+    steady = plant.steady_state()
     x, total = np.zeros((plant.n, 4)), np.zeros(plant.n)
     ahead = law.preview_times.size
     held = np.concatenate([r, np.full(ahead, r[-1])])
@@ -129,7 +130,7 @@ def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.
         z[:, 2] -= steady.e_psi * r[k]
         u = delta - 0.5 * steady.delta * (r[k] + r[k + 1])
         total += np.einsum("ni,ij,nj->n", z, weights(design), z) + design.r_delta * u**2
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + step.E_0 * r[k] + step.E_1 * r[k + 1]
+        x = moved(plant, x, delta, r[k], np.full(plant.n, r[k + 1]))
     return total
 
 

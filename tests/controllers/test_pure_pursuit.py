@@ -11,15 +11,11 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from controllers.pure_pursuit import PurePursuit, PurePursuitLaw
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from helpers.sampled_plant import closed_loop_matrices, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.errors import InputError
 
-DT = 0.05
 L_R, WHEEL_BASE = 1.47, 2.9
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def clothoid(law: PurePursuitLaw, r: np.ndarray, slope: np.ndarray) -> Preview:
@@ -140,14 +136,10 @@ def test_a_scenario_does_not_notice_a_slow_neighbour() -> None:
 @pytest.mark.parametrize("dt", [0.05, 0.1])
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     v = np.linspace(10, 40, 31)
-    plant = Plant.build(BicycleModel(), v, dt)
-    law, loop, small = PurePursuit().prepare(plant), np.zeros((v.size, 4, 4)), 1e-5
+    plant = plant_at(*v, dt=dt)
+    law = PurePursuit().prepare(plant)
     straight = clothoid(law, np.zeros(v.size), np.zeros(v.size))
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        delta = command(law, x, straight)
-        loop[:, :, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, straight))
     s = np.log(np.linalg.eigvals(loop).astype(complex)) / dt
     assert (s.real < -0.7).all()
     assert (-s.real / np.abs(s)).min() > 0.45

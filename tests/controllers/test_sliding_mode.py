@@ -12,14 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
+from helpers.sampled_plant import DT, closed_loop_matrices, moved, plant_at
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, VehicleParameters
 
-DT = 0.05
 OTHER = BicycleModel(VehicleParameters(m=1300.0, C_af=64000.0, C_ar=90000.0))
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def command(
@@ -29,12 +25,6 @@ def command(
     delta, w, status = law.step(np.zeros(r.size), x, preview, np.zeros(r.size), w)
     np.testing.assert_array_equal(status, EventStatus.OK)
     return delta, w
-
-
-def moved(plant: Plant, x: np.ndarray, delta: np.ndarray, r: np.ndarray, r_next: np.ndarray) -> np.ndarray:
-    step = plant.step
-    lane = step.E_0 * r[:, None] + step.E_1 * r_next[:, None]
-    return np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + lane
 
 
 def sliding_variable(design: SlidingMode, plant: Plant, x: np.ndarray, r: np.ndarray) -> np.ndarray:
@@ -131,11 +121,8 @@ def test_zero_dynamics_are_damped_by_the_preview(T_lp: float, least: float) -> N
     design = SlidingMode(T_lp=T_lp, k_1=0.0, k_2=0.0, delta_max=1.0)
     v = np.linspace(10, 40, 31)
     plant = plant_at(*v)
-    law, loop, small, zero = design.prepare(plant), np.zeros((v.size, 4, 4)), 1e-4, np.zeros(v.size)
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        loop[:, :, i] = moved(plant, x, command(law, x, zero, zero, zero)[0], zero, zero) / small
+    law, zero = design.prepare(plant), np.zeros(v.size)
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, zero, zero, zero)[0])
     z = np.linalg.eigvals(loop)
     order = np.argsort(-np.abs(z), axis=1)
     z = np.take_along_axis(z, order, axis=1)

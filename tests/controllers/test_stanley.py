@@ -8,14 +8,10 @@ import numpy as np
 import pytest
 
 from controllers.stanley import Stanley, StanleyLaw
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, VehicleParameters
+from helpers.sampled_plant import DT, closed_loop_matrices, moved, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Preview, VehicleParameters
 
-DT = 0.05
 OTHER = VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def command(
@@ -88,8 +84,7 @@ def test_a_bend_leaves_no_offset_of_the_front_axle(vehicle: VehicleParameters) -
         law, x = Stanley(k_ag=k_ag).prepare(plant), np.zeros((3, 4))
         for _ in range(600):
             delta = command(law, x, r)
-            step = plant.step
-            x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+            x = moved(plant, x, delta, r)
         ends[k_ag] = x
     e_psi = plant.steady_state().e_psi * r
     front = ends[1.0][:, 0] + vehicle.l_f * np.sin(e_psi) - 0.5 * vehicle.l_f**2 * r / plant.v
@@ -101,12 +96,8 @@ def test_a_bend_leaves_no_offset_of_the_front_axle(vehicle: VehicleParameters) -
 def poles(design: Stanley, v: np.ndarray) -> np.ndarray:
     """Of the sampled loop about the lane's centre, in continuous time."""
     plant = plant_at(*v)
-    law, loop, small = design.prepare(plant), np.zeros((v.size, 4, 4)), 1e-5
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        delta = command(law, x, np.zeros(v.size))
-        loop[:, :, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+    law = design.prepare(plant)
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, np.zeros(v.size)))
     return np.log(np.linalg.eigvals(loop).astype(complex)) / DT
 
 
