@@ -108,6 +108,8 @@ class Path:
 
     def _wave(self, amplitudes: tuple[float, ...], order: int, t: Times) -> Times:
         """Sum of amplitude times w^order sin(w t + order pi/2); order 1 and its kin are the derivatives of order 0."""
+        if not amplitudes:
+            return 0.0 * t
         w = np.arange(1, len(amplitudes) + 1) * np.pi / self.T
         return (np.array(amplitudes) * w**order) @ np.sin(np.multiply.outer(w, t) + order * np.pi / 2)
 
