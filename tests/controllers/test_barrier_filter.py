@@ -414,9 +414,6 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             InputError,
             r"drifting\.broken_at: 1\.5; .* whole number",
         ),
-        ({"e_y_max": 0.0}, InputError, r"barrier_filter\.e_y_max: 0\.0; allowed: a number from 0\.1 to 10 m"),
-        ({"gamma_1": 1.5}, InputError, r"barrier_filter\.gamma_1: 1\.5"),
-        ({"gamma_2": 0.0}, InputError, r"barrier_filter\.gamma_2: 0\.0"),
     ],
 )
 def test_mistakes_are_named(given: dict[str, Any], error: type[LdcError], message: str) -> None:

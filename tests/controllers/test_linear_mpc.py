@@ -75,8 +75,7 @@ def problem(
 
 
 def first_commands(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray) -> Any:
-    law = design.prepare(plant)
-    delta, _, status = law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+    delta, _, status = first_state(design, plant, x, preview, prev)
     return delta, status
 
 

@@ -131,10 +131,6 @@ class Case:
         return float(B @ self._weights[1] @ B)
 
 
-def one_sample_each(N: int) -> np.ndarray:
-    return np.eye(N)
-
-
 def blocked(N: int, starts: list[int]) -> np.ndarray:
     held = np.zeros((N, len(starts)))
     for k, (first, last) in enumerate(zip(starts, [*starts[1:], N], strict=True)):
@@ -171,7 +167,7 @@ def test_soft_limits_equal_another_solver(number: int, solver: str) -> None:
     slacks = np.zeros((24, 3))
     for i in range(24):
         case = Case(design, plant, i, x[i], preview.yaw_rate[i], prev[i])
-        first, slacks[i] = case.solve(one_sample_each(10))
+        first, slacks[i] = case.solve(np.eye(10))
         assert delta[i] == pytest.approx(first, abs=1e-6), i
         np.testing.assert_allclose(state.slack[i], slacks[i], rtol=1e-4, atol=1e-5)
     assert (slacks.max(axis=1) > 1e-3).sum() > 2, "some cannot be met"
@@ -186,7 +182,7 @@ def test_the_penalty_is_exact() -> None:
     binding = 0
     for i in range(plant.n):
         case = Case(design, plant, i, x[i], preview.yaw_rate[i], prev[i])
-        first, _ = case.solve(one_sample_each(10), hard_soft=True)
+        first, _ = case.solve(np.eye(10), hard_soft=True)
         if np.isfinite(first):
             assert delta[i] == pytest.approx(first, abs=1e-6)
             np.testing.assert_allclose(state.slack[i], 0.0, atol=1e-9)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR
-from controllers.riccati import SPEED_RANGE, feedback, regulator
+from controllers.riccati import SPEED_RANGE, regulator
 from helpers.grids import grid, some
 from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
@@ -54,23 +54,3 @@ def test_a_bend_leaves_no_bias() -> None:
 def test_speeds_outside_the_schedule_are_named() -> None:
     with pytest.raises(InputError, match=rf"95 m/s; allowed .* {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g}"):
         LQR().prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))
-
-
-@pytest.mark.parametrize(
-    ("gains", "message"),
-    [
-        ({"q_y": 0.0}, r"lqr\.q_y: 0\.0; allowed: a number from 1e-06 to 1e\+06 1/m\^2"),
-        ({"r_delta": float("nan")}, r"lqr\.r_delta: nan"),
-        ({"q_psi": "2"}, r"lqr\.q_psi: '2'"),
-        ({"q_psi": True}, r"lqr\.q_psi: True"),
-    ],
-)
-def test_gains_out_of_bounds_are_named(gains: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        LQR(**gains)
-
-
-def test_the_gain_alone_has_the_bits_of_gain_and_cost() -> None:
-    plant = Plant.build(BicycleModel(), np.random.default_rng(3).uniform(5, 40, 70), 0.05)
-    weights = (2.0, 0.1, 3.0, 0.2)
-    np.testing.assert_array_equal(feedback(plant, weights, 40.0), regulator(plant, weights, 40.0).K)

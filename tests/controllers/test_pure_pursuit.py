@@ -85,19 +85,6 @@ def test_the_lane_ahead_is_exact_while_curvature_is_linear_in_time() -> None:
     np.testing.assert_allclose(law.lane_offset(clothoid(law, r, slope)), expected, rtol=1e-12, atol=1e-14)
 
 
-def test_where_the_curvature_stops_changing_it_is_nearly_exact() -> None:
-    """The end of the seen lane anywhere within an interval; an unusually sharp one: 0.02 rad/s^2 at 30 m/s."""
-    v, slope = 30.0, 0.02
-    law = PurePursuit(T_lp=1.5).prepare(plant_at(v))
-    t = law.preview_times
-    T = (45.0 - L_R) / v
-    for end in np.linspace(0.3, 1.4, 30):
-        heading = np.where(t < end, 0.5 * slope * t**2, slope * end * (t - 0.5 * end))
-        preview = Preview(slope * np.minimum(t, end)[None], heading[None])
-        exact = slope * (quad(lambda u: (T - u) * u, 0, end)[0] + quad(lambda u, e=end: (T - u) * e, end, T)[0])
-        assert law.lane_offset(preview)[0] == pytest.approx(v * exact, abs=3e-5)
-
-
 def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
     """Commands of a run against the lane's curvature integrated twice by quadrature."""
     scenarios = Scenarios.from_arrays(

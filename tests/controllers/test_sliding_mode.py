@@ -48,13 +48,6 @@ def test_the_implicit_step_solves_its_inclusion(s: float, w: float, dt: float, k
     assert conditioned(np.array([w]), u, dt, k_2)[0] == pytest.approx(w_next, abs=1e-11)
 
 
-def test_by_hand() -> None:
-    """dt = 1, k_1 = 2, k_2 = 1, s = 4, w = 0.5: q^2 + 2 q = 3, y = 1, w+ = -0.5, u = -0.5 + 1 - 4."""
-    u = super_twisting(np.array([4.0]), np.array([0.5]), 1.0, 2.0, 1.0)
-    assert u[0] == pytest.approx(-3.5, abs=1e-15)
-    assert conditioned(np.array([0.5]), u, 1.0, 1.0)[0] == -0.5
-
-
 def test_small_samples_follow_the_differential_equation() -> None:
     """Levant's equations under a disturbance, integrated by solve_ivp until the surface is near; first order in dt."""
     k_1, k_2, dt = 1.5, 1.1, 1e-4

@@ -249,15 +249,6 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
             assert out.trajectories.delta[i, 0] == pytest.approx((2.9 / v + K_V * v) * yaw_rate, rel=1e-10)
 
 
-def test_a_command_that_is_never_driven_is_not_counted() -> None:
-    """T is a whole number of samples after the trigger: there is no last part step, and no command for it."""
-    scenarios = Scenarios.from_arrays(T=1.0, d_y=0.3, v_mean=20.0)
-    for settle, first_unused in ((0.0, 20), (0.1, 22), (0.12, 23)):
-        for sample, count in ((first_unused, 0), (first_unused - 1, 1)):
-            law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
-            assert simulate(law, scenarios, y_s=0.0, settle=settle).failed_solves[0] == count
-
-
 def test_mean_reduction_is_that_of_the_means() -> None:
     out = simulate(LQR(), make_scenarios(30))
     assert out.mean_reduction == pytest.approx(1.0 - out.S.mean() / out.S_uncorrected.mean(), rel=1e-12)
@@ -286,12 +277,3 @@ def test_shapes_and_arguments_are_checked() -> None:
         simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):
         simulate(LQR(), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]
-
-
-def test_no_scenarios_and_no_trigger() -> None:
-    none = make_scenarios(5).take(np.arange(0))
-    for law in ALL_LAWS:
-        assert simulate(law, none).S.shape == (0,)
-        out = simulate(law, make_scenarios(5), y_s=5.0, trajectories=True)
-        assert (out.S_uncorrected == out.S).all()
-        assert not out.triggered.any()

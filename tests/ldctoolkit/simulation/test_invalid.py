@@ -261,8 +261,9 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
 
 
 def test_the_last_command_of_all_counts_too() -> None:
-    scenarios = Scenarios.from_arrays(T=1.03, d_y=0.3, v_mean=20.0)
-    for settle, last in ((0.0, 20), (0.3, 26)):
+    """And none is asked for where T, or the end of the settling horizon, is a whole number of samples."""
+    for T, settle, last in ((1.03, 0.0, 20), (1.03, 0.3, 26), (1.0, 0.0, 19), (1.0, 0.1, 21), (1.0, 0.12, 22)):
+        scenarios = Scenarios.from_arrays(T=T, d_y=0.3, v_mean=20.0)
         usual = run(Stepped(LQR()), scenarios, PlantOptions(), y_s=0.0, settle=settle)
         for sample, failures in ((last, 1), (last + 1, 0)):
             law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))

@@ -140,18 +140,6 @@ def test_area_and_distance_equal_quadrature(residuals: Residuals, share: float) 
         assert position[i] == pytest.approx(travelled, abs=1e-10)
 
 
-def test_shapes() -> None:
-    path = UncorrectedPath.of(FEW, BOTH, seed=2)
-    t = FEW.T[:, None] * np.array([0.1, 0.6, 1.4])
-    names = ("position", "speed", "lateral", "lateral_rate", "lateral_acceleration", "curvature", "area")
-    for name in names:
-        method = getattr(path, name)
-        table = method(t)
-        for k in range(3):
-            np.testing.assert_array_equal(table[:, k], method(np.ascontiguousarray(t[:, k])), err_msg=name)
-            np.testing.assert_array_equal(table[:, k], method(t[:, k]), err_msg=name)
-
-
 # --- what the residuals are
 
 
@@ -300,19 +288,6 @@ def test_seeds_numbers_and_order() -> None:
         np.testing.assert_array_equal(ours, whole[order])
 
 
-def test_a_residual_of_no_size_changes_nothing() -> None:
-    still = Scenarios.from_arrays(T=MANY.T, d_y=MANY.d_y, v_mean=MANY.v_mean, a_mean=MANY.a_mean)
-    path, plain = (UncorrectedPath.of(still, residuals, seed=1) for residuals in (BOTH, OFF))
-    t = 0.4 * MANY.T
-    np.testing.assert_array_equal(path.lateral(t), plain.lateral(t))
-    np.testing.assert_array_equal(path.speed(t), plain.speed(t))
-    np.testing.assert_allclose(path.area(t), plain.area(t), rtol=1e-12)
-    np.testing.assert_allclose(path.crossing_time(0.2), plain.crossing_time(0.2), rtol=1e-10)
-    np.testing.assert_allclose(path.deepest(t), plain.deepest(t), rtol=1e-13)
-    np.testing.assert_allclose(path.front_deepest(t, 1.43), plain.front_deepest(t, 1.43), rtol=1e-13)
-    np.testing.assert_allclose(path.slowest_speed(0.0 * t, t), plain.slowest_speed(0.0 * t, t), rtol=1e-14)
-
-
 # --- the trigger
 
 
@@ -396,9 +371,3 @@ def test_rows_that_cannot_be_driven_raise_nothing_and_spoil_no_other(residuals: 
     np.testing.assert_array_equal(whole.front_deepest(t, 1.4)[kept], alone.front_deepest(t[kept], 1.4))
     np.testing.assert_array_equal(whole.slowest_speed(0 * t, t)[kept], alone.slowest_speed(0 * t[kept], t[kept]))
     assert np.all(whole.curvature(t)[kept] == alone.curvature(t[kept]))
-
-
-def test_a_residual_may_stop_the_vehicle_and_that_is_seen() -> None:
-    slow = Scenarios.from_arrays(T=[4.0], d_y=[0.3], v_mean=[5.0], sigma_v=[4.0])
-    path = UncorrectedPath.of(slow, BOTH, seed=1)
-    assert path.slowest_speed(np.zeros(1), slow.T)[0] < 0.0

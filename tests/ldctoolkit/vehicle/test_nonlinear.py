@@ -182,29 +182,6 @@ def drive(p: VehicleParameters, v: float, delta: Any, end: float, mu: float, tim
     return solve_ivp(rate, (0.0, end), np.zeros(4), "DOP853", t_eval=times, rtol=1e-12, atol=1e-15)
 
 
-def test_a_vehicle_on_friction_0_3_does_not_reach_its_demand() -> None:
-    """Driven, not only evaluated: the linear vehicle steers into 3 m/s^2, the saturating one stays below mu g."""
-    p, v, mu, demand = VehicleParameters(), 25.0, 0.3, 3.0
-    model = BicycleModel(p)
-    delta = float(model.steady_state(v).delta[0]) * demand / v
-    times = np.linspace(0.0, 1.0, 201)
-    x = drive(p, v, lambda _: delta, 1.0, mu, times).y
-    arguments = [(*column[1:], delta, 0.0, v, 0.0, *numbers(p, mu)) for column in x.T]
-    forces = np.array([axle_forces((*column[1:], delta, 0.0), v, p, mu) for column in x.T])
-    most = grip(p, mu)
-    a_y = np.array([nonlinear_rhs(*each)[2] for each in arguments])
-    A, B, _ = (matrix[0] for matrix in model.matrices(v))
-    linear = solve_ivp(lambda _, z: A @ z + B * delta, (0.0, 1.0), np.zeros(4), "DOP853", t_eval=times, rtol=1e-10).y
-    linear_a_y = A[1] @ linear + B[1] * delta  # on a straight lane a_y is d2e_y/dt2
-
-    assert linear_a_y[-1] == pytest.approx(demand, rel=1e-3)
-    assert np.all(a_y <= mu * GRAVITY)
-    assert a_y[-1] < 0.92 * demand
-    assert x[0, -1] < 0.85 * linear[0, -1]  # and the vehicle gets less far to the side
-    assert np.all(np.abs(forces) <= most)
-    assert np.all(forces[-1] > 0.9 * most)
-
-
 def commonroad(p: VehicleParameters, shift: float) -> Any:
     """The other library's vehicle with our mass, inertia, lengths and axle stiffnesses.
 
