@@ -213,15 +213,6 @@ def test_blocked_moves_equal_another_solver(
     assert set(state.rung.tolist()) >= {Rung.FREE, Rung.HELD}
 
 
-@given(horizon=st.integers(1, 100), blocks=st.integers(0, 100))
-def test_blocks_cover_the_horizon(horizon: int, blocks: int) -> None:
-    starts = block_starts(horizon, blocks)
-    assert starts.size == (blocks if 0 < blocks < horizon else horizon)
-    assert starts[0] == 0
-    assert starts[-1] < horizon
-    assert (np.diff(starts) > 0).all()
-
-
 @examples(25)
 @given(seed=st.integers(0, 2**31), size=st.sampled_from([0.1, 1.0, 3.0]), blocks=st.sampled_from([0, 4]))
 def test_mirrored_input_gives_the_mirrored_command(seed: int, size: float, blocks: int) -> None:

@@ -178,11 +178,3 @@ def test_without_back_calculation_the_path_overshoots() -> None:
     wound_up, _ = closed_loop(dataclasses.replace(design, T_t=1e3), plant, x, np.zeros(1), 600)
     assert guarded.min() > -0.05
     assert wound_up.min() < -0.5
-
-
-def test_a_tracking_time_below_the_sample_time_is_fine() -> None:
-    law = PID(T_t=1e-3, delta_max=0.02).prepare(plant_at(20.0, dt=0.05))
-    state, x = law.init(1), np.array([[5.0, 0.0, 0.0, 0.0]])
-    for _ in range(50):
-        _, state = command(law, x, np.zeros(1), state)
-    assert abs(state[0]) < 0.1
