@@ -290,7 +290,7 @@ def test_lateral_acceleration_stays_within_its_limit_wherever_that_is_feasible(
 
 
 def test_a_corridor_that_is_left_already_is_no_failure() -> None:
-    design = LinearMPC(horizon=8, e_y_max=0.1, a_y_max=0.2, jerk_max=0.5, solver="daqp")
+    design = LinearMPC(e_y_max=0.1, a_y_max=0.2, jerk_max=0.5, solver="daqp")
     out = simulate(design, HARSH, y_s=0.2)
     assert (out.status == EventStatus.OK).all()
     assert np.isfinite(out.S).all()
