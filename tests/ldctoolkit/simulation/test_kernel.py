@@ -252,9 +252,9 @@ def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, desi
 
 
 def test_a_horizon_of_whole_samples_is_not_rounded_up_by_rounding() -> None:
-    """0.55/0.05 is a little more than 11 in floating point."""
-    for settle, samples in ((0.55, 11), (0.6, 12), (0.5501, 12), (0.0, 0), (1e-3, 1)):
-        assert takeover(make_scenarios(3), PlantOptions(), settle=settle).settle == samples
+    """1.1/0.1 is a little more than 11 in floating point."""
+    for dt, settle, samples in ((0.1, 1.1, 11), (0.05, 0.6, 12), (0.05, 0.5501, 12), (0.05, 0.0, 0), (0.05, 1e-3, 1)):
+        assert closed_loop.takeover(make_scenarios(3), dt=dt, settle=settle).settle == samples
 
 
 def test_the_trigger_at_the_very_start() -> None:
