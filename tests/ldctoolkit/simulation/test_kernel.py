@@ -252,8 +252,8 @@ def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, desi
 
 
 def test_a_horizon_of_whole_samples_is_not_rounded_up_by_rounding() -> None:
-    """1.1/0.1 is a little more than 11 in floating point."""
-    for dt, settle, samples in ((0.1, 1.1, 11), (0.05, 0.6, 12), (0.05, 0.5501, 12), (0.05, 0.0, 0), (0.05, 1e-3, 1)):
+    """0.14/0.02 is a little more than 7 in floating point."""
+    for dt, settle, samples in ((0.02, 0.14, 7), (0.05, 0.6, 12), (0.05, 0.5501, 12), (0.05, 0.0, 0), (0.05, 1e-3, 1)):
         assert closed_loop.takeover(make_scenarios(3), dt=dt, settle=settle).settle == samples
 
 
