@@ -184,7 +184,7 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
     start = block_starts(N, wanted.blocks)
     if start.size < N:
         project, moves = _blocked(A, B, K, start, N)
-    return Condensed(
+    condensed = Condensed(
         A_cl=A_cl,
         B=B,
         K=K,
@@ -202,6 +202,8 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
         a_y=a_y,
         response=_responses(A, B, a_y, N) if any(wanted.soft_limits) else nothing,
     )
+    # laid out as after `take`: the compiled sweep need not be compiled for two layouts
+    return Condensed(*(np.ascontiguousarray(each) for each in condensed))
 
 
 def _responses(A: FloatArray, B: FloatArray, a_y: FloatArray, N: int) -> FloatArray:

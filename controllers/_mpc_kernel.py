@@ -28,7 +28,7 @@ IntArray = npt.NDArray[np.int64]
 FREE, HELD, OPEN, BEYOND = range(4)
 """How a scenario stands after the sweep: no limit active, a guess proved itself, a solver is needed, infeasible."""
 
-__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "plans", "sweep"]
+__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
 
 def _digest() -> int:
@@ -181,17 +181,6 @@ def _entries(digest: int) -> Any:
                 _warm(limits, last[i], w[i], multipliers[i])
 
     @numba.njit(cache=True, **OPTIONS)
-    def plans(c: Condensed, limits: Limits, x: FloatArray, r: FloatArray, U: FloatArray) -> None:
-        """Optimal commands without limits, of every scenario, into U (n, N)."""
-        if digest < 0:
-            return
-        work = np.empty(U.shape[1])
-        for i in range(U.shape[0]):
-            plan(c, i, x[i], r[i], U[i], work)
-            if limits.start.size < U.shape[1]:
-                block(c, limits, i, U[i], work)
-
-    @numba.njit(cache=True, **OPTIONS)
     def assemble(
         c: Condensed,
         limits: Limits,
@@ -232,7 +221,7 @@ def _entries(digest: int) -> Any:
             polish(limits, C, y, low, high, w, multipliers)
         return first(limits, C, y[0], low[0], high[0], w)
 
-    return sweep, plans, assemble, finish
+    return sweep, assemble, finish
 
 
-sweep, plans, assemble, finish = _entries(_digest())
+sweep, assemble, finish = _entries(_digest())

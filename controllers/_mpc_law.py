@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ class Rung(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class MPCState:
-    """What `MPCLaw` carries from sample to sample, and its record; one row a scenario.
+    """What `MPCLaw` carries from sample to sample; one row a scenario.
 
     Attributes
     ----------
@@ -49,16 +49,9 @@ class MPCState:
         Of the last QP, by kind of soft limit, as a share of the limit.
     rung : (n,) int8
         `Rung` of the last command.
-    held : (n,) int
-        Number of QPs that a guess solved.
-    solves : (n,) int
-        Number of solver calls.
-    iterations : (n,) int
-        Most iterations of one call.
-    primal_residual, dual_residual : (n,)
-        Largest of all calls: violation of a bound [rad, or share of a soft limit], and |e + C' multipliers|.
     calls : SolverCalls
-        Of the last sample; status is 1 where the answer could be used.
+        Of the last sample; status is 1 where the answer could be used, the residuals are the largest violation of a
+        bound [rad, or share of a soft limit] and the largest |e + C' multipliers|.
     workspaces : Workspaces
         What solvers have allocated. No result depends on it.
     """
@@ -66,11 +59,6 @@ class MPCState:
     multipliers: FloatArray
     slack: FloatArray
     rung: npt.NDArray[np.int8]
-    held: IntArray
-    solves: IntArray
-    iterations: IntArray
-    primal_residual: FloatArray
-    dual_residual: FloatArray
     calls: SolverCalls
     workspaces: Workspaces
 
@@ -110,11 +98,6 @@ class MPCLaw(SteeringLaw):
             multipliers=np.zeros((n, rows)),
             slack=np.zeros((n, 3)),
             rung=np.zeros(n, dtype=np.int8),
-            held=np.zeros(n, dtype=np.int64),
-            solves=np.zeros(n, dtype=np.int64),
-            iterations=np.zeros(n, dtype=np.int64),
-            primal_residual=np.zeros(n),
-            dual_residual=np.zeros(n),
             calls=_calls([]),
             workspaces=Workspaces(),
         )
@@ -123,21 +106,11 @@ class MPCLaw(SteeringLaw):
         """Only some scenarios, each with what it has."""
         law = dataclasses.replace(self, condensed=self.condensed.take(rows))
         kept = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
-        names = (f.name for f in dataclasses.fields(state) if f.name not in ("calls", "workspaces"))
-        arrays = {name: getattr(state, name)[rows] for name in names}
-        return law, MPCState(**arrays, calls=_calls([]), workspaces=kept)
+        return law, MPCState(state.multipliers[rows], state.slack[rows], state.rung[rows], _calls([]), kept)
 
     def solver_calls(self, state: MPCState) -> SolverCalls:
         """Of the last sample: status 1 where the answer could be used, residuals as in `MPCState`."""
         return state.calls
-
-    def unconstrained(self, x: FloatArray, yaw_rate: FloatArray) -> FloatArray:
-        """Optimal commands over the horizon if there were no limits, (n, N) [rad]."""
-        from controllers import _mpc_kernel as kernel
-
-        U = np.empty((x.shape[0], self.horizon))
-        kernel.plans(self.condensed, self.limits, np.ascontiguousarray(x), np.ascontiguousarray(yaw_rate), U)
-        return U
 
     def step(
         self,
@@ -158,23 +131,19 @@ class MPCLaw(SteeringLaw):
         proves = not self.always_solve
         kernel.sweep(self.condensed, self.limits, proves, *given, *before, U, delta, w, multipliers, how)
 
-        held = how == kernel.HELD
-        rung = np.where(held, np.int8(Rung.HELD), np.int8(Rung.FREE))
+        rung = np.where(how == kernel.HELD, np.int8(Rung.HELD), np.int8(Rung.FREE))
         beyond = how == kernel.BEYOND
         if beyond.any():
             # widened to what can be reached, the limits leave one first command: back, as fast as the rate allows
             delta[beyond] = (delta_prev - np.sign(delta_prev) * self.limits.rate_step)[beyond]
             rung[beyond] = Rung.RELAXED
-        record = _Record(rung, state)
+        calls: list[_Call] = []
         workspaces = state.workspaces
         rows = np.flatnonzero(how == kernel.OPEN)
         if rows.size:
             workspaces = Workspaces(workspaces)
-            self._solve(rows, given, U, delta, w, multipliers, record, workspaces)
-        state = MPCState(
-            multipliers, np.maximum(w[:, M:], 0.0), rung, state.held + held, record.solves, record.iterations,
-            record.primal_residual, record.dual_residual, _calls(record.calls), workspaces,
-        )  # fmt: skip
+            calls = self._solve(rows, given, U, delta, w, multipliers, rung, workspaces)
+        state = MPCState(multipliers, np.maximum(w[:, M:], 0.0), rung, _calls(calls), workspaces)
         status = np.where((rung == Rung.RELAXED) | (rung == Rung.SATURATED), EventStatus.SOLVER_FAILED, EventStatus.OK)
         return delta, state, status.astype(np.int8)
 
@@ -186,10 +155,10 @@ class MPCLaw(SteeringLaw):
         delta: FloatArray,
         w: FloatArray,
         multipliers: FloatArray,
-        record: _Record,
+        rung: npt.NDArray[np.int8],
         workspaces: Workspaces,
-    ) -> None:
-        """Solve the QPs of some scenarios and enter what comes out."""
+    ) -> list[_Call]:
+        """Solve the QPs of some scenarios and enter what comes out; the calls."""
         from controllers import _mpc_kernel as kernel
 
         x, r, prev = given
@@ -199,57 +168,53 @@ class MPCLaw(SteeringLaw):
         form = Form(self.limits)
         lower, upper = form.bounds(low - y, high - y)
         starts = form.split(multipliers[rows])
+        calls = []
         for k, i in enumerate(rows.tolist()):
             workspace = workspaces.get(i)
             if workspace is None:
                 workspace = workspaces[i] = make(self.solver, form.qp(C[k]))
             answer = workspace.solve(lower[k], upper[k], starts[k])
-            usable = record.enter(i, form.qp(C[k]), lower[k], upper[k], answer)
-            record.rung[i] = Rung.SOLVED
-            if not usable:
+            calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+            rung[i] = Rung.SOLVED
+            if not calls[-1].usable:
                 answer = make("daqp", form.qp(C[k])).solve(lower[k], upper[k], np.zeros_like(starts[k]))
-                usable = record.enter(i, form.qp(C[k]), lower[k], upper[k], answer)
-                record.rung[i] = Rung.OTHER_SOLVER
-            if not usable:
+                calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+                rung[i] = Rung.OTHER_SOLVER
+            if not calls[-1].usable:
                 w[i], multipliers[i] = 0.0, 0.0
                 wanted = min(max(delta[i], -self.limits.delta_max), self.limits.delta_max)
                 step = self.limits.rate_step
                 delta[i] = prev[i] + min(max(wanted - prev[i], -step), step)
-                record.rung[i] = Rung.SATURATED
+                rung[i] = Rung.SATURATED
                 continue
             w[i], multipliers[i] = form.join(answer)
             # the solver's rows at their bounds give the solution to rounding, if they prove themselves
             exact = not self.always_solve
             delta[i] = kernel.finish(self.limits, exact, C[k], y[k], low[k], high[k], w[i], multipliers[i])
+        return calls
 
 
-def _calls(calls: list[tuple[int, bool, int, float, float]]) -> SolverCalls:
-    """From (place, usable, iterations, primal residual, dual residual) of each call."""
+class _Call(NamedTuple):
+    """A solver call for the scenario at `place`."""
+
+    place: int
+    usable: bool
+    iterations: int
+    primal_residual: float
+    dual_residual: float
+
+
+def _call(place: int, qp: QP, low: FloatArray, high: FloatArray, answer: Answer) -> _Call:
+    """The record of an answer."""
+    if not answer.solved:
+        return _Call(place, False, answer.iterations, np.nan, np.nan)
+    value = qp.A @ answer.w
+    primal = max(float(np.max(value - high)), float(np.max(low - value)), 0.0)
+    dual = float(np.max(np.abs(answer.w + qp.q + answer.y @ qp.A)))
+    return _Call(place, primal <= _ACCEPTED, answer.iterations, primal, dual)
+
+
+def _calls(calls: list[_Call]) -> SolverCalls:
     table = np.array(calls, dtype=np.float64).reshape(-1, 5)
     place, status, iterations = table[:, :3].T.astype(np.int64)
     return SolverCalls(place, status, iterations, table[:, 3], table[:, 4])
-
-
-class _Record:
-    """The record of solver calls, on its way from one state to the next."""
-
-    def __init__(self, rung: npt.NDArray[np.int8], state: MPCState) -> None:
-        self.rung = rung
-        self.calls: list[tuple[int, bool, int, float, float]] = []
-        self.solves, self.iterations = state.solves.copy(), state.iterations.copy()
-        self.primal_residual, self.dual_residual = state.primal_residual.copy(), state.dual_residual.copy()
-
-    def enter(self, i: int, qp: QP, low: FloatArray, high: FloatArray, answer: Answer) -> bool:
-        """Enter a call; whether its answer can be used."""
-        self.solves[i] += 1
-        self.iterations[i] = max(self.iterations[i], answer.iterations)
-        if not answer.solved:
-            self.calls.append((i, False, answer.iterations, np.nan, np.nan))
-            return False
-        value = qp.A @ answer.w
-        primal = max(float(np.max(value - high)), float(np.max(low - value)), 0.0)
-        dual = float(np.max(np.abs(answer.w + qp.q + answer.y @ qp.A)))
-        self.primal_residual[i] = max(self.primal_residual[i], primal)
-        self.dual_residual[i] = max(self.dual_residual[i], dual)
-        self.calls.append((i, primal <= _ACCEPTED, answer.iterations, primal, dual))
-        return primal <= _ACCEPTED

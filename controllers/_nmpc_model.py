@@ -1,6 +1,6 @@
 """The prediction model of the nonlinear MPC in CasADi: one sample of the nonlinear bicycle, and steady cornering.
 
-The bicycle is that of `ldctoolkit.vehicle.nonlinear` (Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the
+The bicycle is that of `tools/nonlinear_plant.py` (Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the
 Magic Formula of Pacejka) at constant speed. A sample is a step of the third-order exponential Runge-Kutta method
 ETD3RK (S. Cox, P. Matthews, *Exponential time differencing for stiff systems*, J. Comp. Phys. 176, 2002) about
 straight driving: with f = A x + B delta + E r + g, and l(x), l_h(x) the exact linear plant after dt and dt/2,
@@ -93,7 +93,7 @@ def _forced(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def accelerations(x: Any, delta: Any, r: Any, v: Any, vehicle: Any) -> tuple[Any, Any, Any]:
-    """Accelerations of the lane errors and lateral tyre force over mass, as `ldctoolkit.vehicle.nonlinear_dynamics`.
+    """Accelerations of the lane errors and lateral tyre force over mass, as `ldctoolkit.vehicle._nonlinear_compiled`.
 
     Parameters
     ----------

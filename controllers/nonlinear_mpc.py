@@ -32,7 +32,7 @@ import numpy.typing as npt
 from controllers._nmpc_model import FloatArray, pack, steady_cornering
 from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
 from controllers.riccati import regulator
-from ldctoolkit import Controller, EventStatus, LdcError, Plant, Preview, SolverCalls, SteeringLaw, gain
+from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain
 
 # units of the soft limits' violations: m/s^2, m/s^3, m
 _SCALES = (1.0, 10.0, 0.1)
@@ -86,13 +86,7 @@ class NonlinearMPC(Controller):
     mu: float = gain(1.0, unit="1", lower=0.05, upper=2.0, description="friction coefficient of the law's tyres")
 
     def prepare(self, plant: Plant) -> NonlinearMPCLaw:
-        """Solve the Riccati equation and gather each scenario's numbers.
-
-        Raises
-        ------
-        LdcError
-            If soft limits are on and the installed DAQP cannot weigh them.
-        """
+        """Solve the Riccati equation and gather each scenario's numbers."""
         q = (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate)
         lq = regulator(plant, q, self.r_delta)
         columns = pack(plant, self.mu, q, self.r_delta, lq.P, lq.K, self.rate_max * plant.dt)
@@ -114,10 +108,6 @@ def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
     on = [block for block in blocks if block[0] > 0]
     if not on:
         return None
-    import daqp
-
-    if not hasattr(daqp.Model, "soft_weights"):
-        raise LdcError("nonlinear_mpc with soft limits needs daqp >= 0.10; allowed without it: limits of 0")
     rows = np.concatenate([np.concatenate(parts) / scale for _, scale, parts, _ in on])
     bound = np.concatenate([np.full(before.size, limit / scale) for limit, scale, _, before in on])
     before = np.concatenate([before / scale for _, scale, _, before in on])

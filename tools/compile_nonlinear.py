@@ -1,6 +1,6 @@
 """Translate the nonlinear plant from CasADi into the source that numba compiles.
 
-Run from the repository's root after a change of ldctoolkit/vehicle/nonlinear.py::
+Run from the repository's root after a change of tools/nonlinear_plant.py::
 
     python tools/compile_nonlinear.py
 
@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ldctoolkit.vehicle.casadi_to_numba import numba_function
-from ldctoolkit.vehicle.nonlinear import nonlinear_dynamics
+from casadi_to_numba import numba_function
+from nonlinear_plant import nonlinear_dynamics
+
 from ldctoolkit.whole_file import whole_file
 
 OUTPUT = Path(__file__).resolve().parents[1] / "ldctoolkit" / "vehicle" / "_nonlinear_compiled.py"
@@ -20,7 +21,7 @@ OUTPUT = Path(__file__).resolve().parents[1] / "ldctoolkit" / "vehicle" / "_nonl
 HEADER = '''\
 """The nonlinear plant for compiled loops. Generated: do not edit.
 
-Made by ``python tools/compile_nonlinear.py`` from `ldctoolkit.vehicle.nonlinear.nonlinear_dynamics`, operation by
+Made by ``python tools/compile_nonlinear.py`` from `nonlinear_dynamics` of `tools/nonlinear_plant.py`, operation by
 operation. The compiler takes a while to import: callers import this module where they call it.
 """
 

@@ -43,11 +43,6 @@ class TrueVehicles:
     l_f: float
     l_r: float
 
-    @property
-    def n(self) -> int:
-        """Number of vehicles."""
-        return int(self.m.shape[0])
-
     def matrices(self, v: npt.ArrayLike, convention: Convention) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Continuous-time A, B, E of Rajamani's eq. 2.45, each vehicle at its own speed.
 

@@ -142,12 +142,6 @@ class UncorrectedPath:
         return self._values("SPEED", dep.speed, np.minimum(t, _like(self.scenarios.T, t)), self._varied)
 
     @_quiet
-    def speed_rate(self, t: FloatArray) -> FloatArray:
-        """Rate of the speed dv/dt [m/s^2]; 0 beyond T."""
-        rate = self._values("SPEED_RATE", lambda p, s: p.a_mean + np.zeros_like(s), t, self._varied)
-        return np.where(t > _like(self.scenarios.T, t), 0.0, rate)
-
-    @_quiet
     def lateral(self, t: FloatArray) -> FloatArray:
         """Distance y(t) of the edge beyond the line [m]."""
         return self._values("LATERAL", dep.lateral, t, self._disturbed)

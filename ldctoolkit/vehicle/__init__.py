@@ -1,8 +1,7 @@
-"""The vehicle: parameters, linear and nonlinear error dynamics, exact discretisation, the plant of a scenario set."""
+"""The vehicle: parameters, linear error dynamics, exact discretisation, the plant of a scenario set."""
 
 from ldctoolkit.vehicle.bicycle import BicycleModel, Convention, SteadyState
 from ldctoolkit.vehicle.discretization import Discretization, discretize
-from ldctoolkit.vehicle.nonlinear import nonlinear_axles, nonlinear_dynamics
 from ldctoolkit.vehicle.parameters import VehicleParameters
 from ldctoolkit.vehicle.plant import Plant
 
@@ -14,6 +13,4 @@ __all__ = [
     "SteadyState",
     "VehicleParameters",
     "discretize",
-    "nonlinear_axles",
-    "nonlinear_dynamics",
 ]

@@ -1,6 +1,6 @@
 """The nonlinear plant for compiled loops. Generated: do not edit.
 
-Made by ``python tools/compile_nonlinear.py`` from `ldctoolkit.vehicle.nonlinear.nonlinear_dynamics`, operation by
+Made by ``python tools/compile_nonlinear.py`` from `nonlinear_dynamics` of `tools/nonlinear_plant.py`, operation by
 operation. The compiler takes a while to import: callers import this module where they call it.
 """
 

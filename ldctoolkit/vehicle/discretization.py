@@ -31,8 +31,6 @@ class Discretization:
 
     Attributes
     ----------
-    dt : (n,) [s]
-        Length of the step.
     A : (n, 4, 4)
     B : (n, 4)
     E_0, E_1 : (n, 4)
@@ -42,7 +40,6 @@ class Discretization:
         The integral of x[0] over the step is area_x . x + area_delta delta + area_r_0 r + area_r_1 r+.
     """
 
-    dt: FloatArray
     A: FloatArray
     B: FloatArray
     E_0: FloatArray
@@ -97,7 +94,6 @@ def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -
     phi = expm(M)
     x = slice(1, states + 1)
     return Discretization(
-        dt=step,
         A=phi[:, x, x],
         B=phi[:, x, delta],
         E_0=phi[:, x, rate] - phi[:, x, rise],

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Final
 
 from ldctoolkit.errors import InputError
+
+GRAVITY: Final = 9.81
+"""Gravitational acceleration [m/s^2]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
-import hypothesis
-import hypothesis.strategies as st
 import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
 
 from controllers import LQR, LinearMPC, PreviewProportional
-from controllers.barrier_filter import BarrierFilter, BarrierLaw
+from controllers.barrier_filter import BarrierFilter
 from controllers.lqi import LQI
 from controllers.preview_lqr import PreviewLQR
+from helpers.grids import some
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -206,7 +204,11 @@ def departures(n: int, seed: int, side: int = 1) -> Scenarios:
 
 @pytest.mark.parametrize(
     ("gammas", "beyond"),
-    [({}, 1e-4), ({"gamma_1": 0.2, "gamma_2": 0.3}, 1e-4), ({"gamma_1": 0.5, "gamma_2": 0.5}, 1e-3)],
+    [
+        pytest.param({}, 1e-4, marks=pytest.mark.slow),
+        ({"gamma_1": 0.2, "gamma_2": 0.3}, 1e-4),
+        pytest.param({"gamma_1": 0.5, "gamma_2": 0.5}, 1e-3, marks=pytest.mark.slow),
+    ],
 )
 def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float) -> None:
     """From psi >= 0 at the trigger, on the ideal plant, with an angle that suffices. psi >= 0 holds at every sample, up
@@ -214,15 +216,15 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
     """
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
-    scenarios = departures(500, seed=2)
-    out = simulate(design, scenarios, settle=8.0, trajectories=True)
-    alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
+    scenarios = departures(300, seed=2)
+    out = simulate(design, scenarios, settle=4.0, trajectories=True)
+    alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=4.0)
     paths = out.trajectories
     assert paths is not None
     e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
     psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
     feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
-    assert feasible.size > 30
+    assert feasible.size > 20
     # T, where a sample ends early, is in the paths but no sample
     k = np.rint((paths.t - paths.t[:, :1]) / DT)
     at_sample = np.abs((paths.t - paths.t[:, :1]) / DT - k) < 1e-6
@@ -232,7 +234,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     deepest = np.maximum(out.companions.deepest + edge, out.companions.overshoot + edge)[rows]
     assert deepest.max() <= design.e_y_max + beyond
     unfiltered = (alone.companions.deepest + edge)[rows]
-    assert (unfiltered > design.e_y_max + 0.05).sum() > 5
+    assert (unfiltered > design.e_y_max + 0.05).sum() > 3
 
 
 def test_outside_the_corridor_it_comes_back_exponentially() -> None:
@@ -255,7 +257,7 @@ def test_outside_the_corridor_it_comes_back_exponentially() -> None:
     assert (x[:, 0] < 1.01).all()
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.05, 0.1])
+@pytest.mark.parametrize("dt", some([0.01, 0.05, 0.1], 0.05))
 def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
     """With one condition held as an equation the four states go on as a linear system; its modes decay at all speeds
     and settings, so the filter does not buy the corridor with a growing oscillation.
@@ -274,17 +276,17 @@ def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
     [
         ("preview_proportional", "K_y=-0.02, T_lp=0.5, convention=as_printed", None),
         ("lqi", "q_i=1", LQI(q_i=1.0)),
-        ("preview_lqr", " horizon = 7 ", PreviewLQR(horizon=7)),
+        pytest.param("preview_lqr", " horizon = 7 ", PreviewLQR(horizon=7), marks=pytest.mark.slow),
         ("drifting", "", Drifting()),
-        ("drifting", "cut=false", Drifting(cut=False)),
-        ("linear_mpc", "horizon=6", LinearMPC(horizon=6)),
+        pytest.param("drifting", "cut=false", Drifting(cut=False), marks=pytest.mark.slow),
+        ("linear_mpc", "horizon=4", LinearMPC(horizon=4)),
     ],
 )
 def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alone: Controller | None) -> None:
     """A corridor of 10 m. A law that is stepped: the same bits. A linear one: its sum, made in another order."""
     wide = BarrierFilter(inner=inner, inner_gains=gains, e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
     alone = alone or PreviewProportional(K_y=-0.02, T_lp=0.5, convention="as_printed")
-    scenarios = departures(40, seed=3)
+    scenarios = departures(12, seed=3)
     ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, alone))
     assert ours.trajectories is not None
     assert theirs.trajectories is not None
@@ -297,16 +299,6 @@ def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alon
         np.testing.assert_array_equal(ours.trajectories.delta, theirs.trajectories.delta)
     np.testing.assert_array_equal(ours.status, theirs.status)
     np.testing.assert_array_equal(ours.failed_solves, theirs.failed_solves)
-
-
-def test_a_linear_law_inside_is_the_sum_to_the_bit_where_nothing_is_cut() -> None:
-    plant, x, r, prev = situations(20, seed=4, size=0.05)
-    delta = command(BarrierFilter(inner="lqr"), plant, x, r, prev)
-    law = LQR().prepare(plant)
-    expected = law.f_u * prev
-    for i in range(4):
-        expected += law.F[:, i] * x[:, i]
-    np.testing.assert_array_equal(delta, expected + (law.G_yaw_rate[:, 0] * r[:, 0] + 0.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -337,28 +329,6 @@ def test_every_weight_of_a_linear_law_inside_counts() -> None:
     np.testing.assert_allclose(ours.companions.effort, theirs.companions.effort, rtol=1e-9)
 
 
-@hypothesis.given(
-    x=st.tuples(*(st.floats(-a, a) for a in (3.0, 2.0, 0.2, 0.5))),
-    r=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
-    prev=st.floats(-0.2, 0.2),
-    inner=st.sampled_from(["preview_proportional", "lqr", "lqi", "drifting"]),
-)
-@hypothesis.settings(max_examples=60, deadline=None)
-def test_mirrored_input_gives_the_mirrored_command_within_the_limit(x: Any, r: Any, prev: float, inner: str) -> None:
-    plant = Plant.build(BicycleModel(), [9.0, 30.0], DT)
-    design = BarrierFilter(inner=inner, delta_max=0.08)
-    X, R, P = np.tile(x, (2, 1)), np.tile(r, (2, 1)), np.full(2, prev)
-    delta = command(design, plant, X, R, P)
-    np.testing.assert_array_equal(command(design, plant, -X, -R, -P), -delta)
-    assert (np.abs(delta) <= 0.08).all()
-
-
-def test_both_sides_of_the_road_are_the_same() -> None:
-    """Mirrored departures; the road's frame is that of the camera only, so to the bit."""
-    left, right = (simulate(BarrierFilter(), departures(60, seed=5, side=side)) for side in (1, -1))
-    np.testing.assert_array_equal(left.S, right.S)
-
-
 def test_a_command_that_is_not_finite_is_held_filtered_and_counted() -> None:
     """The command before, moved into the corridor's interval: not merely held, as it is for the law alone."""
     plant, x, r, prev = situations(40, seed=6)
@@ -373,52 +343,10 @@ def test_a_command_that_is_not_finite_is_held_filtered_and_counted() -> None:
     assert (out.failed_solves[out.triggered] >= 1).all()
 
 
-@pytest.mark.parametrize("inner", ["lqi", "drifting"])
-def test_what_remains_of_a_batch_sees_no_difference(inner: str) -> None:
-    n = 12
-    plant, _, _, _ = situations(n, seed=8)
-    design = BarrierFilter(inner=inner, e_y_max=0.6)
-    whole: Any = design.prepare(plant)
-    part, rows = whole, np.arange(n)
-    state, own = whole.init(n), whole.init(n)
-    p = whole.preview_times.size
-    for k, kept in enumerate(([0, 2, 3, 5, 6, 9, 11], [1, 2, 6], [2])):
-        rng = np.random.default_rng(k)
-        x, yaw, turn, prev = (
-            rng.normal(size=(n, 4)),
-            rng.normal(size=(n, p)),
-            rng.normal(size=(n, p)),
-            rng.normal(size=n),
-        )
-        before = x.copy()
-        delta, state, status = whole.step(np.zeros(n), x, Preview(yaw, turn), prev, state)
-        np.testing.assert_array_equal(x, before)
-        ours, own, ours_status = part.step(
-            np.zeros(rows.size), x[rows], Preview(yaw[rows], turn[rows]), prev[rows], own
-        )
-        np.testing.assert_array_equal(ours, delta[rows])
-        np.testing.assert_array_equal(ours_status, status[rows])
-        part, own = part.take(np.array(kept), own)
-        rows = rows[kept]
-
-
 def test_where_the_law_inside_cannot_be_cut_down_nor_can_the_filter() -> None:
     plant, *_ = situations(4, seed=9)
     law = BarrierFilter(inner="drifting", inner_gains="cut=false").prepare(plant)
     assert law.take(np.array([1]), law.init(4)) is None
-
-
-def test_the_same_state_gives_the_same_step_twice() -> None:
-    """The integral of an LQI inside is not changed in place."""
-    plant, x, _, prev = situations(6, seed=10)
-    law = BarrierFilter(inner="lqi").prepare(plant)
-    preview = Preview(np.zeros((6, 3)), np.zeros((6, 3)))
-    _, state, _ = law.step(np.zeros(6), x, preview, prev, law.init(6))
-    first, after, _ = law.step(np.zeros(6), x, preview, prev, state)
-    again, _, _ = law.step(np.zeros(6), x, preview, prev, state)
-    np.testing.assert_array_equal(first, again)
-    np.testing.assert_array_equal(state, DT * x[:, 0])
-    np.testing.assert_array_equal(after, state + DT * x[:, 0])
 
 
 def test_the_limit_has_priority_and_points_to_the_corridor() -> None:
@@ -429,18 +357,13 @@ def test_the_limit_has_priority_and_points_to_the_corridor() -> None:
     np.testing.assert_array_equal(delta, [-0.02, 0.02])
 
 
-def test_it_runs_on_a_plant_that_is_not_ideal() -> None:
-    """An actuator: nothing is promised but finite numbers and the limit of the command."""
-    options = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.4))
-    out = simulate(BarrierFilter(), departures(30, seed=11), options=options)
-    assert np.isfinite(out.S).all()
-    assert (out.companions.delta_peak[out.triggered] <= 0.1 + 1e-12).all()
+ACTUATORS = (Actuator(lag=0.2), Actuator(lag=0.05, delay=0.05), Actuator(lag=0.1, delay=0.1))
 
 
-@pytest.mark.parametrize("actuator", [Actuator(lag=0.2), Actuator(lag=0.05, delay=0.05), Actuator(lag=0.1, delay=0.1)])
+@pytest.mark.parametrize("actuator", some(ACTUATORS, ACTUATORS[2]))
 def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
     """Behind a lag and a delay the corridor is no longer exact, but the filter must not swing the vehicle out of it."""
-    scenarios, options = departures(120, seed=12), PlantOptions(actuator=actuator)
+    scenarios, options = departures(80, seed=12), PlantOptions(actuator=actuator)
     out, alone = (simulate(d, scenarios, options=options) for d in (BarrierFilter(), PreviewProportional()))
     assert out.count(EventStatus.DIVERGED) == 0
     for name in ("deepest", "overshoot"):
@@ -491,9 +414,6 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             InputError,
             r"drifting\.broken_at: 1\.5; .* whole number",
         ),
-        ({"e_y_max": 0.0}, InputError, r"barrier_filter\.e_y_max: 0\.0; allowed: a number from 0\.1 to 10 m"),
-        ({"gamma_1": 1.5}, InputError, r"barrier_filter\.gamma_1: 1\.5"),
-        ({"gamma_2": 0.0}, InputError, r"barrier_filter\.gamma_2: 0\.0"),
     ],
 )
 def test_mistakes_are_named(given: dict[str, Any], error: type[LdcError], message: str) -> None:
@@ -507,13 +427,6 @@ def test_a_third_party_that_does_not_fit_is_named() -> None:
         BarrierFilter(inner="leaves_alone").prepare(plant)
     with pytest.raises(InputError, match=r"law 'one_for_all': step returned shapes \(\), \(3,\); allowed: \(3,\)"):
         command(BarrierFilter(inner="one_for_all"), plant, x, r, prev)
-
-
-def test_a_design_is_plain_data() -> None:
-    design = BarrierFilter(inner="lqr", inner_gains="r_delta=3e3")
-    assert pickle.loads(pickle.dumps(design)) == design
-    assert {g.name: getattr(design, g.name) for g in design.gains()}["inner_gains"] == "r_delta=3e3"
-    assert isinstance(design.prepare(Plant.build(BicycleModel(), [20.0], DT)), BarrierLaw)
 
 
 def test_a_study_file_may_set_and_sweep_the_law_inside() -> None:

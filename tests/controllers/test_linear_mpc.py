@@ -4,33 +4,22 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any
 
 import control
 import numpy as np
 import osqp
 import pytest
 import qpsolvers
-import scipy.linalg
 import scipy.sparse as sp
 
 import controllers._mpc_law as module
-from controllers import LQR, LinearMPC
+from controllers import LinearMPC
 from controllers._mpc_law import Rung
 from controllers._mpc_solvers import QP, Answer, Workspace, make
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Preview,
-    Scenarios,
-    SteeringLaw,
-    simulate,
-)
+from helpers.grids import grid, some
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import COMPANION_UNITS
 
 DT = 0.05
 
@@ -86,16 +75,16 @@ def problem(
 
 
 def first_commands(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray) -> Any:
-    law = design.prepare(plant)
-    delta, _, status = law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+    delta, _, status = first_state(design, plant, x, preview, prev)
     return delta, status
 
 
-@pytest.mark.parametrize("always_solve", [False, True])
-@pytest.mark.parametrize("horizon", [1, 8, 20])
+@pytest.mark.parametrize(
+    ("horizon", "always_solve"), grid([1, 8, 20], [False, True], (1, False), (8, True), (20, False))
+)
 def test_without_active_limits_it_is_the_finite_horizon_lqr(horizon: int, always_solve: bool) -> None:
     """The optimum of the same cost without limits, by the normal equations of the uncondensed problem; 1e-5 rad."""
-    plant, x, preview, prev = situations(25, horizon, seed=horizon)
+    plant, x, preview, prev = situations(10, horizon, seed=horizon)
     wide = LinearMPC(horizon=horizon, delta_max=1.0, rate_max=10.0, q_psi=5.0, r_delta=60.0, always_solve=always_solve)
     prev = np.zeros_like(prev)
     x = 0.3 * x
@@ -110,29 +99,18 @@ def test_without_active_limits_it_is_the_finite_horizon_lqr(horizon: int, always
         assert delta[i] == pytest.approx(solution[4 * horizon], abs=1e-5 if always_solve else 1e-9)
 
 
-def test_on_a_straight_road_it_is_the_lqr() -> None:
-    """With the Riccati terminal cost the horizon does not matter: the same command as the infinite-horizon LQR."""
-    plant, x, preview, prev = situations(40, 20, seed=1, size=0.2)
-    straight = Preview(0 * preview.yaw_rate, 0 * preview.heading)
-    wide = LinearMPC(delta_max=1.0, rate_max=10.0)
-    delta, _ = first_commands(wide, plant, x, straight, 0 * prev)
-    law = LQR().prepare(plant)
-    assert isinstance(law, LinearLaw)
-    np.testing.assert_allclose(delta, (law.F * x).sum(axis=1), atol=1e-12)
-
-
-@pytest.mark.parametrize("r_delta", [5.0, 100.0, 2000.0])
+@pytest.mark.parametrize("r_delta", some([5.0, 100.0, 2000.0], 100.0))
 def test_with_active_limits_it_equals_another_solver(r_delta: float) -> None:
     """Clarabel on the uncondensed QP at its default 1e-8; OSQP's eps 1e-6 leaves at most 1e-4 rad."""
     design = LinearMPC(horizon=15, delta_max=0.04, rate_max=0.15, r_delta=r_delta)
-    plant, x, preview, prev = situations(60, 15, seed=2)
+    plant, x, preview, prev = situations(30, 15, seed=2)
     prev = np.clip(prev, -0.04, 0.04)
     delta, status = first_commands(design, plant, x, preview, prev)
     free, _ = first_commands(
         LinearMPC(horizon=15, delta_max=1.0, rate_max=10.0, r_delta=r_delta), plant, x, preview, prev
     )
     assert (status == EventStatus.OK).all()
-    assert (np.abs(delta - free) > 1e-3).sum() > 20, "the limits must bind for this to test anything"
+    assert (np.abs(delta - free) > 1e-3).sum() > 10, "the limits must bind for this to test anything"
     for i in range(plant.n):
         p = problem(design, plant, i, x[i], preview.yaw_rate[i], prev[i], limits=True)
         reference = qpsolvers.solve_problem(p, solver="clarabel")
@@ -163,7 +141,7 @@ class GivesUp(Workspace):
         return Answer(False, np.full(self.qp.A.shape[1], 2.1e9), np.full(y.size, np.nan), 4000)
 
 
-TIGHT = LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=10.0, always_solve=True)
+TIGHT = LinearMPC(horizon=8, delta_max=0.02, rate_max=0.1, r_delta=10.0, always_solve=True)
 TWO = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.6, 0.8], v_mean=[25.0, 15.0])
 
 
@@ -210,30 +188,24 @@ def test_an_interrupt_during_a_solve_is_an_interrupt() -> None:
 
 @pytest.mark.parametrize(
     ("horizon", "r_delta", "q_y", "size"),
-    [(20, 1.0, 1.0, 1.0), (20, 0.01, 1.0, 1.0), (60, 1.0, 1.0, 3.0), (40, 1e-3, 1.0, 1.0), (20, 100.0, 1e4, 1.0)],
+    [
+        (20, 0.01, 1.0, 1.0),
+        pytest.param(20, 1.0, 1.0, 1.0, marks=pytest.mark.slow),
+        pytest.param(60, 1.0, 1.0, 3.0, marks=pytest.mark.slow),
+        pytest.param(40, 1e-3, 1.0, 1.0, marks=pytest.mark.slow),
+        (20, 100.0, 1e4, 1.0),
+    ],
 )
 def test_feasible_qps_are_solved_with_extreme_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
-    """Weights far beyond what the limits allow; Clarabel on the QP in commands is the reference."""
+    """Weights far beyond what the limits allow; Clarabel on the same QP is the reference."""
     design = LinearMPC(horizon=horizon, r_delta=r_delta, q_y=q_y, delta_max=0.04, rate_max=0.05)
     plant, x, preview, prev = situations(12, horizon, seed=7, size=size)
     prev = np.clip(prev, -0.0424, 0.0424)  # up to just inside what the rate limit can bring back
-    law = design.prepare(plant)
-    delta, _, status = law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
+    delta, status = first_commands(design, plant, x, preview, prev)
     assert (status == EventStatus.OK).all()
-    U = law.unconstrained(x, preview.yaw_rate)
-    change = np.diff(np.eye(horizon), axis=0, prepend=0.0)
-    first = np.zeros(horizon)
-    for i in range(plant.n):
-        first[0] = prev[i]
-        impulse = law.condensed.impulse[i]
-        back = np.linalg.inv(scipy.linalg.toeplitz(impulse, np.zeros(horizon)))  # e = back (u - U)
-        C = np.vstack([np.eye(horizon), -np.eye(horizon), change, -change])
-        h = np.concatenate([np.full(2 * horizon, 0.04), 0.05 * DT + first, 0.05 * DT - first])
-        P = back.T @ back
-        p = qpsolvers.Problem(sp.csc_matrix((P + P.T) / 2), -P @ U[i], sp.csc_matrix(C), h)
-        reference = qpsolvers.solve_problem(p, solver="clarabel", tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
-        assert reference.x is not None
-        assert delta[i] == pytest.approx(reference.x[0], abs=1e-5)
+    reference = dataclasses.replace(design, solver="clarabel", always_solve=True)
+    theirs, _ = first_commands(reference, plant, x, preview, prev)
+    np.testing.assert_allclose(delta, theirs, rtol=0, atol=1e-5)
 
 
 def test_the_previewed_road_reaches_the_law() -> None:
@@ -252,105 +224,25 @@ def test_the_previewed_road_reaches_the_law() -> None:
         for k in (0, 7, 20):
             ahead = paths.t[i, k] + DT * np.arange(13)
             r = v * (scenarios.c_0[i] + scenarios.dc[i] * np.minimum(ahead / scenarios.T[i], 1.0))
-            expected = law.unconstrained(paths.x[i, k][None], r[None])[0, 0]
+            ahead = Preview(r[None], np.zeros((1, 13)))
+            expected = law.step(np.zeros(1), paths.x[i, k][None], ahead, np.zeros(1), law.init(1))[0][0]
             assert paths.t[i, k] == pytest.approx(t_s + k * DT)
             assert paths.delta[i, k] == pytest.approx(expected, abs=1e-12)
-
-
-def test_limits_hold_in_the_closed_loop() -> None:
-    rng = np.random.default_rng(5)
-    scenarios = Scenarios.from_arrays(
-        T=rng.uniform(1, 6, 80),
-        d_y=rng.uniform(0.3, 1.0, 80),
-        v_mean=rng.uniform(10, 32, 80),
-        c_0=rng.normal(0, 1e-3, 80),
-    )
-    out = simulate(LinearMPC(r_delta=10.0, delta_max=0.03, rate_max=0.1), scenarios, trajectories=True)
-    assert out.trajectories is not None
-    ok = out.status == EventStatus.OK
-    assert ok.sum() > 60
-    delta = out.trajectories.delta[ok]
-    # OSQP's primal tolerance, 1e-6
-    assert np.nanmax(np.abs(delta)) <= 0.03 + 2e-6
-    assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 4e-6
-    assert (np.abs(delta) > 0.0299).any()
 
 
 def test_skipping_the_solver_changes_nothing_that_matters() -> None:
     rng = np.random.default_rng(6)
     scenarios = Scenarios.from_arrays(
-        T=rng.uniform(1, 3, 12), d_y=rng.uniform(0.3, 0.8, 12), v_mean=rng.uniform(12, 30, 12)
+        T=rng.uniform(1, 3, 4), d_y=rng.uniform(0.3, 0.8, 4), v_mean=rng.uniform(12, 30, 4)
     )
-    skipped = simulate(LinearMPC(), scenarios).S
-    solved = simulate(LinearMPC(always_solve=True), scenarios).S
+    skipped = simulate(LinearMPC(horizon=8), scenarios).S
+    solved = simulate(LinearMPC(horizon=8, always_solve=True), scenarios).S
     np.testing.assert_allclose(solved, skipped, rtol=2e-5)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Whole(Controller):
-    """A design whose law never drops a scenario; it notes how many it is asked about."""
-
-    inner: LinearMPC
-    sizes: list[int]
-    drops: bool = False
-    name: ClassVar[str] = "whole"
-    title: ClassVar[str] = "Whole"
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        return _WholeLaw(self.inner.prepare(plant), self.sizes, self.drops)
-
-
-@dataclasses.dataclass(frozen=True)
-class _WholeLaw(SteeringLaw):
-    law: SteeringLaw
-    sizes: list[int]
-    drops: bool
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return self.law.preview_times
-
-    def init(self, n: int) -> Any:
-        return self.law.init(n)
-
-    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
-        self.sizes.append(t.size)
-        return self.law.step(t, x, preview, delta_prev, state)
-
-    def take(self, rows, state):  # type: ignore[no-untyped-def]
-        if not self.drops:
-            return None
-        law, kept = self.law.take(rows, state)
-        return _WholeLaw(law, self.sizes, True), kept
-
-
-def test_dropping_ended_scenarios_changes_no_bit() -> None:
-    """Against the same law made to keep them all, with every limit active at some time."""
-    rng = np.random.default_rng(8)
-    n = 24
-    scenarios = Scenarios.from_arrays(
-        T=rng.uniform(0.8, 4, n),
-        d_y=rng.uniform(0.3, 0.9, n),
-        v_mean=rng.uniform(10, 30, n),
-        c_0=rng.normal(0, 1e-3, n),
-    )
-    design = LinearMPC(horizon=8, delta_max=0.02, rate_max=0.08, r_delta=10.0)
-    usual = simulate(design, scenarios, y_s=0.05, settle=0.5)
-    kept, dropped = ([], [])  # type: tuple[list[int], list[int]]
-    whole = simulate(_Whole(design, kept), scenarios, y_s=0.05, settle=0.5)
-    cut = simulate(_Whole(design, dropped, drops=True), scenarios, y_s=0.05, settle=0.5)
-    assert set(kept) == {n}
-    assert len(set(dropped)) > 5
-    for out in (whole, cut):
-        np.testing.assert_array_equal(out.S, usual.S)
-        for name in COMPANION_UNITS:
-            np.testing.assert_array_equal(getattr(out.companions, name), getattr(usual.companions, name))
-        np.testing.assert_array_equal(out.status, usual.status)
-        np.testing.assert_array_equal(out.failed_solves, usual.failed_solves)
-
-
-@pytest.mark.parametrize("always_solve", [False, True])
-@pytest.mark.parametrize("solver", ["osqp", "daqp"])
+@pytest.mark.parametrize(
+    ("solver", "always_solve"), grid(["osqp", "daqp"], [False, True], ("osqp", True), ("daqp", False))
+)
 def test_a_step_depends_on_nothing_but_its_arguments(solver: str, always_solve: bool) -> None:
     """Bits stay the same whatever workspaces have solved meanwhile, and for any choice and order of scenarios."""
     plant, x, preview, prev = situations(12, 10, seed=4)
@@ -387,7 +279,7 @@ def test_a_step_depends_on_nothing_but_its_arguments(solver: str, always_solve: 
     np.testing.assert_array_equal(delta, once[turned])
 
 
-@pytest.mark.parametrize("solver", ["osqp", "daqp", "clarabel"])
+@pytest.mark.parametrize("solver", some(["osqp", "daqp", "clarabel"], "osqp", "clarabel"))
 def test_the_record_of_solver_calls(solver: str) -> None:
     """Every call counts; residuals are within what each solver promises."""
     plant, x, preview, prev = situations(12, 10, seed=4)
@@ -397,17 +289,15 @@ def test_the_record_of_solver_calls(solver: str) -> None:
     proved, guessed, _ = first_state(dataclasses.replace(design, always_solve=False), plant, x, preview, prev)
     tolerance = {"osqp": 2e-6, "daqp": 1e-9, "clarabel": 1e-6}[solver]
     np.testing.assert_allclose(delta, proved, rtol=0, atol=10 * tolerance)
-    np.testing.assert_array_equal(state.solves, 1)
+    calls = law.solver_calls(state)
+    assert calls.place.tolist() == list(range(12))
+    assert (calls.status == 1).all()
     np.testing.assert_array_equal(state.rung, Rung.SOLVED)
-    assert state.primal_residual.max() <= tolerance
-    assert state.dual_residual.max() <= tolerance
-    assert solver == "clarabel" or (state.iterations > 0).all()
+    assert calls.primal_residual.max() <= tolerance
+    assert calls.dual_residual.max() <= tolerance
+    assert solver == "clarabel" or (calls.iterations > 0).all()
     assert set(guessed.rung.tolist()) <= {Rung.FREE, Rung.HELD}
-    np.testing.assert_array_equal(guessed.held, guessed.rung == Rung.HELD)
-    assert not guessed.solves.any()
-    _, later, _ = law.step(np.zeros(12), x, preview, delta, state)
-    np.testing.assert_array_equal(later.solves, np.where(later.rung == Rung.SOLVED, 2, 3))
-    np.testing.assert_array_equal(law.take(np.array([3, 7]), later)[1].iterations, later.iterations[[3, 7]])
+    assert guessed.calls.place.size == 0
 
 
 def first_state(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview, prev: np.ndarray) -> Any:

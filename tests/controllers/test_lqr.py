@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from controllers import LQR
-from controllers.riccati import SPEED_RANGE, feedback, regulator
+from controllers.riccati import SPEED_RANGE, regulator
+from helpers.grids import grid, some
+from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
 from ldctoolkit.errors import InputError
 
@@ -19,15 +21,14 @@ WEIGHTS = [
 VEHICLES = [VehicleParameters(), VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)]
 
 
-@pytest.mark.parametrize("weights", WEIGHTS)
-@pytest.mark.parametrize("vehicle", VEHICLES)
-@pytest.mark.parametrize("dt", [0.05, 0.02])
-def test_scheduled_gains_equal_dlqr(weights: dict[str, float], vehicle: VehicleParameters, dt: float) -> None:
+@pytest.mark.parametrize(("number", "vehicle"), grid(range(3), VEHICLES, (0, VEHICLES[0]), (1, VEHICLES[1])))
+@pytest.mark.parametrize("dt", some([0.05, 0.02], 0.05))
+def test_scheduled_gains_equal_dlqr(number: int, vehicle: VehicleParameters, dt: float) -> None:
     """At speeds between the nodes; the tolerance is dlqr's own accuracy at these weights."""
     rng = np.random.default_rng(0)
     v = np.concatenate([[1.0, 90.0], np.exp(rng.uniform(np.log(1.0), np.log(90.0), 25))])
     plant = Plant.build(BicycleModel(vehicle), v, dt)
-    design = LQR(**weights)
+    design = LQR(**WEIGHTS[number])
     law = design.prepare(plant)
     assert isinstance(law, LinearLaw)
     q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
@@ -44,42 +45,12 @@ def test_a_bend_leaves_no_bias() -> None:
     assert isinstance(law, LinearLaw)
     r = 2.0 / plant.v  # 2 m/s^2
     x = np.tile([0.9, 0.1, 0.02, 0.0], (3, 1))
-    step = plant.step
     for _ in range(2000):
         delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+        x = moved(plant, x, delta, r)
     np.testing.assert_allclose(x[:, 0], 0.0, atol=1e-9)
-
-
-def test_the_schedule_does_not_depend_on_the_set() -> None:
-    v = np.array([9.0, 17.3, 31.0])
-    whole = LQR().prepare(Plant.build(BicycleModel(), v, 0.05))
-    one = LQR().prepare(Plant.build(BicycleModel(), v[1:2], 0.05))
-    assert isinstance(whole, LinearLaw)
-    assert isinstance(one, LinearLaw)
-    np.testing.assert_array_equal(whole.F[1:2], one.F)
 
 
 def test_speeds_outside_the_schedule_are_named() -> None:
     with pytest.raises(InputError, match=rf"95 m/s; allowed .* {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g}"):
         LQR().prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))
-
-
-@pytest.mark.parametrize(
-    ("gains", "message"),
-    [
-        ({"q_y": 0.0}, r"lqr\.q_y: 0\.0; allowed: a number from 1e-06 to 1e\+06 1/m\^2"),
-        ({"r_delta": float("nan")}, r"lqr\.r_delta: nan"),
-        ({"q_psi": "2"}, r"lqr\.q_psi: '2'"),
-        ({"q_psi": True}, r"lqr\.q_psi: True"),
-    ],
-)
-def test_gains_out_of_bounds_are_named(gains: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        LQR(**gains)
-
-
-def test_the_gain_alone_has_the_bits_of_gain_and_cost() -> None:
-    plant = Plant.build(BicycleModel(), np.random.default_rng(3).uniform(5, 40, 70), 0.05)
-    weights = (2.0, 0.1, 3.0, 0.2)
-    np.testing.assert_array_equal(feedback(plant, weights, 40.0), regulator(plant, weights, 40.0).K)

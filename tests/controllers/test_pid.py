@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import pickle
 from typing import ClassVar
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from controllers.pid import PID, PIDLaw
+from helpers.sampled_plant import DT, moved, plant_at
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -24,16 +22,10 @@ from ldctoolkit import (
     VehicleParameters,
     simulate,
 )
-from ldctoolkit.errors import InputError
 
-DT = 0.05
 SOME = Scenarios.from_arrays(
     T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
 )
-
-
-def plant_at(*v: float, model: BicycleModel | None = None, dt: float = DT) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), dt)
 
 
 def lane(r: np.ndarray) -> Preview:
@@ -54,8 +46,7 @@ def closed_loop(
     state, e_y, integral = law.init(r.size), [], []
     for _ in range(steps):
         delta, state = command(law, x, r, state)
-        step = driven.step
-        x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+        x = moved(driven, x, delta, r)
         e_y.append(x[:, 0])
         integral.append(state)
     return np.array(e_y), np.array(integral)
@@ -133,7 +124,7 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s() -> None:
         else:
             state += small
         delta, after = command(law, x, np.zeros(v.size), state)
-        loop[:, :4, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+        loop[:, :4, i] = moved(plant, x, delta) / small
         loop[:, 4, i] = after / small
     poles = np.log(np.linalg.eigvals(loop).astype(complex)) / DT
     assert (poles.real < -0.05).all()
@@ -187,57 +178,3 @@ def test_without_back_calculation_the_path_overshoots() -> None:
     wound_up, _ = closed_loop(dataclasses.replace(design, T_t=1e3), plant, x, np.zeros(1), 600)
     assert guarded.min() > -0.05
     assert wound_up.min() < -0.5
-
-
-@pytest.mark.parametrize("dt", [0.01, 0.05, 0.5])
-def test_a_tracking_time_below_the_sample_time_is_fine(dt: float) -> None:
-    law = PID(T_t=1e-3, delta_max=0.02).prepare(plant_at(20.0, dt=dt))
-    state, x = law.init(1), np.array([[5.0, 0.0, 0.0, 0.0]])
-    for _ in range(50):
-        _, state = command(law, x, np.zeros(1), state)
-    assert abs(state[0]) < 0.1
-
-
-NUMBER = st.floats(-3.0, 3.0)
-
-
-@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, state=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(x: tuple[float, ...], r: float, state: float, v: float) -> None:
-    law = PID().prepare(plant_at(v))
-    one = command(law, np.array([x]), np.array([r]), np.array([state]))
-    other = command(law, -np.array([x]), -np.array([r]), -np.array([state]))
-    np.testing.assert_array_equal(one, [-part for part in other])
-    assert abs(one[0][0]) <= 0.1
-
-
-def test_state_is_passed_and_not_changed_and_rows_do_not_mix() -> None:
-    rng = np.random.default_rng(2)
-    plant = plant_at(*rng.uniform(5, 40, 7))
-    x, r, state = rng.normal(0, 0.3, (7, 4)), rng.normal(0, 0.02, 7), rng.normal(0, 0.01, 7)
-    law, before = PID().prepare(plant), state.copy()
-    delta, after = command(law, x, r, state)
-    np.testing.assert_array_equal(state, before)
-    rows = np.array([1, 4, 6])
-    some, part = law.take(rows, state)
-    delta_some, after_some = command(some, x[rows], r[rows], part)
-    np.testing.assert_array_equal(delta_some, delta[rows])
-    np.testing.assert_array_equal(after_some, after[rows])
-
-
-def test_it_brings_departures_back() -> None:
-    out = simulate(PID(), SOME, y_s=0.1, settle=20.0, trajectories=True)
-    assert (out.status == EventStatus.OK).all()
-    assert (out.reduction > 0.1).all()
-    paths = out.trajectories
-    assert paths is not None
-    for i in range(4):
-        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
-        assert abs(e_y[-1]) < 0.1
-        assert e_y.min() > -0.25
-    assert np.nanmax(np.abs(paths.delta)) <= 0.1
-
-
-def test_designs_are_values_and_checked() -> None:
-    assert pickle.loads(pickle.dumps(PID(K_p=-0.02))) == PID(K_p=-0.02)
-    with pytest.raises(InputError, match=r"pid\.K_p: 0\.1; allowed: a number from -1 to 0 rad/m"):
-        PID(K_p=0.1)

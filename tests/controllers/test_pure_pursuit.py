@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -12,15 +11,11 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from controllers.pure_pursuit import PurePursuit, PurePursuitLaw
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from helpers.sampled_plant import closed_loop_matrices, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.errors import InputError
 
-DT = 0.05
 L_R, WHEEL_BASE = 1.47, 2.9
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def clothoid(law: PurePursuitLaw, r: np.ndarray, slope: np.ndarray) -> Preview:
@@ -90,19 +85,6 @@ def test_the_lane_ahead_is_exact_while_curvature_is_linear_in_time() -> None:
     np.testing.assert_allclose(law.lane_offset(clothoid(law, r, slope)), expected, rtol=1e-12, atol=1e-14)
 
 
-def test_where_the_curvature_stops_changing_it_is_nearly_exact() -> None:
-    """The end of the seen lane anywhere within an interval; an unusually sharp one: 0.02 rad/s^2 at 30 m/s."""
-    v, slope = 30.0, 0.02
-    law = PurePursuit(T_lp=1.5).prepare(plant_at(v))
-    t = law.preview_times
-    T = (45.0 - L_R) / v
-    for end in np.linspace(0.3, 1.4, 30):
-        heading = np.where(t < end, 0.5 * slope * t**2, slope * end * (t - 0.5 * end))
-        preview = Preview(slope * np.minimum(t, end)[None], heading[None])
-        exact = slope * (quad(lambda u: (T - u) * u, 0, end)[0] + quad(lambda u, e=end: (T - u) * e, end, T)[0])
-        assert law.lane_offset(preview)[0] == pytest.approx(v * exact, abs=3e-5)
-
-
 def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
     """Commands of a run against the lane's curvature integrated twice by quadrature."""
     scenarios = Scenarios.from_arrays(
@@ -138,68 +120,19 @@ def test_a_scenario_does_not_notice_a_slow_neighbour() -> None:
     np.testing.assert_array_equal(command(both, x, clothoid(both, r, slope))[:1], one)
 
 
-def test_rows_do_not_mix() -> None:
-    rng = np.random.default_rng(2)
-    law = PurePursuit(delta_max=1.0).prepare(plant_at(*rng.uniform(3, 40, 9)))
-    x, preview = rng.normal(0, 0.1, (9, 4)), clothoid(law, *rng.normal(0, 0.02, (2, 9)))
-    delta = command(law, x, preview)
-    for rows in (np.array([1, 4, 6]), np.array([8])):
-        some, _ = law.take(rows, None)
-        np.testing.assert_array_equal(some.preview_times, law.preview_times)
-        part = Preview(preview.yaw_rate[rows], preview.heading[rows])
-        np.testing.assert_array_equal(command(some, x[rows], part), delta[rows])
-
-
 @pytest.mark.parametrize("dt", [0.05, 0.1])
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     v = np.linspace(10, 40, 31)
-    plant = Plant.build(BicycleModel(), v, dt)
-    law, loop, small = PurePursuit().prepare(plant), np.zeros((v.size, 4, 4)), 1e-5
+    plant = plant_at(*v, dt=dt)
+    law = PurePursuit().prepare(plant)
     straight = clothoid(law, np.zeros(v.size), np.zeros(v.size))
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        delta = command(law, x, straight)
-        loop[:, :, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, straight))
     s = np.log(np.linalg.eigvals(loop).astype(complex)) / dt
     assert (s.real < -0.7).all()
     assert (-s.real / np.abs(s)).min() > 0.45
 
 
-NUMBER = st.floats(-3.0, 3.0)
-
-
-@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, slope=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(x: tuple[float, ...], r: float, slope: float, v: float) -> None:
-    law = PurePursuit().prepare(plant_at(v))
-    preview = clothoid(law, np.array([r]), np.array([slope]))
-    mirrored = Preview(-preview.yaw_rate, -preview.heading)
-    one, other = command(law, np.array([x]), preview), command(law, -np.array([x]), mirrored)
-    np.testing.assert_array_equal(one, -other)
-    assert abs(one[0]) <= 0.1
-
-
-def test_it_brings_departures_back() -> None:
-    scenarios = Scenarios.from_arrays(
-        T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
-    )
-    out = simulate(PurePursuit(), scenarios, y_s=0.1, settle=10.0, trajectories=True)
-    assert (out.status == EventStatus.OK).all()
-    assert (out.reduction > 0.2).all()
-    paths = out.trajectories
-    assert paths is not None
-    for i in range(4):
-        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
-        # what side slip leaves in a bend: tan(delta) = L c where delta_ss = L c + understeer is needed
-        assert abs(e_y[-1]) < (0.01 if scenarios.c_0[i] == 0 else 0.15)
-        assert e_y.min() > -0.3
-    assert np.nanmax(np.abs(paths.delta)) <= 0.1
-
-
-def test_designs_are_values_and_checked() -> None:
-    assert pickle.loads(pickle.dumps(PurePursuit(T_lp=2.0))) == PurePursuit(T_lp=2.0)
-    with pytest.raises(InputError, match=r"pure_pursuit\.T_lp: -1\.0; allowed: a number from 0 to 10 s"):
-        PurePursuit(T_lp=-1.0)
+def test_a_goal_behind_the_centre_of_gravity_is_named() -> None:
     long = BicycleModel(VehicleParameters(l_r=3.0))
     with pytest.raises(InputError, match=r"pure_pursuit\.l_min: 2 m; allowed: more than l_r = 3 m"):
         PurePursuit(l_min=2.0).prepare(plant_at(20.0, model=long))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -13,15 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
-from ldctoolkit.errors import InputError
+from helpers.sampled_plant import DT, closed_loop_matrices, moved, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, VehicleParameters
 
-DT = 0.05
 OTHER = BicycleModel(VehicleParameters(m=1300.0, C_af=64000.0, C_ar=90000.0))
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def command(
@@ -31,12 +25,6 @@ def command(
     delta, w, status = law.step(np.zeros(r.size), x, preview, np.zeros(r.size), w)
     np.testing.assert_array_equal(status, EventStatus.OK)
     return delta, w
-
-
-def moved(plant: Plant, x: np.ndarray, delta: np.ndarray, r: np.ndarray, r_next: np.ndarray) -> np.ndarray:
-    step = plant.step
-    lane = step.E_0 * r[:, None] + step.E_1 * r_next[:, None]
-    return np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + lane
 
 
 def sliding_variable(design: SlidingMode, plant: Plant, x: np.ndarray, r: np.ndarray) -> np.ndarray:
@@ -58,13 +46,6 @@ def test_the_implicit_step_solves_its_inclusion(s: float, w: float, dt: float, k
     u = super_twisting(np.array([s]), np.array([w]), dt, k_1, k_2)
     assert dt * u[0] == pytest.approx(dt * w_next + y - s, abs=1e-11)
     assert conditioned(np.array([w]), u, dt, k_2)[0] == pytest.approx(w_next, abs=1e-11)
-
-
-def test_by_hand() -> None:
-    """dt = 1, k_1 = 2, k_2 = 1, s = 4, w = 0.5: q^2 + 2 q = 3, y = 1, w+ = -0.5, u = -0.5 + 1 - 4."""
-    u = super_twisting(np.array([4.0]), np.array([0.5]), 1.0, 2.0, 1.0)
-    assert u[0] == pytest.approx(-3.5, abs=1e-15)
-    assert conditioned(np.array([0.5]), u, 1.0, 1.0)[0] == -0.5
 
 
 def test_small_samples_follow_the_differential_equation() -> None:
@@ -133,11 +114,8 @@ def test_zero_dynamics_are_damped_by_the_preview(T_lp: float, least: float) -> N
     design = SlidingMode(T_lp=T_lp, k_1=0.0, k_2=0.0, delta_max=1.0)
     v = np.linspace(10, 40, 31)
     plant = plant_at(*v)
-    law, loop, small, zero = design.prepare(plant), np.zeros((v.size, 4, 4)), 1e-4, np.zeros(v.size)
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        loop[:, :, i] = moved(plant, x, command(law, x, zero, zero, zero)[0], zero, zero) / small
+    law, zero = design.prepare(plant), np.zeros(v.size)
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, zero, zero, zero)[0])
     z = np.linalg.eigvals(loop)
     order = np.argsort(-np.abs(z), axis=1)
     z = np.take_along_axis(z, order, axis=1)
@@ -199,61 +177,3 @@ def test_w_does_not_wind_up_at_the_limit() -> None:
         lowest[guarded] = min(path)
     assert lowest[True] > -0.2
     assert lowest[False] < -0.5
-
-
-NUMBER = st.floats(-3.0, 3.0)
-
-
-@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, r_next=NUMBER, w=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(
-    x: tuple[float, ...], r: float, r_next: float, w: float, v: float
-) -> None:
-    law = SlidingMode().prepare(plant_at(v))
-    given_ = np.array([x]), np.array([r]), np.array([r_next]), np.array([w])
-    one, other = command(law, *given_), command(law, *(-part for part in given_))
-    np.testing.assert_array_equal(one, [-part for part in other])
-    assert abs(one[0][0]) <= 0.1
-    assert abs(one[1][0] - w) <= 0.5 * DT * (1 + 1e-12)
-
-
-def test_state_is_passed_and_not_changed_and_rows_do_not_mix() -> None:
-    rng = np.random.default_rng(2)
-    plant = plant_at(*rng.uniform(5, 40, 7))
-    x, r, r_next, w = rng.normal(0, 0.1, (7, 4)), *rng.normal(0, 0.02, (3, 7))
-    law, before = SlidingMode(delta_max=1.0).prepare(plant), w.copy()
-    delta, after = command(law, x, r, r_next, w)
-    np.testing.assert_array_equal(w, before)
-    rows = np.array([1, 4, 6])
-    some, part = law.take(rows, w)
-    delta_some, after_some = command(some, x[rows], r[rows], r_next[rows], part)
-    np.testing.assert_array_equal(delta_some, delta[rows])
-    np.testing.assert_array_equal(after_some, after[rows])
-
-
-def test_a_set_of_scenarios_prepares_as_each_alone() -> None:
-    v = np.array([9.0, 17.3, 31.0])
-    whole, one = SlidingMode().prepare(plant_at(*v)), SlidingMode().prepare(plant_at(17.3))
-    for name in ("c", "drift", "cB", "cD"):
-        np.testing.assert_array_equal(getattr(whole, name)[1:2], getattr(one, name))
-
-
-def test_it_brings_departures_back() -> None:
-    scenarios = Scenarios.from_arrays(
-        T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
-    )
-    out = simulate(SlidingMode(), scenarios, y_s=0.1, settle=10.0, trajectories=True)
-    assert (out.status == EventStatus.OK).all()
-    assert (out.reduction > 0.1).all()
-    paths = out.trajectories
-    assert paths is not None
-    for i in range(4):
-        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
-        assert abs(e_y[-1]) < 1e-3
-        assert e_y.min() > -0.01
-    assert np.nanmax(np.abs(paths.delta)) <= 0.1
-
-
-def test_designs_are_values_and_checked() -> None:
-    assert pickle.loads(pickle.dumps(SlidingMode(k_1=2.5))) == SlidingMode(k_1=2.5)
-    with pytest.raises(InputError, match=r"sliding_mode\.lambda_: -1\.0; allowed: a number from 0 to 10 1/s"):
-        SlidingMode(lambda_=-1.0)

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import math
-import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from controllers.stanley import Stanley, StanleyLaw
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
-from ldctoolkit.errors import InputError
+from helpers.sampled_plant import DT, closed_loop_matrices, moved, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Preview, VehicleParameters
 
-DT = 0.05
 OTHER = VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)
-
-
-def plant_at(*v: float, model: BicycleModel | None = None) -> Plant:
-    return Plant.build(model or BicycleModel(), np.array(v), DT)
 
 
 def command(
@@ -92,8 +84,7 @@ def test_a_bend_leaves_no_offset_of_the_front_axle(vehicle: VehicleParameters) -
         law, x = Stanley(k_ag=k_ag).prepare(plant), np.zeros((3, 4))
         for _ in range(600):
             delta = command(law, x, r)
-            step = plant.step
-            x = np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + (step.E_0 + step.E_1) * r[:, None]
+            x = moved(plant, x, delta, r)
         ends[k_ag] = x
     e_psi = plant.steady_state().e_psi * r
     front = ends[1.0][:, 0] + vehicle.l_f * np.sin(e_psi) - 0.5 * vehicle.l_f**2 * r / plant.v
@@ -105,12 +96,8 @@ def test_a_bend_leaves_no_offset_of_the_front_axle(vehicle: VehicleParameters) -
 def poles(design: Stanley, v: np.ndarray) -> np.ndarray:
     """Of the sampled loop about the lane's centre, in continuous time."""
     plant = plant_at(*v)
-    law, loop, small = design.prepare(plant), np.zeros((v.size, 4, 4)), 1e-5
-    for i in range(4):
-        x = np.zeros((v.size, 4))
-        x[:, i] = small
-        delta = command(law, x, np.zeros(v.size))
-        loop[:, :, i] = (np.einsum("nij,nj->ni", plant.step.A, x) + plant.step.B * delta[:, None]) / small
+    law = design.prepare(plant)
+    loop = closed_loop_matrices(plant, lambda x: command(law, x, np.zeros(v.size)))
     return np.log(np.linalg.eigvals(loop).astype(complex)) / DT
 
 
@@ -121,51 +108,3 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s() -> None:
     assert (-s.real / np.abs(s))[slow].min() > 0.8
     undamped = poles(Stanley(k_d_yaw=0.0), np.array([40.0]))
     assert (-undamped.real / np.abs(undamped)).min() < 0.3
-
-
-NUMBER = st.floats(-3.0, 3.0)
-
-
-@given(x=st.tuples(NUMBER, NUMBER, NUMBER, NUMBER), r=NUMBER, prev=NUMBER, state=NUMBER, v=st.floats(1.0, 90.0))
-def test_mirrored_input_gives_the_mirrored_command(
-    x: tuple[float, ...], r: float, prev: float, state: float, v: float
-) -> None:
-    law = Stanley(k_d_steer=0.2, delta_max=0.5).prepare(plant_at(v))
-    given_ = np.array([x]), np.array([r]), np.array([prev]), np.array([state])
-    one, other = command(law, *given_), command(law, *(-part for part in given_))
-    np.testing.assert_array_equal(one, -other)
-    assert abs(one[0]) <= 0.5
-
-
-def test_rows_do_not_mix() -> None:
-    rng = np.random.default_rng(2)
-    plant = plant_at(*rng.uniform(5, 40, 9))
-    x, r, prev, state = rng.normal(0, 0.1, (9, 4)), *rng.normal(0, 0.02, (3, 9))
-    law = Stanley(k_d_steer=0.2, delta_max=1.0).prepare(plant)
-    delta = command(law, x, r, prev, state)
-    for rows in (np.array([1, 4, 6]), np.array([8])):
-        some, part = law.take(rows, state)
-        np.testing.assert_array_equal(command(some, x[rows], r[rows], prev[rows], part), delta[rows])
-    assert law.take(np.array([0]), None)[1] is None
-
-
-def test_it_brings_departures_back() -> None:
-    scenarios = Scenarios.from_arrays(
-        T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
-    )
-    out = simulate(Stanley(), scenarios, y_s=0.1, settle=10.0, trajectories=True)
-    assert (out.status == EventStatus.OK).all()
-    assert (out.reduction > 0.2).all()
-    paths = out.trajectories
-    assert paths is not None
-    for i in range(4):
-        e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
-        assert abs(e_y[-1]) < 0.03
-        assert e_y.min() > -0.05
-    assert np.nanmax(np.abs(paths.delta)) <= 0.1
-
-
-def test_designs_are_values_and_checked() -> None:
-    assert pickle.loads(pickle.dumps(Stanley(k=2.0))) == Stanley(k=2.0)
-    with pytest.raises(InputError, match=r"stanley\.k: -1\.0; allowed: a number from 0 to 100 1/s"):
-        Stanley(k=-1.0)

@@ -7,7 +7,7 @@ from typing import Final
 
 from markupsafe import Markup
 
-from ldctoolkit.vehicle.nonlinear import GRAVITY
+from ldctoolkit.vehicle.parameters import GRAVITY
 from studies.report.context import Context
 from studies.report.words.text import compact, number, percent, symbols
 

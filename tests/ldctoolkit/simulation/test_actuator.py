@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, SteeringLaw, simulate
+from helpers.closed_loop import Constant, Stepped
+from helpers.grids import grid
+from ldctoolkit import Controller, Scenarios, simulate
 from ldctoolkit.plant_options import Actuator, PlantOptions
 
 DT, SETTLE = 0.05, 0.4
 STEP = 0.02  # [rad], of the command
+JUMP = Stepped(Constant(), lambda delta, k: np.full_like(delta, STEP))
+"""Commands one angle for ever, in the loop for any law."""
 
 # T is no whole number of samples, and the second departure is to the right
 SCENARIOS = Scenarios.from_arrays(side=[1, -1], T=[0.93, 0.777], d_y=0.4, v_mean=[25.0, 14.0], c_0=[1e-3, -2e-3])
@@ -23,46 +26,6 @@ def delta_0(i: int) -> float:
     v, T, d_y = SCENARIOS.v_mean[i], SCENARIOS.T[i], SCENARIOS.d_y[i]
     gradient = (1.47 - 1.43) * 1000.0 / (2 * 80000.0 * 2.9)
     return float((2.9 / v + gradient * v) * (v * SCENARIOS.c_0[i] - 8 * d_y / T**2 / v))
-
-
-@dataclasses.dataclass(frozen=True)
-class Constant(Controller):
-    """Commands one angle for ever, in the loop for any law."""
-
-    name = "constant"
-    title = "Constant"
-    angle: float = STEP
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        return ConstantLaw(self.angle)
-
-
-@dataclasses.dataclass(frozen=True)
-class ConstantLaw(SteeringLaw):
-    angle: float
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return np.zeros(0)
-
-    def init(self, n: int) -> None:
-        return None
-
-    def step(self, t, x, preview, delta_prev, state):  # type: ignore[no-untyped-def]
-        return np.full(x.shape[0], self.angle), state, np.zeros(x.shape[0], dtype=np.int8)
-
-
-@dataclasses.dataclass(frozen=True)
-class Remembered(Controller):
-    """Multiplies its last command, from delta_0 on, in the loop for linear laws."""
-
-    name = "remembered"
-    title = "Remembered"
-    factor: float = -1.0
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        none = np.zeros((plant.n, 0))
-        return LinearLaw(np.zeros((plant.n, 4)), np.zeros(0), none, none, np.full(plant.n, self.factor))
 
 
 def wheel(law: Controller, actuator: Actuator) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -99,15 +62,17 @@ ACTUATORS: dict[str, dict[str, Any]] = {
 DELAYS = (0.0, 0.15, 3 * DT, 0.013, 0.117, 5.0)  # 0.15/DT is a little less than 3, 3 DT a little more than 0.15
 
 
-@pytest.mark.parametrize("delay", DELAYS)
-@pytest.mark.parametrize("kind", ACTUATORS)
 @pytest.mark.parametrize("limit", [None, 0.007])
+@pytest.mark.parametrize(
+    ("kind", "delay"),
+    grid(ACTUATORS, DELAYS, *((kind, 0.117) for kind in ACTUATORS), *(("lag and rate", delay) for delay in DELAYS)),
+)
 def test_step_response_is_analytic(kind: str, delay: float, limit: float | None) -> None:
     """From the angle at the trigger, which is not limited, to the command or its limit."""
     given = ACTUATORS[kind]
     actuator = Actuator(**given, delay=delay, delta_max=limit)
     target = STEP if limit is None else limit
-    for i, (t, delta) in enumerate(wheel(Constant(), actuator)):
+    for i, (t, delta) in enumerate(wheel(JUMP, actuator)):
         expected = moved(t - delay, delta_0(i), target, given.get("lag", 0.0), given.get("rate_max", np.inf))
         # where a delay is a whole number of samples the wheel starts to turn at a sample, up to rounding
         sure = np.abs(t - delay) > 1e-12 if not given else np.full(t.size, True)
@@ -117,20 +82,22 @@ def test_step_response_is_analytic(kind: str, delay: float, limit: float | None)
 @pytest.mark.parametrize("delay", [0.0, 2 * DT, 0.15])
 def test_whole_delays_without_lag_are_exact_at_samples(delay: float) -> None:
     """The command of sample k is at the wheel from sample k + delay/dt on, that sample included."""
-    for i, (t, delta) in enumerate(wheel(Constant(), Actuator(delay=delay))):
+    for i, (t, delta) in enumerate(wheel(JUMP, Actuator(delay=delay))):
         late = round(delay / DT)
         assert (delta[:late] == pytest.approx(delta_0(i), rel=1e-12)) or late == 0
         np.testing.assert_array_equal(delta[late:], STEP)
         assert t[late] == pytest.approx(delay, abs=1e-12)
 
 
-@pytest.mark.parametrize("kind", ACTUATORS)
-@pytest.mark.parametrize("delay", [0.0, DT, 0.02, 0.088])
+@pytest.mark.parametrize(
+    ("kind", "delay"),
+    grid(ACTUATORS, [0.0, DT, 0.02, 0.088], *((kind, 0.088) for kind in ACTUATORS), ("lag and rate", DT)),
+)
 def test_a_linear_law_that_alternates_is_followed_step_by_step(kind: str, delay: float) -> None:
     """Commands f, f^2, f^3, ... times delta_0, f < 0: each jump starts where the last one had got to."""
     factor, given = -0.8, ACTUATORS[kind]
     lag, rate = given.get("lag", 0.0), given.get("rate_max", np.inf)
-    for i, (t, delta) in enumerate(wheel(Remembered(factor), Actuator(**given, delay=delay))):
+    for i, (t, delta) in enumerate(wheel(Constant(f_u=factor), Actuator(**given, delay=delay))):
         samples = np.abs(t / DT - np.round(t / DT)) < 1e-9
         arrivals = [(round(k * DT + delay, 12), 1, delta_0(i) * factor ** (k + 1)) for k in range(samples.sum())]
         reads = [(round(k * DT, 12), 2, 0.0) for k in range(samples.sum())]
@@ -148,7 +115,7 @@ def test_a_linear_law_that_alternates_is_followed_step_by_step(kind: str, delay:
 
 def test_the_rate_is_kept_between_samples_too() -> None:
     """A limit that no sample sees broken, with commands that arrive between samples and turn round at once."""
-    for _, delta in wheel(Remembered(-0.95), Actuator(rate_max=0.3, delay=0.021)):
+    for _, delta in wheel(Constant(f_u=-0.95), Actuator(rate_max=0.3, delay=0.021)):
         # two directions within one step
         assert (np.abs(np.diff(delta)) <= 0.3 * DT + 1e-12).all()
         assert (np.abs(np.diff(delta)) < 0.2 * 0.3 * DT).any()
@@ -156,7 +123,7 @@ def test_the_rate_is_kept_between_samples_too() -> None:
 
 def test_delta_prev_is_the_command_and_not_the_wheel() -> None:
     """The law multiplies what it commanded, whatever the wheel did with it."""
-    limited = wheel(Remembered(-1.0), Actuator(delta_max=0.001))
+    limited = wheel(Constant(f_u=-1.0), Actuator(delta_max=0.001))
     for i, (_, delta) in enumerate(limited):
         # with the wheel's angle as delta_prev the limit would never be left, nor the sign of delta_0 come back
         np.testing.assert_allclose(delta[:4], -np.sign(delta_0(i)) * 0.001 * np.array([1, -1, 1, -1]), rtol=0, atol=0)

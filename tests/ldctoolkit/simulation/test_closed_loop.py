@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import control
 import numpy as np
@@ -15,123 +12,115 @@ import scipy.linalg
 from scipy.interpolate import CubicHermiteSpline
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Preview, Scenarios, simulate
+from helpers import reference_loop as reference
+from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios
+from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import BOUND
 
 
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
+def preview_proportional(K_y: float, K_psi: float, T_lp: float = 0.0, sign: float = -1.0) -> reference.Law:
+    return lambda x, yaw_rate, heading, before: K_y * x[0] + K_psi * (x[2] + sign * (heading(T_lp) if T_lp else 0.0))
 
 
-laws = load("laws")
-make_scenarios, Constant, Stepped = laws.make_scenarios, laws.Constant, laws.Stepped
-
-
-@pytest.fixture(scope="module")
-def road() -> ModuleType:
-    return load("road_frame")
-
-
-@pytest.mark.parametrize(("convention", "settle"), [("consistent", 0.0), ("as_printed", 0.0), ("consistent", 1.3)])
-def test_preview_proportional_equals_the_road_frame(road: ModuleType, convention: str, settle: float) -> None:
+@pytest.mark.parametrize(
+    ("convention", "settle"),
+    [("consistent", 1.3), pytest.param("consistent", 0.0, marks=pytest.mark.slow), ("as_printed", 0.0)],
+)
+def test_preview_proportional_equals_the_reference(convention: str, settle: float) -> None:
     """Left and right, driven in ISO road coordinates by scipy: path to 1e-9, S to 1e-12 (1e-8 with a sign change)."""
-    K_y, K_psi, T_lp, y_s, dt = -0.03, -0.25, 1.3, 0.1, 0.05
-    sign = -1.0 if convention == "consistent" else 1.0
-    scenarios = make_scenarios(14, seed=4)
-    law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=T_lp, convention=convention)
-    out = simulate(law, scenarios, y_s=y_s, dt=dt, settle=settle, trajectories=True)
+    given = {"K_y": -0.03, "K_psi": -0.25, "T_lp": 1.3}
+    scenarios = make_scenarios(20, seed=4).take([0, 2, 4, 7, 9, 11, 13])
+    out = simulate(
+        PreviewProportional(**given, convention=convention), scenarios, y_s=0.1, settle=settle, trajectories=True
+    )
     assert out.trajectories is not None
-    assert out.triggered.sum() >= 10
-
-    def reference(t: float, x: np.ndarray, yaw_rate: object, heading: object) -> float:
-        return K_y * x[0] + K_psi * (x[2] + sign * heading(t, t + T_lp))  # type: ignore[operator,no-any-return]
-
+    law = preview_proportional(**given, sign=-1.0 if convention == "consistent" else 1.0)
     crossed = 0
     for i in range(scenarios.n):
-        side = int(scenarios.side[i])
-        S, S_recorded, state, t_s = road.drive(
-            side=side, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=scenarios.a_mean[i],
-            c_0=side * scenarios.c_0[i], dc=side * scenarios.dc[i], law=reference, y_s=y_s, dt=dt,
-        )  # fmt: skip
-        assert out.S_uncorrected[i] == pytest.approx(S_recorded, abs=1e-11)
-        if np.isinf(t_s):
+        expected = reference.drive(reference.Path.of(scenarios, i), law, y_s=0.1)
+        assert out.S_uncorrected[i] == pytest.approx(expected.S_recorded, abs=1e-11)
+        if np.isinf(expected.t_s):
             assert not out.triggered[i]
             assert out.S[i] == out.S_uncorrected[i]
             continue
-        assert out.t_s[i] == pytest.approx(t_s, abs=1e-12)
+        assert out.t_s[i] == pytest.approx(expected.t_s, abs=1e-12)
         (end,) = np.flatnonzero(out.trajectories.t[i] == scenarios.T[i])
         if settle == 0.0:
             assert np.isnan(out.trajectories.t[i, end + 1 :]).all()
-        np.testing.assert_allclose(side * out.trajectories.x[i, end], state, atol=1e-9)
+        np.testing.assert_allclose(out.trajectories.x[i, end], expected.x_T, atol=1e-9)
         path = out.trajectories.x[i, : end + 1, 0]
         crossing = bool((path[:-1] * path[1:] < 0).any())
         crossed += crossing
         # one crossing found on a cubic instead of the true curve costs its error squared
-        assert out.S[i] == pytest.approx(S, abs=1e-8 if crossing else 1e-12)
+        assert out.S[i] == pytest.approx(expected.S, abs=1e-8 if crossing else 1e-12)
     assert 0 < crossed < out.triggered.sum()
 
 
-def test_S_with_sign_changes_equals_the_road_frame(road: ModuleType) -> None:
-    """A stiff law that swings through the lane's centre several times."""
-    scenarios = Scenarios.from_arrays(T=[6.0, 8.0], d_y=[0.6, 0.9], v_mean=[25.0, 14.0], c_0=[1e-3, -1e-3])
-    law = PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0)
-    out = simulate(law, scenarios, y_s=0.2, settle=0.0, trajectories=True)
+@pytest.mark.parametrize(
+    ("v", "dt", "K_y", "K_psi"),
+    [
+        (18.0, 0.05, -0.06, -0.1),  # swings through the lane's centre several times
+        pytest.param(1.5, 0.05, -0.6, -0.5, marks=pytest.mark.slow),
+        (3.0, 0.2, -0.3, -0.5),
+        pytest.param(12.0, 0.5, -0.075, -0.5, marks=pytest.mark.slow),
+    ],
+)
+def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: float, K_y: float, K_psi: float) -> None:
+    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do."""
+    scenarios = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
+    law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
+    out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
     assert out.trajectories is not None
+    crossings = 0
     for i in range(2):
-        S, *_ = road.drive(
-            side=1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=0.0,
-            c_0=scenarios.c_0[i], dc=0.0, y_s=0.2, dt=0.05,
-            law=lambda t, x, r, h: -0.06 * x[0] - 0.1 * x[2],
-        )  # fmt: skip
+        expected = reference.drive(reference.Path.of(scenarios, i), preview_proportional(K_y, K_psi), y_s=0.1, dt=dt)
         path = out.trajectories.x[i, :, 0]
-        path = path[~np.isnan(path)]
-        assert (path[:-1] * path[1:] < 0).sum() >= 2
-        # swings of several metres: the quartic in each crossing step is good to a part in 1e8 of S
-        assert out.S[i] == pytest.approx(S, rel=1e-8)
+        crossings += int((path[:-1] * path[1:] < 0).sum())
+        assert out.S[i] == pytest.approx(expected.S, rel=2e-8)
+    assert crossings > 0
 
 
-ALL_LAWS: list[Controller] = [NoControl(), PreviewProportional(), LQR(), LinearMPC(horizon=12)]
+def test_a_departure_shorter_than_the_step() -> None:
+    scenarios = Scenarios.from_arrays(T=0.5, d_y=0.3, v_mean=20.0)
+    out = simulate(PreviewProportional(), scenarios, y_s=0.2, dt=2.0)
+    path = reference.Path.of(scenarios, 0)
+    law = preview_proportional(-0.005, -0.2, 2.0)
+    assert out.S[0] == pytest.approx(reference.drive(path, law, y_s=0.2, dt=2.0).S, abs=1e-9)
 
 
-def test_laws_with_a_step_are_odd() -> None:
-    """The command for the mirrored situation is the mirrored command; a `LinearLaw` is odd by its type."""
-    rng = np.random.default_rng(2)
-    plant = Plant.build(BicycleModel(), rng.uniform(8, 35, 50), 0.05)
-    law = LinearMPC(horizon=12).prepare(plant)
-    x = rng.normal(size=(50, 4)) * [0.8, 0.4, 0.03, 0.1]
-    preview = Preview(rng.normal(0, 0.02, (50, 13)), rng.normal(0, 0.02, (50, 13)))
-    mirrored = Preview(-preview.yaw_rate, -preview.heading)
-    delta_prev = rng.uniform(-0.05, 0.05, 50)
-    t = np.zeros(50)
-    left, _, _ = law.step(t, x, preview, delta_prev, law.init(50))
-    right, _, _ = law.step(t, -x, mirrored, -delta_prev, law.init(50))
-    np.testing.assert_allclose(right, -left, atol=1e-12)
+def test_lqr_of_right_departures_equals_the_reference() -> None:
+    """Right departures driven as such: negative offsets, the lane's own curvature, gains from control.dlqr."""
+    scenarios = dataclasses.replace(make_scenarios(6, seed=5), side=-np.ones(6, dtype=np.int64)).take([0, 2, 5])
+    out = simulate(LQR(), scenarios, y_s=0.05)
+    assert out.triggered.all()
+    for i in range(3):
+        v = scenarios.v_mean[i] + scenarios.a_mean[i] * (out.t_s[i] - scenarios.T[i] / 2)
+        A, B, _ = reference.Vehicle().matrices(v)
+        M = np.zeros((5, 5))
+        M[:4, :4], M[:4, 4] = A, B
+        phi = scipy.linalg.expm(0.05 * M)
+        K, _, _ = control.dlqr(phi[:4, :4], phi[:4, 4:], np.diag([1.0, 0, 1.0, 0]), np.array([[100.0]]))
+        ss = BicycleModel().steady_state([v])
+
+        def law(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, K: Any = K[0], ss: Any = ss) -> float:
+            r = yaw_rate(0.0)
+            return float(ss.delta[0] * r - K @ (x - np.array([0, 0, ss.e_psi[0] * r, 0])))
+
+        expected = reference.drive(reference.Path.of(scenarios, i), law, y_s=0.05)
+        assert out.S[i] == pytest.approx(expected.S, abs=1e-8)
+
+
+ALL_LAWS: list[Controller] = [NoControl(), PreviewProportional(), LQR(), LinearMPC(horizon=4)]
 
 
 @pytest.mark.parametrize("window", ["departure", "control"])
-@pytest.mark.parametrize("y_s", [0.0, 0.13, 0.5, 9.0])
+@pytest.mark.parametrize("y_s", [0.13, 9.0])
 def test_no_control_reduces_by_exactly_nothing(window: str, y_s: float) -> None:
     out = simulate(NoControl(), make_scenarios(200), y_s=y_s, window=window)  # type: ignore[arg-type]
     assert (out.reduction == 0.0).all()
     assert (out.S_uncorrected == out.S).all()
     assert out.mean_reduction == 0.0
-
-
-@pytest.mark.parametrize("law", ALL_LAWS, ids=lambda law: law.name)
-def test_numbers_do_not_depend_on_order_or_split(law: Controller) -> None:
-    scenarios = make_scenarios(120, seed=3)
-    whole = simulate(law, scenarios, y_s=0.1)
-    order = np.random.default_rng(0).permutation(scenarios.n)
-    laws.assert_same_bits(simulate(law, scenarios.take(order), y_s=0.1), whole, order)
-    for rows in np.array_split(np.arange(scenarios.n), 7):
-        laws.assert_same_bits(simulate(law, scenarios.take(rows), y_s=0.1), whole, rows)
 
 
 def test_windows_differ_by_what_was_before_the_trigger() -> None:
@@ -144,16 +133,6 @@ def test_windows_differ_by_what_was_before_the_trigger() -> None:
     assert (control.reduction[untriggered] == 0).all()
     assert (control.status[untriggered] == EventStatus.NEVER_TRIGGERED).all()
     assert control.count(EventStatus.NEVER_TRIGGERED) == untriggered.sum()
-
-
-def test_a_departure_shorter_than_the_step(road: ModuleType) -> None:
-    scenarios = Scenarios.from_arrays(T=0.5, d_y=0.3, v_mean=20.0)
-    out = simulate(PreviewProportional(), scenarios, y_s=0.2, dt=2.0)
-    S, *_ = road.drive(
-        side=1, T=0.5, d_y=0.3, v_mean=20.0, a_mean=0.0, c_0=0.0, dc=0.0, y_s=0.2, dt=2.0,
-        law=lambda t, x, r, h: -0.005 * x[0] - 0.2 * x[2],
-    )  # fmt: skip
-    assert out.S[0] == pytest.approx(S, abs=1e-9)
 
 
 def test_initial_yaw_rate_is_an_option() -> None:
@@ -170,28 +149,14 @@ def test_initial_yaw_rate_is_an_option() -> None:
     np.testing.assert_array_equal(path.x[started, 0, :3], zero.x[started, 0, :3])
 
 
-@pytest.mark.parametrize("law", ALL_LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", ALL_LAWS[1:], ids=lambda law: law.name)
 def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
     """A right departure seen by the law in the road's own frame, and its mirrored left one."""
-    left = dataclasses.replace(make_scenarios(60, seed=1), side=np.ones(60, dtype=np.int64))
+    left = dataclasses.replace(make_scenarios(40, seed=1), side=np.ones(40, dtype=np.int64))
     right = dataclasses.replace(left, side=-left.side)
-    seen = law if isinstance(law, NoControl) else laws.InTheRoadFrame(law)
-    S_left, S_right = simulate(law, left, y_s=0.1), simulate(seen, right, y_s=0.1)
-    assert S_left.triggered.sum() > 30
+    S_left, S_right = simulate(law, left, y_s=0.1), simulate(InTheRoadFrame(law), right, y_s=0.1)
+    assert S_left.triggered.sum() > 20
     np.testing.assert_allclose(S_right.S, S_left.S, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("inner", [LQR(), PreviewProportional(), Constant((-0.02, 0.0, -0.3, 0.0), 0.4)])
-def test_linear_and_general_loop_agree(inner: Controller) -> None:
-    scenarios = make_scenarios(80, seed=6)
-    linear = simulate(inner, scenarios, y_s=0.1, trajectories=True)
-    general = simulate(Stepped(inner), scenarios, y_s=0.1, trajectories=True)
-    np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)
-    assert linear.trajectories is not None
-    assert general.trajectories is not None
-    for name in ("t", "x", "delta"):
-        ours, theirs = getattr(linear.trajectories, name), getattr(general.trajectories, name)
-        np.testing.assert_allclose(ours, theirs, atol=1e-10, err_msg=name)
 
 
 def highest(t: np.ndarray, value: np.ndarray, rate: np.ndarray) -> float:
@@ -228,7 +193,7 @@ def test_an_unstable_law_is_scored_at_the_bound_and_counted(settle: float) -> No
         assert np.isnan(out.trajectories.delta[i, last + 1 :]).all()
     # a neighbour that diverges changes nothing for the others
     others = np.flatnonzero(~diverged)
-    laws.assert_same_bits(simulate(UNSTABLE, scenarios.take(others), y_s=0.05, settle=settle), out, others)
+    assert_same_rows(simulate(UNSTABLE, scenarios.take(others), y_s=0.05, settle=settle), out, others)
 
 
 @pytest.mark.parametrize("size", [1e6, 1e17, 1e300])
@@ -284,62 +249,9 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
             assert out.trajectories.delta[i, 0] == pytest.approx((2.9 / v + K_V * v) * yaw_rate, rel=1e-10)
 
 
-def test_a_command_that_is_never_driven_is_not_counted() -> None:
-    """T is a whole number of samples after the trigger: there is no last part step, and no command for it."""
-    scenarios = Scenarios.from_arrays(T=1.0, d_y=0.3, v_mean=20.0)
-    for settle, first_unused in ((0.0, 20), (0.1, 22), (0.12, 23)):
-        for sample, count in ((first_unused, 0), (first_unused - 1, 1)):
-            law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
-            assert simulate(law, scenarios, y_s=0.0, settle=settle).failed_solves[0] == count
-
-
 def test_mean_reduction_is_that_of_the_means() -> None:
     out = simulate(LQR(), make_scenarios(30))
     assert out.mean_reduction == pytest.approx(1.0 - out.S.mean() / out.S_uncorrected.mean(), rel=1e-12)
-
-
-def test_lqr_of_right_departures_equals_the_road_frame(road: ModuleType) -> None:
-    """Right departures driven as such: negative offsets, the lane's own curvature, gains from control.dlqr."""
-    scenarios = dataclasses.replace(make_scenarios(6, seed=5), side=-np.ones(6, dtype=np.int64))
-    out = simulate(LQR(), scenarios, y_s=0.05)
-    for i in np.flatnonzero(out.triggered):
-        v = scenarios.v_mean[i] + scenarios.a_mean[i] * (out.t_s[i] - scenarios.T[i] / 2)
-        A, B, _ = road.matrices(v)
-        M = np.zeros((5, 5))
-        M[:4, :4], M[:4, 4] = A, B
-        phi = scipy.linalg.expm(0.05 * M)
-        K, _, _ = control.dlqr(phi[:4, :4], phi[:4, 4:], np.diag([1.0, 0, 1.0, 0]), np.array([[100.0]]))
-        ss = BicycleModel().steady_state([v])
-
-        def law(t, x, yaw_rate, heading, K=K[0], ss=ss):  # type: ignore[no-untyped-def]
-            r = yaw_rate(t)
-            return ss.delta[0] * r - K @ (x - np.array([0, 0, ss.e_psi[0] * r, 0]))
-
-        S, *_ = road.drive(
-            side=-1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=scenarios.v_mean[i], a_mean=scenarios.a_mean[i],
-            c_0=-scenarios.c_0[i], dc=-scenarios.dc[i], law=law, y_s=0.05, dt=0.05,
-        )  # fmt: skip
-        assert out.S[i] == pytest.approx(S, abs=1e-8)
-
-
-@pytest.mark.parametrize(("v", "dt"), [(1.5, 0.05), (3.0, 0.2), (12.0, 0.5)])
-def test_S_is_exact_at_low_speed_and_long_steps(road: ModuleType, v: float, dt: float) -> None:
-    """The lateral mode dies within one step here: nothing that interpolates over the step would do."""
-    scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3])
-    K_y = -0.9 / v
-    law = PreviewProportional(K_y=K_y, K_psi=-0.5, T_lp=0.0)
-    out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
-    assert out.trajectories is not None
-    crossings = 0
-    for i in range(2):
-        S, *_ = road.drive(
-            side=1, T=scenarios.T[i], d_y=scenarios.d_y[i], v_mean=v, a_mean=0.0, c_0=scenarios.c_0[i], dc=0.0,
-            y_s=0.1, dt=dt, law=lambda t, x, r, h: K_y * x[0] - 0.5 * x[2],
-        )  # fmt: skip
-        path = out.trajectories.x[i, :, 0]
-        crossings += int((path[:-1] * path[1:] < 0).sum())
-        assert out.S[i] == pytest.approx(S, rel=2e-8)
-    assert crossings > 0
 
 
 def test_shapes_and_arguments_are_checked() -> None:
@@ -365,12 +277,3 @@ def test_shapes_and_arguments_are_checked() -> None:
         simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):
         simulate(LQR(), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]
-
-
-def test_no_scenarios_and_no_trigger() -> None:
-    none = make_scenarios(5).take(np.arange(0))
-    for law in ALL_LAWS:
-        assert simulate(law, none).S.shape == (0,)
-        out = simulate(law, make_scenarios(5), y_s=5.0, trajectories=True)
-        assert (out.S_uncorrected == out.S).all()
-        assert not out.triggered.any()

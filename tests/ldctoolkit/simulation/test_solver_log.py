@@ -77,14 +77,14 @@ def test_calls_come_by_scenario_and_sample() -> None:
 
 
 def test_a_solver_that_is_always_called_is_in_the_log_at_every_sample() -> None:
-    always = simulate(LinearMPC(always_solve=True, solver="daqp"), SCENARIOS, y_s=0.1, settle=0.2)
+    always = simulate(LinearMPC(horizon=5, always_solve=True, solver="daqp"), SCENARIOS, y_s=0.1, settle=0.2)
     log = always.solver_log
     assert set(log.row.tolist()) == set(np.flatnonzero(always.triggered).tolist())
     assert (log.status == 1).all()
     assert (log.primal_residual <= 1e-9).all()
     assert (log.dual_residual <= 1e-9).all()
     wrapped = BarrierFilter(
-        inner="linear_mpc", inner_gains="always_solve=true, solver=daqp", e_y_max=9.0, delta_max=1.0
+        inner="linear_mpc", inner_gains="horizon=5, always_solve=true, solver=daqp", e_y_max=9.0, delta_max=1.0
     )
     inside = simulate(wrapped, SCENARIOS, y_s=0.1, settle=0.2).solver_log
     assert inside.row.tolist() == log.row.tolist()
@@ -93,7 +93,7 @@ def test_a_solver_that_is_always_called_is_in_the_log_at_every_sample() -> None:
 
 def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
     order = np.array([3, 0, 4, 2, 1])
-    law = LinearMPC(always_solve=True, rate_max=0.05)
+    law = LinearMPC(horizon=5, always_solve=True, rate_max=0.05)
     one = simulate(law, SCENARIOS, y_s=0.1).solver_log
     other = simulate(law, SCENARIOS.take(order), y_s=0.1).solver_log.renamed(order)
     for field in dataclasses.fields(one):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import casadi
 import numpy as np
 import pytest
 import scipy.linalg
@@ -12,9 +11,8 @@ from scipy.integrate import quad
 
 from ldctoolkit import BicycleModel, VehicleParameters
 from ldctoolkit.errors import InputError
-from ldctoolkit.vehicle import Convention, discretize
+from ldctoolkit.vehicle import discretize
 from ldctoolkit.vehicle.discretization import expm
-from ldctoolkit.vehicle.symbolic import error_dynamics
 
 SPEEDS = np.array([1.0, 5.0, 13.7, 28.0, 60.0])
 OTHER = VehicleParameters(C_af=61000.0, C_ar=93000.0, l_f=1.1, l_r=1.7, m=1573.0, I_z=2873.0)
@@ -55,26 +53,6 @@ def test_as_printed_changes_one_entry() -> None:
     assert printed[1, 3] == pytest.approx(-(2 * p.C_af * p.l_f + 2 * p.C_ar * p.l_r) / (p.m * v), rel=1e-14)
     changed = ours != printed
     assert np.argwhere(changed).tolist() == [[1, 3]]
-
-
-@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
-@pytest.mark.parametrize("p", [VehicleParameters(), OTHER])
-def test_casadi_jacobians_equal_the_arrays(p: VehicleParameters, convention: Convention) -> None:
-    model = BicycleModel(p, convention)
-    f = error_dynamics(model)
-    x, delta, r, v = (casadi.SX.sym(name, size) for name, size in (("x", 4), ("delta", 1), ("r", 1), ("v", 1)))
-    dx = f(x, delta, r, v)
-    jacobians = casadi.Function("J", [x, delta, r, v], [casadi.jacobian(dx, w) for w in (x, delta, r)])
-    A, B, E = model.matrices(SPEEDS)
-    for i, speed in enumerate(SPEEDS):
-        J_x, J_delta, J_r = (np.array(J) for J in jacobians([0.3, 0.1, 0.02, 0.01], 0.05, 0.1, speed))
-        np.testing.assert_allclose(J_x, A[i], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(J_delta[:, 0], B[i], rtol=1e-12)
-        np.testing.assert_allclose(J_r[:, 0], E[i], rtol=1e-12, atol=1e-12)
-        # linear: the value itself is the Jacobian times the arguments
-        value = np.array(f([0.3, 0.1, 0.02, 0.01], 0.05, 0.1, speed))[:, 0]
-        expected = A[i] @ [0.3, 0.1, 0.02, 0.01] + B[i] * 0.05 + E[i] * 0.1
-        np.testing.assert_allclose(value, expected, rtol=1e-11, atol=1e-11)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.01, 0.05, 0.2])

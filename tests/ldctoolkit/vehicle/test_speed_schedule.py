@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.vehicle._clenshaw import clenshaw
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 
 
@@ -45,7 +44,7 @@ def test_equal_functions_share_one_interpolant_and_others_do_not() -> None:
 
 
 def test_a_speed_has_the_same_bits_in_any_set() -> None:
-    v = np.random.default_rng(1).uniform(*SPEED_RANGE, 200)
+    v = np.random.default_rng(1).uniform(*SPEED_RANGE, 70)
     together = scheduled(_Smooth(1.0), v, "values")
     alone = np.concatenate([scheduled(_Smooth(1.0), v[i : i + 1], "values") for i in range(v.size)])
     np.testing.assert_array_equal(together, alone)
@@ -60,15 +59,6 @@ def test_speeds_outside_the_range_are_named(v: float) -> None:
 def test_a_kink_is_refused() -> None:
     with pytest.raises(LdcError, match="gains of a kink change too sharply with speed"):
         scheduled(lambda v: np.abs(v - 20.0)[:, None], np.array([20.0]), "gains of a kink")
-
-
-@pytest.mark.parametrize("n", [0, 1, 63, 64, 65, 200])
-def test_the_compiled_series_is_numpys_bit_for_bit(n: int) -> None:
-    rng = np.random.default_rng(n)
-    z, coefficients = rng.uniform(-1, 1, n), rng.normal(size=(48, 5))
-    out = np.full((n, 5), np.nan)
-    clenshaw(z, coefficients, out)
-    np.testing.assert_array_equal(out, np.polynomial.chebyshev.chebval(z, coefficients).T)
 
 
 def test_some_columns_have_the_bits_of_all() -> None:

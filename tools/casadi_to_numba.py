@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ldctoolkit.errors import InputError
 
-_TEMPLATES: Final = {
+TEMPLATES: Final = {
     "OP_ASSIGN": "{0}",
     "OP_ADD": "{0} + {1}",
     "OP_SUB": "{0} - {1}",
@@ -137,12 +137,12 @@ def _body(function: Any, arguments: list[list[str]], prefix: str) -> tuple[list[
             slots[given[0]] = _literal(function.instruction_constant(k))
         elif op == "OP_OUTPUT":
             results[given[0], given[1]] = slots[taken[0]]
-        elif op in _TEMPLATES:
+        elif op in TEMPLATES:
             fresh = f"{prefix}{len(lines)}"
-            lines.append(f"{fresh} = {_TEMPLATES[op].format(*(slots[slot] for slot in taken))}")
+            lines.append(f"{fresh} = {TEMPLATES[op].format(*(slots[slot] for slot in taken))}")
             slots[given[0]] = fresh
         else:
-            raise InputError(f"function: {function.name()!r} uses {op}; allowed: {', '.join(sorted(_TEMPLATES))}")
+            raise InputError(f"function: {function.name()!r} uses {op}; allowed: {', '.join(sorted(TEMPLATES))}")
     return lines, [results[key] for key in sorted(results)]
 
 

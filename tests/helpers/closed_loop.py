@@ -1,4 +1,4 @@
-"""Scenarios and laws that several test modules of the closed loop share."""
+"""Scenarios, laws and takeovers that several test modules of the closed loop share."""
 
 from __future__ import annotations
 
@@ -9,9 +9,28 @@ from typing import Any, ClassVar
 import numpy as np
 
 from controllers import LQR
-from ldctoolkit import Controller, EventStatus, LinearLaw, Outcome, Plant, Preview, Scenarios, SteeringLaw
+from helpers.bits import assert_same_bits
+from ldctoolkit import Controller, EventStatus, LinearLaw, Outcome, Plant, Preview, Scenarios, Setup, SteeringLaw
 from ldctoolkit.metrics import COMPANION_UNITS
-from ldctoolkit.simulation import Run
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.simulation import Run, Takeover
+
+METRICS = tuple(COMPANION_UNITS)
+"""Names of what a run measures for each scenario beside S."""
+
+
+def takeover(
+    scenarios: Scenarios,
+    options: PlantOptions | None = None,
+    *,
+    y_s: float = 0.1,
+    dt: float = 0.05,
+    settle: float = 3.0,
+    seed: int = 0,
+) -> Takeover:
+    """What `drive` takes, for the default vehicle."""
+    setup = Setup(options=options or PlantOptions(), seed=seed, dt=dt, settle=settle)
+    return Takeover.build(scenarios, setup, y_s=y_s)
 
 
 def make_scenarios(n: int, seed: int = 0) -> Scenarios:
@@ -38,18 +57,13 @@ def values(out: Outcome | Run) -> dict[str, np.ndarray]:
     """Everything that a result holds for each scenario, in the order that it has."""
     scores = ("S", "S_uncorrected", "t_s") if isinstance(out, Outcome) else ("area",)
     found = {name: getattr(out, name) for name in (*scores, "status", "failed_solves")}
-    return found | {name: getattr(out.companions, name) for name in COMPANION_UNITS}
+    return found | {name: getattr(out.companions, name) for name in METRICS}
 
 
-def assert_same_bits(out: Any, expected: Any, rows: Any = slice(None)) -> None:
-    """`out` holds the rows of `expected`, bit for bit; NaN equals NaN."""
-    ours, theirs = values(out), values(expected)
-    for name, value in theirs.items():
-        if value is None:
-            assert ours[name] is None
-            continue
-        np.testing.assert_array_equal(ours[name], value[rows], err_msg=name)
-        assert np.array_equal(np.signbit(ours[name]), np.signbit(value[rows])), name
+def assert_same_rows(out: Outcome | Run, expected: Outcome | Run, rows: Any = slice(None)) -> None:
+    """`out` holds the rows of `expected`, bit for bit."""
+    theirs = values(expected)
+    assert_same_bits(values(out), {name: None if value is None else value[rows] for name, value in theirs.items()})
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq, minimize_scalar
 
+from ldctoolkit import Scenarios
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 
 G = 9.81
@@ -97,8 +98,18 @@ class Path:
     a: tuple[float, ...] = ()
     b: tuple[float, ...] = ()
 
+    @classmethod
+    def of(cls, scenarios: Scenarios, i: int, a: Iterable[float] = (), b: Iterable[float] = ()) -> Path:
+        """Scenario i, whose curvature is outward there."""
+        side = int(scenarios.side[i])
+        p = {name: float(getattr(scenarios, name)[i]) for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")}
+        p |= {"c_0": side * p["c_0"], "dc": side * p["dc"]}
+        return cls(side=side, **p, a=tuple(a), b=tuple(b))
+
     def _wave(self, amplitudes: tuple[float, ...], order: int, t: Times) -> Times:
         """Sum of amplitude times w^order sin(w t + order pi/2); order 1 and its kin are the derivatives of order 0."""
+        if not amplitudes:
+            return 0.0 * t
         w = np.arange(1, len(amplitudes) + 1) * np.pi / self.T
         return (np.array(amplitudes) * w**order) @ np.sin(np.multiply.outer(w, t) + order * np.pi / 2)
 
