@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
+from typing import Any
 
 import numpy as np
 
-from ldctoolkit import Scenarios
-from ldctoolkit.metrics import Companions
-from studies import Case, CaseResults, Design, Ranking, StudyResults
+from helpers.results import results_of as given_results
+from studies import Design, Ranking, StudyResults
 from studies.ranking.sentences import SCORE, ranking_sentences
 
 NONE = Design.from_gains("none", 0.1, {})
@@ -17,25 +16,13 @@ LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))
 
 def results_of(shift: float, designs: tuple[Design, ...], fresh: StudyResults | None = None) -> StudyResults:
     """No control has 4 m s, the designs 1, 2, ... m s, all moved by a shift and with a little noise."""
-    n = 60
-    noise = 0.01 * np.random.default_rng(1).normal(size=(len(designs), n))
+    noise = 0.01 * np.random.default_rng(1).normal(size=(len(designs), 60))
     S = np.array([4.0 if one.is_baseline else 1.0 + k for k, one in enumerate(designs)])[:, None] + shift + noise
-    case = CaseResults(
-        case=Case("departure", "consistent"),
-        S=S,
-        S_uncorrected=np.full(S.shape, 4.0 + shift),
-        status=np.zeros(S.shape, dtype=np.int8),
-        companions=Companions(**{f.name: np.ones(S.shape, np.float32) for f in dataclasses.fields(Companions)}),
-        failed_solves=np.zeros(S.shape, dtype=np.int32),
-        law_time=np.full(len(designs), np.nan),
-    )
-    side = np.where(np.arange(n) < 30, 1, -1)
-    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side)
-    return StudyResults(designs, scenarios, (case,), fresh=fresh)
+    return given_results(S, designs, uncorrected=4.0 + shift, parts={"fresh": fresh})
 
 
-def said(results: StudyResults, baseline: str = "") -> tuple[Ranking, list[str]]:
-    ranking = Ranking.of(results, results.cases[0], bootstrap=100, baseline=baseline)
+def said(results: StudyResults, **settings: Any) -> tuple[Ranking, list[str]]:
+    ranking = Ranking.of(results, results.cases[0], bootstrap=100, **settings)
     return ranking, list(ranking_sentences(ranking))
 
 
@@ -84,3 +71,19 @@ def test_a_law_as_baseline_is_compared_on_the_fresh_scenarios() -> None:
         f"On the same scenarios that is {share:.1f} % less than {LAWS[1].label} ({ranking.fresh_S[1]:.4f} m s)."
     )
     assert sentences[2].startswith("On the scenarios that designs were chosen on it has mean S")
+
+
+def test_a_best_design_that_is_worse_than_no_control_has_more() -> None:
+    """Mean S 5 and 4 m s: by how much it is worse, without a sign, on either kind of scenarios."""
+    one = np.full((1, 60), 5.0)
+    _, sentences = said(given_results(one, LAWS[:1], uncorrected=4.0))
+    assert sentences[0] == "Winner: LQR, y_s=0.1 m, mean S 5.0000 m s (95 % interval 5.0000 to 5.0000)."
+    assert sentences[1] == "That is 25.0 % more than no control (4.0000 m s)."
+    both = np.repeat([[5.0], [4.0]], 60, axis=1)
+    deep = {"deepest": [[0.0], [1.0]]}  # what keeps no control from its place
+    fresh = given_results(2 * both, (LAWS[0], NONE), uncorrected=8.0, metrics=deep)
+    results = given_results(both, (LAWS[0], NONE), uncorrected=4.0, metrics=deep, parts={"fresh": fresh})
+    _, sentences = said(results, require=("deeper <= 0.5",))
+    assert sentences[0].startswith("Winner: LQR, y_s=0.1 m, mean S 10.0000 m s on 60 fresh scenarios")
+    assert sentences[1] == "On the same scenarios that is 25.0 % more than no control (8.0000 m s)."
+    assert "+2.0000 m s (interval +2.0000 to +2.0000, on the fresh scenarios)" in sentences[2]

@@ -1,0 +1,59 @@
+"""Results of a study whose scores are given, for tests of what is made of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import Scenarios
+from ldctoolkit.metrics import Companions
+from studies import Case, CaseResults, Design, StudyResults
+
+DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
+
+
+def case_of(
+    S: np.ndarray,
+    *,
+    case: Case = DEPARTURE,
+    uncorrected: npt.ArrayLike = 9.0,
+    status: npt.ArrayLike = 0,
+    metrics: Mapping[str, npt.ArrayLike] | None = None,
+) -> CaseResults:
+    """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
+    given = dict.fromkeys((field.name for field in dataclasses.fields(Companions)), 0.0) | dict(metrics or {})
+    return CaseResults(
+        case=case,
+        S=S,
+        S_uncorrected=np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
+        status=np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
+        companions=Companions(
+            **{name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()}
+        ),
+        failed_solves=np.zeros(S.shape, dtype=np.int32),
+        law_time=np.full(len(S), np.nan),
+    )
+
+
+def scenarios_of(n: int, left: int | None = None) -> Scenarios:
+    """Scenarios of which only side matters; half of them to the left unless that is given."""
+    side = np.where(np.arange(n) < (n // 2 if left is None else left), 1, -1)
+    return Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side)
+
+
+def results_of(
+    S: np.ndarray,
+    designs: Sequence[Design],
+    *,
+    left: int | None = None,
+    cases: Sequence[Case] = (DEPARTURE,),
+    parts: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> StudyResults:
+    """Scores (d, n) of d designs, the same in every case; `parts` go to `StudyResults`, the others to `case_of`."""
+    found = tuple(case_of(S, case=case, **more) for case in cases)
+    return StudyResults(tuple(designs), scenarios_of(S.shape[1], left), found, **dict(parts or {}))
