@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from studies.racing.race_rounds import prefix_rows, schedule
+from studies.ranking.bootstrap import check_confidence
 from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME, separable
 
@@ -154,8 +154,7 @@ def _checked(
         raise InputError("scores: infinite in some scenario; allowed: finite numbers, and NaN for one not driven")
     if not 1 <= round <= rounds:
         raise InputError(f"round: {round!r}; allowed: 1 to {rounds}, the number of rounds")
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+    check_confidence(confidence)
     return scores, side, max(1, rounds - 1)
 
 
@@ -187,6 +186,3 @@ def _cautious_low(scores: FloatArray, mean: FloatArray, *, error: float, pairs: 
     largest = float(np.abs(_capped(scores, leaders[0]) - scores[leaders[0]]).max())
     low -= min(1.0, -math.log(error) / m) * largest
     return low
-
-
-__all__ = ["LEAST", "LEAST_A_SIDE", "Decision", "prefix_rows", "race_round", "schedule"]

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from studies.racing.race import prefix_rows
+from studies.racing.race_rounds import prefix_rows
 
 IntArray = npt.NDArray[np.int64]
 

@@ -254,6 +254,6 @@ class _Run:
 def _stops(study: Study, n: int) -> tuple[int, ...]:
     if not study.race:
         return (n,)
-    from studies.racing.race import schedule
+    from studies.racing.race_rounds import schedule
 
     return schedule(n)

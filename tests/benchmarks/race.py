@@ -22,7 +22,8 @@ from ldctoolkit.simulation import Takeover, drive_many
 from ldctoolkit.vehicle import BicycleModel
 from studies import Study
 from studies.design import Design
-from studies.racing.race import prefix_rows, race_round, schedule
+from studies.racing.race import race_round
+from studies.racing.race_rounds import prefix_rows, schedule
 from studies.racing.race_replay import replay
 from studies.results import FAILED_STATUSES
 from studies.study_file.ready import load_study
