@@ -95,12 +95,11 @@ def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: boo
         values = list(entry)
     else:
         values = [entry]
-    seen: list[Any] = []
+    seen: dict[Any, Any] = {}
     for value in values:
-        # True == 1 in Python, not in a study file
-        if not any(value == other and type(value) is type(other) for other in seen):
-            seen.append(value)
-    return tuple(seen)
+        # True == 1 in Python, not in a study file; a list is refused later, as no value of any gain
+        seen.setdefault((type(value), value if isinstance(value, int | float | str) else repr(value)), value)
+    return tuple(seen.values())
 
 
 def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
