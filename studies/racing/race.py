@@ -7,16 +7,12 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from studies.ranking.bootstrap import check_confidence
 from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME, separable
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 LEAST: Final = 50
 """A round with fewer scenarios that could be driven gives up nothing."""

@@ -8,11 +8,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
 from studies.ranking.figures import figure, figure_values
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _BLOCK: Final = 64
 """Rows that are compared with the front at once."""

@@ -23,8 +23,8 @@ from ldctoolkit.vehicle import BicycleModel
 from studies import Study
 from studies.design import Design
 from studies.racing.race import race_round
-from studies.racing.race_rounds import prefix_rows, schedule
 from studies.racing.race_replay import replay
+from studies.racing.race_rounds import prefix_rows, schedule
 from studies.results import FAILED_STATUSES
 from studies.study_file.ready import load_study
 

@@ -267,11 +267,6 @@ def test_content_goes_through_json_and_back(parts: dict[str, Any]) -> None:
     assert len(study.designs) <= study.design[0].size
 
 
-def test_a_full_grid_is_written_as_it_was_before_there_were_samples() -> None:
-    content = block(y_s=0.1, gains={"N": {"from": 1, "to": 10, "count": 4, "scale": "linear"}}).model_dump(mode="json")
-    assert content == {"law": "toy", "y_s": [0.1], "gains": {"N": [1, 4, 7, 10]}}
-
-
 def test_the_space_of_a_table_is_one_for_each_law() -> None:
     (mpc, lqr) = block(
         law=["linear_mpc", "lqr"],

@@ -175,13 +175,6 @@ def test_the_order_of_designs_does_not_matter(seed: int) -> None:
     np.testing.assert_allclose(shuffled.low, straight.low[order], rtol=1e-9)
 
 
-def test_more_confidence_keeps_more() -> None:
-    scores, side = table(np.linspace(1.0, 1.8, 60), 100, seed=3), sides(50, 50)
-    few, more = (decide(scores, side, confidence=c, samples=2000).keep for c in (0.5, 0.999))
-    assert more.sum() > few.sum()
-    assert more[few].all()
-
-
 def test_designs_given_up_before_still_count() -> None:
     scores, side = table(np.linspace(1.0, 1.8, 60), 100, seed=3), sides(50, 50)
     alone, of_many = (decide(scores, side, started=started) for started in (None, 100_000))

@@ -269,10 +269,12 @@ def test_plants_that_cannot_be_driven_on_are_named() -> None:
         assert impossible(plants[name], convention, residuals) == ""  # type: ignore[arg-type]
 
 
-def test_a_camera_delay_is_whole_samples() -> None:
-    for dt in (0.03, 0.25):
-        for plant in other_plants(PlantOptions(), dt):
-            plant.options.sensors.in_samples(dt)  # raises for what is no multiple
+@pytest.mark.parametrize(("dt", "delay"), [(0.03, 0.09), (0.04, 0.08), (0.05, 0.1), (0.25, 0.25)])
+def test_a_camera_delay_is_whole_samples_and_one_at_least(dt: float, delay: float) -> None:
+    plants = {plant.name: plant.options.sensors for plant in other_plants(PlantOptions(), dt)}
+    for name in ("camera-delay", "together"):
+        assert plants[name].delay == pytest.approx(delay, rel=1e-12)
+        plants[name].in_samples(dt)  # raises for what is no multiple
 
 
 def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:

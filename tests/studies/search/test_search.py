@@ -19,7 +19,6 @@ import pytest
 
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study, rank_study, run_study
-from studies.ranking.pareto import pareto_front
 from studies.search.search import Search
 
 pytestmark = pytest.mark.usefixtures("laws")
@@ -165,34 +164,6 @@ def test_objectives_of_which_more_is_better_are_made_large(objective: str, most:
     search = Search(make([{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}], trials=30, batch=3, objectives=[objective]))
     drive(search, lambda design: (design.y_s,))
     assert most - 0.3 <= np.mean([design.y_s for design in search.asked[15:]]) <= most
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
-def test_two_objectives_fill_a_front(sampler: str) -> None:
-    """Zitzler's ZDT1 in three variables: on the front K = -1 and N = 1; hypervolume below (1.1, 1.1)."""
-
-    def zdt1(design: Design) -> tuple[float, float]:
-        gains = dict(design.gains)
-        g = 1 + 4.5 * ((float(gains["K"]) + 1) + (int(gains["N"]) - 1) / 49)
-        return design.y_s, g * (1 - math.sqrt(design.y_s / g))
-
-    def volume(sampler: str, seed: int) -> float:
-        gains = {"K": {"from": -1, "to": 0}, "N": {"from": 1, "to": 50, "scale": "linear"}}
-        block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}, "gains": gains}]
-        search = Search(make(block, seed, trials=150, batch=10, sampler=sampler, objectives=["S", "a_y_peak_mean"]))
-        drive(search, zdt1)
-        points = np.array([zdt1(design) for design in search.asked])
-        front = points[pareto_front(points) & (points < 1.1).all(axis=1)]
-        front = front[np.argsort(front[:, 0])]
-        widths = np.diff(np.append(front[:, 0], 1.1))
-        return float(widths @ (1.1 - front[:, 1]))
-
-    found = np.median([volume(sampler, seed) for seed in range(3)])
-    chance = np.median([volume("random", seed) for seed in range(3)])
-    # the whole front has 1.21 - 1/3 = 0.877
-    assert found > chance + 0.1
-    assert found < 0.877
 
 
 def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
@@ -389,7 +360,9 @@ def test_designs_that_fail_have_no_margins_and_wrong_ones_are_refused() -> None:
     assert len(search.ask()) == 2
 
 
-def test_a_run_asks_for_what_its_own_values_and_margins_lead_to(make_study: Callable[..., Study], tmp_path: Path) -> None:
+def test_a_run_asks_for_what_its_own_values_and_margins_lead_to(
+    make_study: Callable[..., Study], tmp_path: Path
+) -> None:
     """Told by hand from the ranking of what ran: S, and how far S <= 0.9 and reduction > 0 are missed, as parts."""
     study = make_study(
         design=[{"law": "none"}, {"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": [10, 5000]}}],

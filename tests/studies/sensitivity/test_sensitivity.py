@@ -126,15 +126,6 @@ CUBE = {name: {"from": -math.pi, "to": math.pi} for name in "abc"}
 # --- the formulas -----------------------------------------------------------------------------------------------------
 
 
-def test_the_shares_of_a_fine_grid_are_the_known_indices() -> None:
-    """Midpoints: the sines are exact, the mean of c^4 and c^8 is off by 1e-4 of itself at 200 points."""
-    x = (np.arange(200) + 0.5) / 200 * 2 * np.pi - np.pi
-    a, b, c = x[5::10, None, None], x[None, 5::10, None], x[None, None, :]
-    first, total = factorial_shares((np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a))[None])
-    np.testing.assert_allclose(first[0], ISHIGAMI_FIRST, atol=3e-4)
-    np.testing.assert_allclose(total[0], ISHIGAMI_TOTAL, atol=3e-4)
-
-
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 4), min_size=1, max_size=4))
 def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: list[int]) -> None:
     """Every effect by inclusion and exclusion of conditional means; its sum of squares goes to all that are part."""
