@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Scenarios
+from ldctoolkit import Outcome, Scenarios
 from ldctoolkit.metrics import Companions
 from studies import Case, CaseResults, Design, StudyResults
 
@@ -37,6 +37,17 @@ def case_of(
         failed_solves=np.zeros(S.shape, dtype=np.int32),
         law_time=np.full(len(S), np.nan),
     )
+
+
+def case_of_outcomes(outcomes: Sequence[Outcome], case: Case = DEPARTURE) -> CaseResults:
+    """What `simulate` gave for each design."""
+    arrays = {
+        name: np.stack([getattr(one, name) for one in outcomes])
+        for name in ("S", "S_uncorrected", "status", "failed_solves")
+    }
+    names = [field.name for field in dataclasses.fields(Companions)]
+    companions = {name: np.stack([getattr(one.companions, name) for one in outcomes]) for name in names}
+    return CaseResults(case, **arrays, companions=Companions(**companions), law_time=np.zeros(len(outcomes)))
 
 
 def scenarios_of(n: int, left: int | None = None) -> Scenarios:

@@ -7,7 +7,7 @@ import dataclasses
 import io
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,13 @@ from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from ldctoolkit.simulation.random_streams import RandomStream
-from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare, run_study
+from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
 from studies.cli._comparison_table import print_comparison
 from studies.comparison.comparable import FinishedStudy
 from studies.comparison.comparison_files import COLUMNS, comparison_content, write_comparison
 from studies.comparison.paired_verdicts import Verdict, paired_differences
 from studies.comparison.shared_scenarios import drawn_streams, share_scenarios
+from studies.ranking.bootstrap import weight_blocks
 from studies.results import Dropped, FailedDesign, Race
 
 
@@ -159,33 +160,26 @@ def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     assert winners.same_design
 
 
-def plain_half_width(change: np.ndarray, side: np.ndarray, samples: int, confidence: float) -> float:
-    """The studentised bootstrap of one row, resample by resample, with random numbers of its own."""
-    generator = np.random.default_rng(99)
-    strata = [change[side == which] for which in (1, -1)]
-
-    def mean_and_error(parts: list[np.ndarray]) -> tuple[float, float]:
-        mean = sum(part.sum() for part in parts) / change.size
-        return mean, math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / change.size
-
-    mean, error = mean_and_error(strata)
-    t = []
-    for _ in range(samples):
-        again, spread = mean_and_error([generator.choice(part, part.size) for part in strata])
-        t.append(abs(again - mean) / spread)
-    return float(np.quantile(t, confidence)) * error
-
-
-def test_interval_against_a_plain_bootstrap() -> None:
-    generator = np.random.default_rng(2)
-    side = np.repeat([1, -1], [60, 40])
+def test_the_interval_is_the_studentised_bootstrap_by_hand() -> None:
+    """Resample by resample: the 95 % quantile of 99 is the 95th, a value that occurred."""
+    generator, side = np.random.default_rng(2), np.repeat([1, -1], [60, 40])
     old = generator.gamma(2.0, 1.0, (1, 100))
     new = old + np.where(side > 0, 0.3, -0.1) * generator.gamma(1.0, 1.0, 100)
-    found = paired_differences(old, new, side, seed=1, bootstrap=20_000)
-    half = plain_half_width((new - old)[0], side, 3_000, 0.95)
-    # quantiles of 20,000 and 3,000 resamples, known to 1 and 2.5 %
-    assert found.high[0] - found.difference[0] == pytest.approx(half, rel=0.07)
-    assert found.difference[0] - found.low[0] == pytest.approx(half, rel=0.07)
+    found = paired_differences(old, new, side, seed=1, bootstrap=99)
+    change = (new - old)[0]
+
+    def mean_and_error(values: np.ndarray, sides: np.ndarray) -> tuple[float, float]:
+        parts = [values[sides == which] for which in (1, -1)]
+        return values.mean(), math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / 100
+
+    mean, error = mean_and_error(change, side)
+    t = []
+    for weights in next(weight_blocks(side, samples=99, seed=1, stream=0x636D70)).astype(int):
+        again, spread = mean_and_error(np.repeat(change, weights), np.repeat(side, weights))
+        t.append(abs(again - mean) / spread)
+    half = sorted(t)[94] * error
+    assert found.high[0] - found.difference[0] == pytest.approx(half, rel=1e-9)
+    assert found.difference[0] - found.low[0] == pytest.approx(half, rel=1e-9)
 
 
 def test_no_number_depends_on_the_rows_beside_it_but_the_common_width() -> None:
@@ -224,6 +218,11 @@ def test_verdicts_at_the_tolerance_of_a_solver() -> None:
     assert [str(verdict) for verdict in found.verdict] == ["better", "same", "same", "same", "worse"]
     assert found.changed.tolist() == [40, 0, 0, 0, 40]
     assert found.largest.tolist() == [-1.1e-6, 0.0, 0.0, 0.0, 1.1e-6]
+    # half of the scenarios: 1e-6 m s on average, within the interval on both sides of it
+    half = np.tile([0.0, 2e-6], 20)
+    found = paired_differences(old[:2], np.stack([half, -half]), side, seed=1, bootstrap=50)
+    assert 0 < found.low[0] < 1e-6 < found.high[0]
+    assert found.verdict == (Verdict.UNTOLD, Verdict.UNTOLD)
 
 
 def test_a_few_changed_scenarios_tell_nothing_of_the_mean(scores: np.ndarray) -> None:
@@ -541,9 +540,8 @@ def test_refusals_of_results(scores: np.ndarray) -> None:
         compare(old, finished(np.where(scores > 5, np.nan, scores)))
 
 
-def test_refusals_of_folders(tmp_path: Path, make_study: Callable[..., Study]) -> None:
-    folder = tmp_path / "one"
-    run_study(make_study(ranking={"finalists": 0}), directory=folder, workers=1)
+def test_refusals_of_folders(tmp_path: Path, small_run: Path) -> None:
+    folder = small_run
     (tmp_path / "link").symlink_to(folder)
     for again in (folder, tmp_path / "link", str(folder) + "/"):
         with pytest.raises(InputError, match="the same folder twice"):

@@ -199,6 +199,15 @@ def test_a_finalist_outside_the_set_wins_where_nobody_in_it_meets_the_requiremen
     assert choose_winner(resampled, in_set, np.zeros(3, dtype=np.bool_), 0.95) is None
 
 
+@pytest.mark.parametrize(("by", "winner"), [(5e-7, 0), (1.5e-6, 1)])
+def test_a_solvers_tolerance_makes_no_winner(by: float, winner: int) -> None:
+    """The same amount in every fresh scenario, which the scores part without a doubt."""
+    S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
+    resampled = Resampled.of(np.stack([S, S - by]), np.repeat([1, -1], 50), seed=1, samples=100)
+    both = np.ones(2, dtype=np.bool_)
+    assert choose_winner(resampled, both, both, 0.95) == winner
+
+
 def test_a_first_that_was_no_finalist_stays_the_winner_without_a_fresh_score(
     scores: np.ndarray, again: np.ndarray
 ) -> None:

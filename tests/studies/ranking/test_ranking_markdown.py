@@ -61,6 +61,7 @@ def test_the_table_holds_the_numbers_of_the_ranking() -> None:
         value, low, high = map(float, re.findall(r"[+-]?\d+\.\d+", row[2]))
         assert [value, low, high] == pytest.approx([ranking.S[i], ranking.S_low[i], ranking.S_high[i]], abs=6e-5)
         assert (row[3] == "–") == (i == 0)  # noqa: RUF001
+        assert i == 0 or re.fullmatch(r"\+\d\.\d{4} \(\+\d\.\d{4} to \+\d\.\d{4}\)", row[3])
         assert i == 0 or float(row[3].split()[0]) == pytest.approx(ranking.difference[i], abs=6e-5)
         assert float(row[4].split()[0]) == pytest.approx(100 * ranking.reduction[i], abs=0.06)
         assert float(row[5]) == pytest.approx(ranking.S_left[i], abs=6e-5)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
+import pytest
 
 from helpers.results import results_of as given_results
+from ldctoolkit import EventStatus
 from studies import Design, Ranking, StudyResults
-from studies.ranking.sentences import SCORE, ranking_sentences
+from studies.ranking.failed_commands import warnings_of
+from studies.ranking.sentences import SCORE, failures, marks, ranking_sentences
 
 NONE = Design.from_gains("none", 0.1, {})
 LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))
@@ -87,3 +91,36 @@ def test_a_best_design_that_is_worse_than_no_control_has_more() -> None:
     assert sentences[0].startswith("Winner: LQR, y_s=0.1 m, mean S 10.0000 m s on 60 fresh scenarios")
     assert sentences[1] == "On the same scenarios that is 25.0 % more than no control (8.0000 m s)."
     assert "+2.0000 m s (interval +2.0000 to +2.0000, on the fresh scenarios)" in sentences[2]
+
+
+def test_ends_of_intervals_stand_in_their_order() -> None:
+    """The value lies between them, on the search's own scenarios, on fresh ones, and against a baseline."""
+    designs = (*LAWS, NONE)
+    for fresh in (None, results_of(4.0, designs)):
+        _, sentences = said(results_of(0.0, designs, fresh))
+        for text in (sentences[0], sentences[-2]):
+            value, low, high = (float(one) for one in re.findall(r"[+-]?\d+\.\d{4}", text))
+            assert low < value < high
+    assert "interval -" in sentences[-2]
+
+
+def test_failures_are_those_of_any_kind() -> None:
+    kinds = [EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED]
+    results = given_results(np.ones((1, 60)), LAWS[:1], status=[*kinds, EventStatus.NEVER_TRIGGERED, *[0] * 55])
+    ranking, _ = said(results)
+    assert failures(ranking, 0) == 4
+    assert marks(ranking, 0) == ("winner",)
+
+
+@pytest.mark.parametrize(
+    ("law", "n", "warned"), [("linear_mpc", 10, True), ("linear_mpc", 11, False), ("lqr", 11, True)]
+)
+def test_failed_commands_are_told_from_a_tenth_on(law: str, n: int, warned: int) -> None:
+    """One intervention of n; at once where the law has no solver to fall back from."""
+    design = Design.from_gains(law, 0.1, {})
+    status = [0] * n + [EventStatus.NEVER_TRIGGERED, EventStatus.INVALID]
+    case = given_results(np.ones((1, n + 2)), [design], status=status).cases[0]
+    case.failed_solves[0, [0, n, n + 1]] = 3
+    found = list(warnings_of(case, [design]))
+    assert len(found) == warned
+    assert all(f"{design.label} in 1 of {n} interventions" in text for text in found)

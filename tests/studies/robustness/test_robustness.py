@@ -14,13 +14,13 @@ from scipy import stats
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
+from helpers.results import DEPARTURE, case_of_outcomes
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, VehicleParameters, register, simulate
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.vehicle import Plant
 from studies.design import Design
 from studies.ranking.ranking import Ranking
-from studies.results import Case, CaseResults, StudyResults
+from studies.results import StudyResults
 from studies.robustness import stored
 from studies.robustness.chosen_designs import MOST, chosen_designs
 from studies.robustness.drives import drive_on_plants
@@ -31,8 +31,7 @@ from studies.robustness.robustness import Robustness, RobustnessTask, work_out
 from studies.robustness.setting import Setting
 from studies.study_file.ready import load_study
 
-CASE = Case("departure", "consistent")
-SETTING = Setting(CASE, settle=1.0, seed=5)
+SETTING = Setting(DEPARTURE, settle=1.0, seed=5)
 
 
 def departures(n: int, seed: int = 2) -> Scenarios:
@@ -62,12 +61,7 @@ DESIGNS = (
 def results_of(designs: tuple[Design, ...], scenarios: Scenarios) -> StudyResults:
     model = BicycleModel(VehicleParameters())
     outcomes = [simulate(d.controller(), scenarios, vehicle=model, y_s=d.y_s, settle=1.0, seed=5) for d in designs]
-    arrays = {name: np.stack([getattr(o, name) for o in outcomes])
-              for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
-    companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
-                  for name in COMPANION_UNITS}  # fmt: skip
-    case = CaseResults(CASE, **arrays, companions=Companions(**companions), law_time=np.zeros(len(designs)))
-    return StudyResults(designs, scenarios, (case,))
+    return StudyResults(designs, scenarios, (case_of_outcomes(outcomes),))
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.results import case_of_outcomes
 from helpers.results import results_of as given_results
 from ldctoolkit import (
     BicycleModel,
@@ -31,9 +32,8 @@ from ldctoolkit import (
     simulate,
 )
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.metrics import Companions
 from ldctoolkit.scenario_model import load_model
-from studies import Case, CaseResults, Design, Study, StudyResults
+from studies import Case, Design, Study, StudyResults
 from studies.ranking.bootstrap import bootstrap_means
 from studies.results import Dropped, FailedDesign, Race
 from studies.sensitivity.sensitivity import BlockSensitivity, gain_value, sensitivity
@@ -360,21 +360,8 @@ def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12)
     """What a run of the study gives, by `simulate` alone."""
     scenarios = load_model("reference").sample(n // 2, n - n // 2, seed=study.seed)
     designs = study.designs if designs is None else designs
-    outcomes = [[_outcome(study, design, scenarios, case) for design in designs] for case in study.cases]
     cases = tuple(
-        CaseResults(
-            case,
-            *(np.stack([getattr(one, name) for one in each]) for name in ("S", "S_uncorrected", "status")),
-            Companions(
-                **{
-                    f.name: np.stack([getattr(one.companions, f.name) for one in each])
-                    for f in dataclasses.fields(Companions)
-                }
-            ),
-            np.stack([one.failed_solves for one in each]),
-            np.zeros(len(designs)),
-        )
-        for case, each in zip(study.cases, outcomes, strict=True)
+        case_of_outcomes([_outcome(study, design, scenarios, case) for design in designs], case) for case in study.cases
     )
     return StudyResults(designs, scenarios, cases)
 
