@@ -183,6 +183,13 @@ def test_tables_that_share_designs_run_them_once() -> None:
     assert sorted(design.y_s for design in search.asked) == [0.1, 0.2, 0.3, 0.4]
 
 
+def test_every_law_has_random_numbers_of_its_own() -> None:
+    block = {"law": ["toy", "boom"], "y_s": {"from": 0.0, "to": 1.0}}
+    asked = Search(make([block], trials=6, batch=6, sampler="random")).ask()
+    assert {design.law for design in asked} == {"toy", "boom"}
+    assert len({design.y_s for design in asked}) == 6
+
+
 def test_tables_without_a_choice_run_once_too() -> None:
     search = Search(make([{"law": "none"}, {"law": "none"}, {"law": "toy"}], trials=50, batch=1))
     batches = drive(search, lambda design: (design.y_s,))
