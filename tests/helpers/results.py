@@ -26,14 +26,15 @@ def case_of(
 ) -> CaseResults:
     """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
     given = dict.fromkeys((field.name for field in dataclasses.fields(Companions)), 0.0) | dict(metrics or {})
+    companions: dict[str, Any] = {
+        name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()
+    }
     return CaseResults(
         case=case,
         S=S,
         S_uncorrected=np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
         status=np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
-        companions=Companions(
-            **{name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()}
-        ),
+        companions=Companions(**companions),
         failed_solves=np.zeros(S.shape, dtype=np.int32),
         law_time=np.full(len(S), np.nan),
     )

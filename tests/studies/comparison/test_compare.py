@@ -514,12 +514,16 @@ def test_both_plants_draw(scores: np.ndarray) -> None:
     assert compare(old, finished(scores[:, ::-1], plant=other, scenarios=turned)).shared.n == n
 
 
-def test_few_shared_scenarios_are_told(scores: np.ndarray) -> None:
-    old = finished(scores[:, :50], source="old", scenarios=scenarios_of(400).take(range(175, 225)))
+@pytest.mark.parametrize(("n", "told"), [(50, True), (199, True), (200, False)])
+def test_few_shared_scenarios_are_told(scores: np.ndarray, n: int, told: bool) -> None:
+    old = finished(
+        scores[:, :n],
+        source="old",
+        scenarios=scenarios_of(400).take(range(200 - min(50, n // 2), 200 - min(50, n // 2) + n)),
+    )
     comparison = compare(old, finished(scores))
-    assert comparison.shared.n == 50
-    assert (comparison.shared.left, comparison.shared.right) == (25, 25)
-    assert any("Only 50 shared scenarios" in warning for warning in comparison.warnings)
+    assert (comparison.shared.left, comparison.shared.right) == (min(50, n // 2), n - min(50, n // 2))
+    assert comparison.warnings == ((f"Only {n} shared scenarios: the intervals are rough.",) if told else ())
 
 
 # refusals and files

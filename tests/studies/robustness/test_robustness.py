@@ -27,7 +27,7 @@ from studies.robustness.drives import drive_on_plants
 from studies.robustness.loop_margins import loop_margins
 from studies.robustness.paired_interval import paired_means
 from studies.robustness.plants import impossible, other_plants
-from studies.robustness.robustness import Robustness, RobustnessTask, work_out
+from studies.robustness.robustness import Robustness, RobustnessTask, ranks, work_out
 from studies.robustness.setting import Setting
 from studies.study_file.ready import load_study
 
@@ -133,6 +133,11 @@ def test_intervals_are_those_of_the_paired_t_test() -> None:
     change = shifted - old
     error = np.sqrt(sum((side == s).sum() * change[:, side == s].var(axis=1, ddof=1) for s in (1, -1))) / 60
     assert both.high - both.difference == pytest.approx(stats.t.ppf(0.95, 58) * error, rel=1e-9)
+
+
+def test_ranks_are_shared_up_to_a_solvers_tolerance() -> None:
+    S, contends = np.array([1.0, 1.0 + 4e-7, 1.0 + 2e-6, 0.5, np.nan]), np.array([True, True, True, False, True])
+    assert ranks(S, contends).tolist() == [1, 1, 3, 0, 0]
 
 
 def test_few_changes_have_no_interval() -> None:
