@@ -74,17 +74,17 @@ def t_interval(values: np.ndarray, left: int) -> tuple[float, float]:
     return scipy.stats.t.interval(0.95, values.size - len(parts), values.mean(), error)
 
 
-@pytest.mark.parametrize("left", [400, 150])
-def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray, left: int) -> None:
-    """One mean, or one difference: nothing to correct for. 20,000 resamples know a 95 % quantile to about 1.5 %."""
-    one = rank(results_of(scores[:1], left=left), bootstrap=20_000)
+def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray) -> None:
+    """One mean, or one difference: nothing to correct for. 5,000 resamples know a 95 % quantile to about 3 %."""
+    left = 150
+    one = rank(results_of(scores[:1], left=left), bootstrap=5_000)
     low, high = t_interval(scores[0], left)
-    assert abs(one.S_low[0] - low) < 0.02 * (high - low)
-    assert abs(one.S_high[0] - high) < 0.02 * (high - low)
-    two = rank(results_of(scores[:2], left=left), bootstrap=20_000)
+    assert abs(one.S_low[0] - low) < 0.03 * (high - low)
+    assert abs(one.S_high[0] - high) < 0.03 * (high - low)
+    two = rank(results_of(scores[:2], left=left), bootstrap=5_000)
     low, high = t_interval(scores[0] - scores[1], left)
-    assert abs(two.difference_low[1] - low) < 0.02 * (high - low)
-    assert abs(two.difference_high[1] - high) < 0.02 * (high - low)
+    assert abs(two.difference_low[1] - low) < 0.03 * (high - low)
+    assert abs(two.difference_high[1] - high) < 0.03 * (high - low)
 
 
 def test_weights_are_stratified_and_the_same_for_every_design() -> None:
