@@ -8,16 +8,13 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from studies.ranking.bootstrap import bootstrap_means, check_confidence
 from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME
 from studies.ranking.standard_error import error_parts, lengths
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _STREAM: Final = 0x636D70
 """Keeps these resamples apart from those of the rankings."""
@@ -192,7 +189,7 @@ def _half_widths(values: FloatArray, side: IntArray, samples: int, seed: int, co
     return np.multiply(critical, error, out=np.zeros_like(error), where=error > 0.0)
 
 
-def _errors(moments: FloatArray, strata: list[npt.NDArray[np.bool_]]) -> FloatArray:
+def _errors(moments: FloatArray, strata: list[BoolArray]) -> FloatArray:
     """Standard errors of resampled means, (b, k), from what each side adds to mean and mean square, (b, s, 2, k)."""
     share = np.array([rows.mean() for rows in strata])[:, None]
     count = np.array([rows.sum() for rows in strata])[:, None]

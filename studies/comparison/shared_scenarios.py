@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation.random_streams import RandomStream
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +48,7 @@ class SharedScenarios:
         """Those to the right."""
         return int(np.sum(self.side == RIGHT))
 
-    def take(self, rows: npt.NDArray[np.bool_]) -> SharedScenarios:
+    def take(self, rows: BoolArray) -> SharedScenarios:
         """Some of them."""
         return dataclasses.replace(self, old=self.old[rows], new=self.new[rows], side=self.side[rows])
 
@@ -125,7 +124,7 @@ def share_scenarios(
     return SharedScenarios(old_at, new_at, new.side[new_at])
 
 
-def _rows(scenarios: Scenarios) -> npt.NDArray[np.float64]:
+def _rows(scenarios: Scenarios) -> FloatArray:
     return np.column_stack([scenarios.side.astype(np.float64), scenarios.matrix()]) + 0.0  # -0.0 is 0.0
 
 

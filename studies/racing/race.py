@@ -7,16 +7,12 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
+from studies.ranking.bootstrap import check_confidence
 from studies.ranking.row_blocks import row_means
 from studies.ranking.simultaneous import SAME, separable
-from studies.running.pieces import prefix_rows, schedule
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 LEAST: Final = 50
 """A round with fewer scenarios that could be driven gives up nothing."""
@@ -154,8 +150,7 @@ def _checked(
         raise InputError("scores: infinite in some scenario; allowed: finite numbers, and NaN for one not driven")
     if not 1 <= round <= rounds:
         raise InputError(f"round: {round!r}; allowed: 1 to {rounds}, the number of rounds")
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+    check_confidence(confidence)
     return scores, side, max(1, rounds - 1)
 
 
@@ -187,6 +182,3 @@ def _cautious_low(scores: FloatArray, mean: FloatArray, *, error: float, pairs: 
     largest = float(np.abs(_capped(scores, leaders[0]) - scores[leaders[0]]).max())
     low -= min(1.0, -math.log(error) / m) * largest
     return low
-
-
-__all__ = ["LEAST", "LEAST_A_SIDE", "Decision", "prefix_rows", "race_round", "schedule"]

@@ -6,14 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import get_type_hints
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import CaseResults
-
-IntArray = npt.NDArray[np.int64]
 
 _OFTEN = 0.1
 """Share of a design's interventions with a failed solve from which on a reader is told at once."""

@@ -5,14 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.ranking.resampled import Resampled, simultaneous_interval
 from studies.ranking.simultaneous import compare_with_best
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 _BLOCK_ENTRIES = 500_000
 """Resampled means looked at at once (4 MB)."""

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from ldctoolkit.arrays import BoolArray, FloatArray
 
 _FEW = 8
 """Places up to which what stands there is found without a full sort."""

@@ -8,14 +8,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
 from studies.ranking.figures import figure, figure_values
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-
-_FEW: Final = 64
-"""Rows up to which all pairs are compared at once."""
+_BLOCK: Final = 64
+"""Rows that are compared with the front at once."""
 
 
 def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
@@ -71,11 +69,6 @@ def pareto_front(costs: npt.ArrayLike) -> BoolArray:
     InputError
         For an array of another shape, or without columns.
 
-    Notes
-    -----
-    Exact, in O(d log(d)^max(1, k - 2)) steps and O(d k) memory: the divide and conquer of Kung, Luccio and Preparata,
-    "On finding the maxima of a set of vectors", Journal of the ACM 22 (1975).
-
     Examples
     --------
     >>> pareto_front([[1.0, 2.0], [2.0, 1.0], [2.0, 2.0]])
@@ -86,61 +79,20 @@ def pareto_front(costs: npt.ArrayLike) -> BoolArray:
         raise InputError(f"costs: shape {values.shape}; allowed: (d, k) with k >= 1")
     front = np.zeros(values.shape[0], dtype=np.bool_)
     rows = np.flatnonzero(~np.isnan(values).any(axis=1))
-    if not rows.size:
-        return front
-    rows = rows[np.lexsort(values[rows].T[::-1])]  # by the first column, then the second, ...
-    ordered = values[rows]
-    # equal rows share their fate; without them a row that is at most as large everywhere is smaller somewhere
-    first = np.r_[True, (ordered[1:] != ordered[:-1]).any(axis=1)]
-    kept = np.zeros(int(first.sum()), dtype=np.bool_)
-    kept[_front(ordered[first])] = True
-    front[rows] = kept[np.cumsum(first) - 1]
+    rows = rows[np.lexsort(values[rows].T[::-1])]  # now no row dominates one before it
+    kept = rows[:0]
+    for first in range(0, rows.size, _BLOCK):
+        block = rows[first : first + _BLOCK]
+        block = block[~_dominated(values[block], values[kept])]
+        kept = np.concatenate([kept, block[~_dominated(values[block], values[block])]])
+    front[kept] = True
     return front
 
 
-def _front(rows: FloatArray) -> npt.NDArray[np.intp]:
-    """Positions of the front among different rows in lexicographic order."""
-    n = rows.shape[0]
-    if n <= _FEW:
-        # every row covers itself
-        return np.flatnonzero(np.all(rows[:, None] <= rows[None], axis=2).sum(axis=0) == 1)
-    if rows.shape[1] == 1:
-        return np.array([0])
-    half = n // 2
-    before, after = _front(rows[:half]), half + _front(rows[half:])
-    # no row of the second half is smaller in the first column: only the others decide
-    return np.concatenate([before, after[~_covered(rows[after, 1:], rows[before, 1:])]])
-
-
-def _covered(rows: FloatArray, by: FloatArray) -> BoolArray:
-    """For which of some rows a row of `by` is at most as large in every column."""
-    if not rows.shape[0] or not by.shape[0]:
-        return np.zeros(rows.shape[0], dtype=np.bool_)
-    if rows.shape[1] == 1:
-        return np.asarray(rows[:, 0] >= by[:, 0].min())
-    if rows.shape[1] == 2:
-        return _covered_in_two(rows, by)
-    if rows.shape[0] * by.shape[0] <= _FEW * _FEW:
-        return np.asarray(np.any(np.all(by[None] <= rows[:, None], axis=2), axis=1))
-    values = np.concatenate([rows[:, 0], by[:, 0]])
-    middle = np.partition(values, values.size // 2)[values.size // 2]  # one of the values: the mean of two may be NaN
-    if middle == values.max():  # half of them or more are equal: the split has to be below
-        lower = values[values < middle]
-        if not lower.size:
-            return _covered(rows[:, 1:], by[:, 1:])
-        middle = lower.max()
-    low, by_low = rows[:, 0] <= middle, by[:, 0] <= middle
-    covered = np.empty(rows.shape[0], dtype=np.bool_)
-    covered[low] = _covered(rows[low], by[by_low])
-    covered[~low] = _covered(rows[~low], by[~by_low])
-    open_ = np.flatnonzero(~low & ~covered)
-    covered[open_] = _covered(rows[open_, 1:], by[by_low, 1:])
-    return covered
-
-
-def _covered_in_two(rows: FloatArray, by: FloatArray) -> BoolArray:
-    """For two columns: the least second one among all of `by` up to the first one."""
-    order = np.argsort(by[:, 0], kind="stable")
-    least = np.r_[np.inf, np.minimum.accumulate(by[order, 1])]
-    position = np.searchsorted(by[order, 0], rows[:, 0], side="right")
-    return np.asarray((position > 0) & (least[position] <= rows[:, 1]))
+def _dominated(rows: FloatArray, by: FloatArray) -> BoolArray:
+    """For which of some rows a row of `by` is at most as large in every column and smaller in one."""
+    no_larger, smaller = (np.full((len(rows), len(by)), start) for start in (True, False))
+    for values, others in zip(rows.T, by.T, strict=True):
+        no_larger &= others <= values[:, None]
+        smaller |= others < values[:, None]
+    return np.asarray((no_larger & smaller).any(axis=1))

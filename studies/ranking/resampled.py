@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.ranking.bootstrap import bootstrap_deviations, check_confidence
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.standard_error import (
@@ -17,9 +17,6 @@ from studies.ranking.standard_error import (
     spread_is_known,
     with_tails_of_t,
 )
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _BLOCK_ENTRIES = 32_000
 """Resampled differences held at once; they stay in the cache."""

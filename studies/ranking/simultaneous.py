@@ -5,15 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.ranking.bootstrap import check_confidence
 from studies.ranking.resampled import Resampled, critical_value
 from studies.ranking.standard_error import half_widths
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 SAME = 1e-6
 """Differences of mean S [m s] up to this are a solver's tolerance, not design."""
@@ -118,7 +114,6 @@ def separable(
     >>> separable(np.stack([S + 0.1, S]), side, seed=1, confidence=0.95, samples=200).clear
     array([ True, False])
     """
-    check_confidence(confidence)
     return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
 
 

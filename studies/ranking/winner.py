@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray
 from studies.ranking.resampled import Resampled, simultaneous_interval
 from studies.ranking.simultaneous import SAME
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:

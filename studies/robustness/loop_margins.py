@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.law_errors import raised
 from ldctoolkit.review import SPEEDS, Finding, review
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from ldctoolkit import Controller, Setup
     from ldctoolkit.simulation import Takeover
 
-FloatArray = npt.NDArray[np.float64]
 
 POINTS: Final = 7
 """Speeds."""
@@ -45,7 +44,7 @@ class LoopMargins:
     """
 
     linear: bool
-    stable: npt.NDArray[np.bool_]
+    stable: BoolArray
     gain: FloatArray
     gain_reduction: FloatArray
     phase: FloatArray

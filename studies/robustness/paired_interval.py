@@ -7,8 +7,8 @@ import math
 import statistics
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.ranking.row_blocks import row_means
 from studies.ranking.standard_error import (
     degrees_of_freedom,
@@ -18,9 +18,6 @@ from studies.ranking.standard_error import (
     spread_is_known,
     with_tails_of_t,
 )
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 SAME = 1e-6
 """Scores [m s] that differ by less are the same."""

@@ -265,29 +265,16 @@ def _means(values: FloatArray) -> FloatArray:
 
 def _changes(S: FloatArray, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Change to the first plant and its interval, (p, d) each."""
-    p, d, n = S.shape
-    ends = [np.full((p, d), np.nan) for _ in range(3)]
     known = np.all(np.isfinite(S), axis=2)
+    ends = _paired(np.broadcast_to(S[0], S.shape), S, known & known[0], side)
     for end in ends:
         end[0, known[0]] = 0.0
-    k, i = np.nonzero(known[1:] & known[0])
-    if k.size and n:
-        found = paired_means(S[0, i], S[k + 1, i], side, CONFIDENCE)
-        for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
-            end[k + 1, i] = values
-    return ends[0], ends[1], ends[2]
+    return ends
 
 
 def _excesses(drives: Drives, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Difference to no control on the same plant and its interval, (p, d) each."""
-    p, d, n = drives.S.shape
-    ends = [np.full((p, d), np.nan) for _ in range(3)]
-    known = np.all(np.isfinite(drives.S), axis=2)
-    if known.any() and n:
-        found = paired_means(drives.S_uncorrected[known], drives.S[known], side, CONFIDENCE)
-        for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
-            end[known] = values
-    return ends[0], ends[1], ends[2]
+    return _paired(drives.S_uncorrected, drives.S, np.all(np.isfinite(drives.S), axis=2), side)
 
 
 def _leads(
@@ -295,14 +282,19 @@ def _leads(
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """The best other design on each plant, and the difference of the first design to it with its interval."""
     p, d, n = S.shape
-    rival = np.full(p, -1, dtype=np.int64)
-    ends = [np.full(p, np.nan) for _ in range(3)]
-    if d > 1 and n:
-        others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
-        rival = np.where(np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]), 1 + others.argmin(axis=1), -1)
-        plants = np.flatnonzero(rival >= 0)
-        if plants.size:
-            found = paired_means(S[plants, rival[plants]], S[plants, 0], side, CONFIDENCE)
-            for end, values in zip(ends, (found.difference, found.low, found.high), strict=True):
-                end[plants] = values
-    return rival.astype(np.int64), ends[0], ends[1], ends[2]
+    if d < 2 or not n:
+        return np.full(p, -1, dtype=np.int64), *_paired(S[:, 0], S[:, 0], np.zeros(p, dtype=np.bool_), side)
+    others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
+    rival = np.where(np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]), 1 + others.argmin(axis=1), -1)
+    return rival.astype(np.int64), *_paired(S[np.arange(p), rival], S[:, 0], rival >= 0, side)
+
+
+def _paired(
+    old: FloatArray, new: FloatArray, where: npt.NDArray[np.bool_], side: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Difference of the means of scores (..., n) and its interval where that is wanted, NaN elsewhere."""
+    difference, low, high = (np.full(where.shape, np.nan) for _ in range(3))
+    if where.any() and side.size:
+        found = paired_means(old[where], new[where], side, CONFIDENCE)
+        difference[where], low[where], high[where] = found.difference, found.low, found.high
+    return difference, low, high

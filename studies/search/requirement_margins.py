@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.ranking.case_figures import CaseFigures
 from studies.ranking.figures import Requirement, figure_values
-
-FloatArray = npt.NDArray[np.float64]
 
 _MISSED: Final = 1e-12
 """Least margin of a requirement that is missed: ``"S < 0.5"`` at exactly 0.5."""

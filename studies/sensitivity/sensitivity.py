@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
@@ -22,9 +22,6 @@ from studies.results import CaseResults, StudyResults
 from studies.sensitivity.sobol_indices import Indices, factorial_indices, rbd_fast_indices, saltelli_indices
 from studies.study_file.ranking_settings import RankingSettings
 from studies.study_file.spec import Study
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, LdcError
 from studies.ranking.bootstrap import percentile_interval
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST_RBD_FAST = 64
 """Designs below which RBD-FAST is not used: its harmonics, and its interval from halves of the sample, need room."""

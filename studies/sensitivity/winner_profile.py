@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import controller_class
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
@@ -19,9 +19,6 @@ from studies.results import CaseResults, StudyResults
 from studies.sensitivity.drive_again import check_reproduced, drive_designs
 from studies.sensitivity.profile_points import ProfilePoint, declared_ends, profile_points
 from studies.study_file.spec import Study
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 POINTS = 9
 """Values of a numeric dimension that a profile has at least."""

@@ -11,19 +11,23 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from closed_loop import machine
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers import races
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.simulation import Takeover, drive_many
 from studies import Study
 from studies.design import Design
-from studies.racing.race import prefix_rows, race_round, schedule
-from studies.racing.race_replay import replay
+from studies.racing.race import race_round
 from studies.results import FAILED_STATUSES
+from studies.running.pieces import prefix_rows, schedule
 from studies.study_file.ready import load_study
 
 NEIGHBOURS, CONTESTED = 60, 20
@@ -78,9 +82,9 @@ def contested(full: np.ndarray, side: np.ndarray, seed: int) -> tuple[int, list[
     for number in range(CONTESTED):
         first = int(rng.integers(len(full) - NEIGHBOURS))
         table = full[rng.permutation(order[first : first + NEIGHBOURS])]
-        raced = replay(table, side, seed=number)
-        lost += not raced.kept[table.mean(axis=1).argmin()]
-        shares.append(raced.share)
+        kept, share = races.race(table, side, seed=number)
+        lost += not kept[table.mean(axis=1).argmin()]
+        shares.append(share)
     return lost, shares
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option, register, registry
-from studies import Study
+from studies import Study, run_study
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,26 +77,35 @@ def laws() -> Iterator[None]:
         registry._registered.pop(law.name, None)
 
 
+def small_study(**parts: Any) -> Study:
+    """A small study; keyword arguments replace its parts."""
+    content: dict[str, Any] = {
+        "name": "small",
+        "seed": 3,
+        "scenarios": {"left": 7, "right": 5},
+        "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
+        "ranking": {"bootstrap": 200, "finalists": 0},
+        "design": [
+            {"law": "none"},
+            {"law": "preview_proportional", "y_s": [0.05, 0.2], "gains": {"K_y": [-0.02, -0.005]}},
+            {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [50, 500]}},
+        ],
+    }
+    return Study.from_dict(content | parts)
+
+
 @pytest.fixture
 def make_study() -> Callable[..., Study]:
-    """A small study; keyword arguments replace its parts."""
+    """`small_study`."""
+    return small_study
 
-    def make(**parts: Any) -> Study:
-        content: dict[str, Any] = {
-            "name": "small",
-            "seed": 3,
-            "scenarios": {"left": 7, "right": 5},
-            "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
-            "ranking": {"bootstrap": 200, "finalists": 0},
-            "design": [
-                {"law": "none"},
-                {"law": "preview_proportional", "y_s": [0.05, 0.2], "gains": {"K_y": [-0.02, -0.005]}},
-                {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [50, 500]}},
-            ],
-        }
-        return Study.from_dict(content | parts)
 
-    return make
+@pytest.fixture(scope="session")
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the small study, run once a session; tests only read it."""
+    folder = tmp_path_factory.mktemp("small") / "run"
+    run_study(small_study(), directory=folder, workers=1, progress=False)
+    return folder
 
 
 @pytest.fixture

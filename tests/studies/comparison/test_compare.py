@@ -7,7 +7,7 @@ import dataclasses
 import io
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,39 +17,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from helpers.results import CONTROL, DEPARTURE, case_of
 from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.metrics import Companions
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from ldctoolkit.simulation.random_streams import RandomStream
-from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare, run_study
+from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
 from studies.cli._comparison_table import print_comparison
 from studies.comparison.comparable import FinishedStudy
 from studies.comparison.comparison_files import COLUMNS, comparison_content, write_comparison
 from studies.comparison.paired_verdicts import Verdict, paired_differences
 from studies.comparison.shared_scenarios import drawn_streams, share_scenarios
+from studies.ranking.bootstrap import weight_blocks
 from studies.results import Dropped, FailedDesign, Race
-
-DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
     generator = np.random.default_rng(seed)
     side = np.where(np.arange(n) < (n // 2 if left is None else left), 1, -1)
     return Scenarios.from_arrays(T=generator.uniform(1, 5, n), d_y=0.3, v_mean=25.0, side=side)
-
-
-def case_of(S: np.ndarray, case: Case = DEPARTURE, status: np.ndarray | None = None) -> CaseResults:
-    nothing: Any = np.zeros(S.shape, dtype=np.float32)
-    return CaseResults(
-        case=case,
-        S=S,
-        S_uncorrected=np.full(S.shape, 9.0),
-        status=np.zeros(S.shape, dtype=np.int8) if status is None else status,
-        companions=Companions(**{field.name: nothing for field in dataclasses.fields(Companions)}),
-        failed_solves=np.zeros(S.shape, dtype=np.int32),
-        law_time=np.full(len(S), np.nan),
-    )
 
 
 def study_of(d: int, **parts: Any) -> Study:
@@ -74,7 +60,9 @@ def finished(
     if rows is not None:
         study = Study.from_dict(study.content() | {"design": [{"law": "none", "y_s": [d.y_s for d in designs]}]})
     where = scenarios_of(S.shape[1]) if scenarios is None else scenarios
-    results = StudyResults(designs, where, tuple(cases) if cases else (case_of(S, status=status),))
+    results = StudyResults(
+        designs, where, tuple(cases) if cases else (case_of(S, status=0 if status is None else status),)
+    )
     manifest = Manifest.of(study, model="reference", model_hash="0" * 64, model_notes=(), model_synthetic=True)
     return FinishedStudy(source, manifest, study, results)
 
@@ -97,26 +85,13 @@ def scores() -> np.ndarray:
 # shared scenarios
 
 
-def rows_by_content(scenarios: Scenarios) -> dict[tuple[float, ...], int]:
-    table = np.column_stack([scenarios.side, scenarios.matrix()])
-    return {tuple(row): i for i, row in enumerate(table.tolist())}
-
-
-def test_a_larger_study_shares_the_scenarios_of_a_smaller_one() -> None:
-    model = load_model("reference")
-    small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
-    shared = share_scenarios(small, large)
-    there, here = rows_by_content(small), rows_by_content(large)
-    both = [key for key in here if key in there]  # another route: a dictionary of rows, in the order of the new ones
-    assert shared.old.tolist() == [there[key] for key in both]
-    assert shared.new.tolist() == [here[key] for key in both]
-    assert (shared.left, shared.right) == (30, 40)
-    assert share_scenarios(small, model.sample(70, 40, seed=5)).n == 0
-
-
 def test_draws_are_shared_with_seed_and_number_only() -> None:
     model = load_model("reference")
     small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
+    every = share_scenarios(small, large)
+    assert (every.left, every.right, every.other_draws) == (30, 40, 0)
+    assert (small.matrix()[every.old] == large.matrix()[every.new]).all()
+    assert every.new.tolist() == [*range(30), *range(70, 110)]
     shared = share_scenarios(small, large, both_draw=True)
     assert (shared.left, shared.right) == (30, 0)  # the right ones stand at other places
     assert shared.other_draws == 40
@@ -185,54 +160,69 @@ def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     assert winners.same_design
 
 
-def plain_half_width(change: np.ndarray, side: np.ndarray, samples: int, confidence: float) -> float:
-    """The studentised bootstrap of one row, resample by resample, with random numbers of its own."""
-    generator = np.random.default_rng(99)
-    strata = [change[side == which] for which in (1, -1)]
-
-    def mean_and_error(parts: list[np.ndarray]) -> tuple[float, float]:
-        mean = sum(part.sum() for part in parts) / change.size
-        return mean, math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / change.size
-
-    mean, error = mean_and_error(strata)
-    t = []
-    for _ in range(samples):
-        again, spread = mean_and_error([generator.choice(part, part.size) for part in strata])
-        t.append(abs(again - mean) / spread)
-    return float(np.quantile(t, confidence)) * error
-
-
-def test_interval_against_a_plain_bootstrap() -> None:
-    generator = np.random.default_rng(2)
-    side = np.repeat([1, -1], [60, 40])
+def test_the_interval_is_the_studentised_bootstrap_by_hand() -> None:
+    """Resample by resample: the 95 % quantile of 99 is the 95th, a value that occurred."""
+    generator, side = np.random.default_rng(2), np.repeat([1, -1], [60, 40])
     old = generator.gamma(2.0, 1.0, (1, 100))
     new = old + np.where(side > 0, 0.3, -0.1) * generator.gamma(1.0, 1.0, 100)
-    found = paired_differences(old, new, side, seed=1, bootstrap=20_000)
-    half = plain_half_width((new - old)[0], side, 20_000, 0.95)
-    # both quantiles are known to about 1 %: 20,000 resamples each
-    assert found.high[0] - found.difference[0] == pytest.approx(half, rel=0.04)
-    assert found.difference[0] - found.low[0] == pytest.approx(half, rel=0.04)
+    found = paired_differences(old, new, side, seed=1, bootstrap=99)
+    change = (new - old)[0]
+
+    def mean_and_error(values: np.ndarray, sides: np.ndarray) -> tuple[float, float]:
+        parts = [values[sides == which] for which in (1, -1)]
+        return values.mean(), math.sqrt(sum(part.size * part.var(ddof=1) for part in parts)) / 100
+
+    mean, error = mean_and_error(change, side)
+    t = []
+    for weights in next(weight_blocks(side, samples=99, seed=1, stream=0x636D70)).astype(int):
+        again, spread = mean_and_error(np.repeat(change, weights), np.repeat(side, weights))
+        t.append(abs(again - mean) / spread)
+    half = sorted(t)[94] * error
+    assert found.high[0] - found.difference[0] == pytest.approx(half, rel=1e-9)
+    assert found.difference[0] - found.low[0] == pytest.approx(half, rel=1e-9)
 
 
-def test_no_number_depends_on_the_rows_beside_it_but_the_common_width(scores: np.ndarray) -> None:
-    new = scores + 0.1 * np.random.default_rng(3).normal(size=scores.shape)
-    side = np.repeat([1, -1], 200)
-    forward, backward = (
-        paired_differences(scores[::step], new[::step], side, seed=1, bootstrap=300) for step in (1, -1)
-    )
+def test_no_number_depends_on_the_rows_beside_it_but_the_common_width() -> None:
+    generator, side = np.random.default_rng(3), np.repeat([1, -1], 8)
+    old = generator.gamma(2.0, 1.0, (501, 16))
+    new = old + 0.1 * generator.normal(size=old.shape)
+    forward, backward = (paired_differences(old[::step], new[::step], side, seed=1, bootstrap=100) for step in (1, -1))
     for name in ("difference", "low", "high", "S_old", "largest"):
         np.testing.assert_array_equal(getattr(forward, name), getattr(backward, name)[::-1])
-    alone = paired_differences(scores[:1], new[:1], side, seed=1, bootstrap=300)
+    alone = paired_differences(old[:1], new[:1], side, seed=1, bootstrap=100)
     assert alone.difference[0] == forward.difference[0]
     assert alone.high[0] < forward.high[0]  # one row alone needs less
 
 
-def test_rows_in_blocks_share_one_width(monkeypatch: pytest.MonkeyPatch, scores: np.ndarray) -> None:
-    new = scores + 0.1 * np.random.default_rng(3).normal(size=scores.shape)
-    side = np.repeat([1, -1], 200)
-    whole = paired_differences(scores, new, side, seed=1, bootstrap=300)
-    monkeypatch.setattr("studies.comparison.paired_verdicts._ROWS", 3)
-    np.testing.assert_array_equal(paired_differences(scores, new, side, seed=1, bootstrap=300).high, whole.high)
+@pytest.mark.parametrize(
+    ("rows", "confidence", "fewest"), [(1, 0.95, 6), (4, 0.95, 8), (1, 0.5, 2), (2, 0.75, 4), (1, 0.999, 11)]
+)
+def test_the_fewest_changed_scenarios_that_an_interval_needs(rows: int, confidence: float, fewest: int) -> None:
+    """Equal signs of m changes are chance in 2 of 2^m cases; k rows share 1 - confidence: m >= 1 + log2(k / share)."""
+    old, side = np.ones((rows, 40)), np.repeat([1, -1], 20)
+    for changed, known in ((fewest - 1, False), (fewest, True)):
+        new = old.copy()
+        new[:, :changed] += 1.0
+        found = paired_differences(old, new, side, seed=1, bootstrap=50, confidence=confidence)
+        assert np.isfinite(found.low).tolist() == np.isfinite(found.high).tolist() == [known] * rows
+        assert found.changed.tolist() == [changed] * rows
+        assert (found.high > found.difference).tolist() == [known] * rows
+        assert known or found.verdict == (Verdict.UNTOLD,) * rows
+
+
+def test_verdicts_at_the_tolerance_of_a_solver() -> None:
+    """Constant shifts have no width: 1e-6 m s is the same still, a little more is not."""
+    old, side = np.zeros((5, 40)), np.repeat([1, -1], 20)
+    new = old + np.array([-1.1e-6, -1e-6, 0.0, 1e-6, 1.1e-6])[:, None]
+    found = paired_differences(old, new, side, seed=1, bootstrap=50)
+    assert [str(verdict) for verdict in found.verdict] == ["better", "same", "same", "same", "worse"]
+    assert found.changed.tolist() == [40, 0, 0, 0, 40]
+    assert found.largest.tolist() == [-1.1e-6, 0.0, 0.0, 0.0, 1.1e-6]
+    # half of the scenarios: 1e-6 m s on average, within the interval on both sides of it
+    half = np.tile([0.0, 2e-6], 20)
+    found = paired_differences(old[:2], np.stack([half, -half]), side, seed=1, bootstrap=50)
+    assert 0 < found.low[0] < 1e-6 < found.high[0]
+    assert found.verdict == (Verdict.UNTOLD, Verdict.UNTOLD)
 
 
 def test_a_few_changed_scenarios_tell_nothing_of_the_mean(scores: np.ndarray) -> None:
@@ -272,8 +262,8 @@ def test_one_scenario_of_a_side_tells_nothing(scores: np.ndarray) -> None:
 def test_cases_share_one_confidence(scores: np.ndarray) -> None:
     generator = np.random.default_rng(4)
     first, second = (scores + 0.1 * generator.normal(size=scores.shape) for _ in range(2))
-    old = finished(scores, cases=[case_of(scores), case_of(scores, CONTROL)])
-    both = compare(old, finished(first, cases=[case_of(second, CONTROL), case_of(first)]))
+    old = finished(scores, cases=[case_of(scores), case_of(scores, case=CONTROL)])
+    both = compare(old, finished(first, cases=[case_of(second, case=CONTROL), case_of(first)]))
     assert [case.case for case in both.cases] == [CONTROL, DEPARTURE]
     one = compare(old, finished(first))
     assert [case.case for case in one.cases] == [DEPARTURE]
@@ -371,13 +361,13 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
 def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
     scores = scores + np.array([0.0, 0.0, -0.05, -0.05])[:, None]
     fresh_scenarios = scenarios_of(300, seed=8)
-    cases = [case_of(scores), case_of(scores[::-1], CONTROL)]
+    cases = [case_of(scores), case_of(scores[::-1], case=CONTROL)]
     old, new = (finished(scores, source=name, cases=cases) for name in ("old", "new"))
     fresh = np.random.default_rng(9).gamma(2.0, 1.0, (2, 300))
     fresh[1] -= fresh[1].mean() - fresh[0].mean() - 1.0
 
     def with_fresh(side: FinishedStudy, S: np.ndarray) -> FinishedStudy:
-        parts = (case_of(S), case_of(S, CONTROL))
+        parts = (case_of(S), case_of(S, case=CONTROL))
         return changed(side, fresh=StudyResults(side.results.designs[2:], fresh_scenarios, parts))
 
     comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
@@ -450,7 +440,7 @@ def raced(scores: np.ndarray, *, dropped: bool = True, primary: Case = DEPARTURE
     """Three of four designs, raced in one case; it has results in both windows. Design 3 was perhaps given up."""
     every = study_of(4).designs
     other = DEPARTURE if primary == CONTROL else CONTROL
-    cases = [case_of(scores[:3], primary), case_of(scores[:3], other)]
+    cases = [case_of(scores[:3], case=primary), case_of(scores[:3], case=other)]
     gone = (Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1),) if dropped else ()
     race = Race(rounds=(100, 400), alive=(3, 3), dropped=gone, runs=1300, full_runs=1600)
     return changed(finished(scores[:3], of=4, rows=[0, 1, 2], cases=cases, race=True, **parts), race=race)
@@ -461,7 +451,7 @@ def test_winners_of_cases_that_were_not_raced_are_not_compared(scores: np.ndarra
     """The full study's best design of the control window was given up for its S in the departure window."""
     control = scores.copy()
     control[3] = scores.min(axis=0) - 1.0
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(control, CONTROL)])
+    full = finished(scores, source="full", cases=[case_of(scores), case_of(control, case=CONTROL)])
     one, other = (raced(scores), full) if old_is_raced else (full, raced(scores))
     comparison = compare(one, other)
     first, second = comparison.cases
@@ -478,7 +468,7 @@ def test_winners_of_cases_that_were_not_raced_are_not_compared(scores: np.ndarra
 
 
 def test_winners_of_the_raced_case_and_of_races_that_gave_nothing_up_are_compared(scores: np.ndarray) -> None:
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(scores, CONTROL)])
+    full = finished(scores, source="full", cases=[case_of(scores), case_of(scores, case=CONTROL)])
     whole = compare(full, raced(scores, dropped=False))
     assert [case.winners is None for case in whole.cases] == [False, False]
     # the primary case is that of the raced study, not of the other one
@@ -524,12 +514,16 @@ def test_both_plants_draw(scores: np.ndarray) -> None:
     assert compare(old, finished(scores[:, ::-1], plant=other, scenarios=turned)).shared.n == n
 
 
-def test_few_shared_scenarios_are_told(scores: np.ndarray) -> None:
-    old = finished(scores[:, :50], source="old", scenarios=scenarios_of(400).take(range(175, 225)))
+@pytest.mark.parametrize(("n", "told"), [(50, True), (199, True), (200, False)])
+def test_few_shared_scenarios_are_told(scores: np.ndarray, n: int, told: bool) -> None:
+    old = finished(
+        scores[:, :n],
+        source="old",
+        scenarios=scenarios_of(400).take(range(200 - min(50, n // 2), 200 - min(50, n // 2) + n)),
+    )
     comparison = compare(old, finished(scores))
-    assert comparison.shared.n == 50
-    assert (comparison.shared.left, comparison.shared.right) == (25, 25)
-    assert any("Only 50 shared scenarios" in warning for warning in comparison.warnings)
+    assert (comparison.shared.left, comparison.shared.right) == (min(50, n // 2), n - min(50, n // 2))
+    assert comparison.warnings == ((f"Only {n} shared scenarios: the intervals are rough.",) if told else ())
 
 
 # refusals and files
@@ -540,18 +534,18 @@ def test_refusals_of_results(scores: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"no scenario in both \(seed: 0 -> 1\)"):
         compare(old, finished(scores, scenarios=scenarios_of(400, seed=1), seed=1))
     with pytest.raises(InputError, match="no case in both: the old study has departure window, consistent, the new"):
-        compare(old, finished(scores, cases=[case_of(scores, CONTROL)]))
+        compare(old, finished(scores, cases=[case_of(scores, case=CONTROL)]))
     with pytest.raises(InputError, match="no shared scenario could be driven"):
         compare(old, finished(scores, status=np.full(scores.shape, EventStatus.INVALID, dtype=np.int8)))
-    with pytest.raises(InputError, match=r"confidence: 1\.5"):
-        compare(old, finished(scores + 1.0), confidence=1.5)
+    for confidence in (1.5, 1.0, 0.0):
+        with pytest.raises(InputError, match=f"confidence: {confidence}; allowed: between 0 and 1"):
+            compare(old, finished(scores + 1.0), confidence=confidence)
     with pytest.raises(InputError, match="S is not finite"):
         compare(old, finished(np.where(scores > 5, np.nan, scores)))
 
 
-def test_refusals_of_folders(tmp_path: Path, make_study: Callable[..., Study]) -> None:
-    folder = tmp_path / "one"
-    run_study(make_study(ranking={"finalists": 0}), directory=folder, workers=1)
+def test_refusals_of_folders(tmp_path: Path, small_run: Path) -> None:
+    folder = small_run
     (tmp_path / "link").symlink_to(folder)
     for again in (folder, tmp_path / "link", str(folder) + "/"):
         with pytest.raises(InputError, match="the same folder twice"):

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from helpers.races import race
 from ldctoolkit import EventStatus, load_model
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import Takeover, drive_many
 from studies import Study
-from studies.racing import race_replay
-from studies.racing.race import Decision, _without_outliers, prefix_rows, race_round, schedule
-from studies.racing.race_replay import replay
+from studies.racing.race import Decision, race_round
+from studies.running.pieces import prefix_rows, schedule
 from studies.study_file.ready import load_study
 
 LINEAR = {"none", "preview_proportional", "lqr", "lqi", "preview_lqr"}
@@ -135,6 +135,24 @@ def test_differences_of_a_solvers_tolerance_part_nothing(by: float, kept: bool) 
     assert decide(np.concatenate([scores, scores + by]), sides(400, 400)).keep[1] == kept
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_was_not_met_yet_is_taken_off_by_hand(kept: bool) -> None:
+    """Half of the scenarios have 1 m s, half 9; the other design d m s more in the first ones and as much in the rest.
+
+    Four rounds decide, so that the error is 0.05 / 4. The capped difference is d or 0: Student's bound of it, less
+    log(80) / m of the largest, d. What is left scales with d, and 1e-6 m s decides.
+    """
+    m = 400
+    easy = np.arange(m) % 4 < 3
+    base = np.where(easy, 1.0, 9.0)
+    t = stats.ttest_1samp(easy.astype(float), 0.0).confidence_interval(1 - 2 * 0.05 / 4).low
+    left = float(t - np.log(80) / m)
+    d = (0.999e-6 if kept else 1.001e-6) / left
+    decision = decide(np.stack([base, base + d * easy]), sides(200, 200))
+    assert decision.low[1] == pytest.approx(d * left, rel=1e-6)
+    assert decision.keep.tolist() == [True, kept]
+
+
 def test_scenarios_that_could_not_be_driven_are_left_out_for_all() -> None:
     scores, side = table(np.array([1.0, 1.2, 2.0]), 130, seed=2), sides(70, 60)
     holes = scores.copy()
@@ -155,13 +173,6 @@ def test_the_order_of_designs_does_not_matter(seed: int) -> None:
     straight, shuffled = decide(scores, side), decide(scores[order], side)
     np.testing.assert_array_equal(shuffled.keep, straight.keep[order])
     np.testing.assert_allclose(shuffled.low, straight.low[order], rtol=1e-9)
-
-
-def test_more_confidence_keeps_more() -> None:
-    scores, side = table(np.linspace(1.0, 1.8, 60), 100, seed=3), sides(50, 50)
-    few, more = (decide(scores, side, confidence=c, samples=2000).keep for c in (0.5, 0.999))
-    assert more.sum() > few.sum()
-    assert more[few].all()
 
 
 def test_designs_given_up_before_still_count() -> None:
@@ -199,8 +210,6 @@ def test_a_design_that_diverges_now_and_then_is_given_up() -> None:
     decision = decide(scores, sides(50, 50))
     assert decision.best == 0
     assert decision.keep.all()
-    # and as it would lead without that one, its score is left as it is
-    assert _without_outliers(scores, 0) is scores
 
 
 @pytest.mark.parametrize(
@@ -224,41 +233,16 @@ def test_what_a_round_refuses(scores: np.ndarray, changes: dict[str, Any], messa
 # ---- whole races
 
 
-def test_a_replay_counts_its_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    started = []
-
-    def watched(*given: Any, **settings: Any) -> Decision:
-        started.append(settings["started"])
-        return race_round(*given, **settings)
-
-    monkeypatch.setattr(race_replay, "race_round", watched)
-    truth = np.array([1.0, 1.05, 1.5, 3.0])
-    scores, side = table(truth, 1000, seed=5), sides(600, 400)
-    raced = replay(scores, side, seed=5, samples=300)
-    assert raced.rounds == (100, 200, 400, 1000)
-    assert started == [4] * 4
-    before = (4, *raced.alive[:-1])
-    sizes = np.diff(raced.rounds, prepend=0)
-    assert raced.runs == sum(k * int(size) for k, size in zip(before, sizes, strict=True))
-    assert raced.full_runs == scores.size
-    assert raced.share == raced.runs / scores.size
-    assert raced.kept.sum() == raced.alive[-1]
-    assert raced.kept[0]
-    assert not raced.kept[3]
-
-
-def test_twenty_races_keep_the_winner_of_the_full_study() -> None:
-    shares = []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        truth = np.concatenate([1.0 + 0.002 * np.arange(5), rng.uniform(1.1, 3.0, 195)])
-        scores = table(truth, 2000, seed=100 + seed)
-        raced = replay(scores, sides(1000, 1000), seed=seed, samples=300)
-        assert raced.kept[scores.mean(axis=1).argmin()]
-        assert raced.kept[0]
-        shares.append(raced.share)
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
+def test_a_race_keeps_the_winner_of_the_full_study_and_saves_runs(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = np.concatenate([1.0 + 0.002 * np.arange(5), rng.uniform(1.1, 3.0, 195)])
+    scores = table(truth, 2000, seed=100 + seed)
+    kept, share = race(scores, sides(1000, 1000), seed=seed, samples=300)
+    assert kept[scores.mean(axis=1).argmin()]
+    assert kept[0]
     # these tables are harder than the catalog's: scores vary more from design to design
-    assert np.mean(shares) <= 0.2
+    assert share <= 0.25
 
 
 def rare_failures(seed: int) -> np.ndarray:
@@ -272,13 +256,14 @@ def rare_failures(seed: int) -> np.ndarray:
     return scores
 
 
-def test_luck_with_rare_failures_throws_nobody_out() -> None:
-    tables = [rare_failures(seed) for seed in range(20)]
-    kept = [replay(scores, sides(1000, 1000), seed=1, samples=200).kept for scores in tables]
-    assert sum(stay[0] for stay in kept) >= 19
+@pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.slow)])
+def test_luck_with_rare_failures_throws_nobody_out(count: int) -> None:
+    tables = [rare_failures(seed) for seed in range(count)]
+    kept = [race(scores, sides(1000, 1000), seed=1, samples=200)[0] for scores in tables]
+    assert sum(stay[0] for stay in kept) >= 0.95 * count
     assert all(stay[scores.mean(axis=1).argmin()] for stay, scores in zip(kept, tables, strict=True))
     # it is a trap: a race that asks each pair by itself falls into it
-    assert sum(0 in naive(scores, sides(1000, 1000)) for scores in tables) <= 5
+    assert sum(0 in naive(scores, sides(1000, 1000)) for scores in tables) <= count / 4
 
 
 def naive(scores: np.ndarray, side: np.ndarray) -> np.ndarray:
@@ -292,6 +277,7 @@ def naive(scores: np.ndarray, side: np.ndarray) -> np.ndarray:
     return designs
 
 
+@pytest.mark.slow
 def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
     """All designs have one true mean, design 0 among them: it may be given up in at most one race of twenty.
 
@@ -302,7 +288,7 @@ def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
     lost = lost_naively = 0
     for seed in range(300):
         scores = table(np.ones(40), 400, seed=seed)
-        lost += not replay(scores, side, seed=seed, samples=200).kept[0]
+        lost += not race(scores, side, seed=seed, samples=200)[0][0]
         lost_naively += 0 not in naive(scores, side)
     assert lost <= stats.binom.ppf(0.999, 300, 0.05)
     assert lost_naively > 60
@@ -340,6 +326,6 @@ def test_races_of_the_catalogs_linear_laws() -> None:
     for seed in range(101, 105):
         scores, side = full_table(study, LINEAR, seed)
         assert len(scores) >= 500
-        raced = replay(scores, side, seed=seed)
-        assert raced.kept[scores.mean(axis=1).argmin()]
-        assert raced.share <= 0.2
+        kept, share = race(scores, side, seed=seed, samples=2000)
+        assert kept[scores.mean(axis=1).argmin()]
+        assert share <= 0.2

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from ldctoolkit import Scenarios
-from ldctoolkit.metrics import Companions
-from studies import Case, CaseResults, Design, Ranking, StudyResults
+from helpers.results import CONTROL, DEPARTURE
+from helpers.results import results_of as given_results
+from studies import Case, Design, Ranking, StudyResults
 from studies.ranking.fresh_scores import lost
 from studies.ranking.ranking_csv import write_csv
 from studies.ranking.resampled import Resampled
@@ -22,30 +22,14 @@ from studies.results import Dropped, FailedDesign, Race
 pytestmark = pytest.mark.usefixtures("laws")
 
 LEFT = 150
-SIDE = np.where(np.arange(400) < LEFT, 1, -1)
 
 
 def design(i: int) -> Design:
     return Design.from_gains("none" if i == 3 else "toy", 0.1 * (i + 1), {})
 
 
-def results_of(S: np.ndarray, designs: tuple[int, ...], windows: tuple[str, ...] = ("departure",)) -> StudyResults:
-    d, n = S.shape
-    companions = Companions(**{f.name: np.ones((d, n), np.float32) for f in dataclasses.fields(Companions)})
-    cases = tuple(
-        CaseResults(
-            case=Case(window, "consistent"),  # type: ignore[arg-type]
-            S=S,
-            S_uncorrected=S + 1.0,
-            status=np.zeros((d, n), dtype=np.int8),
-            companions=companions,
-            failed_solves=np.zeros((d, n), dtype=np.int32),
-            law_time=np.full(d, np.nan),
-        )
-        for window in windows
-    )
-    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=SIDE)
-    return StudyResults(tuple(design(i) for i in designs), scenarios, cases)
+def results_of(S: np.ndarray, designs: tuple[int, ...], cases: tuple[Case, ...] = (DEPARTURE,)) -> StudyResults:
+    return given_results(S, [design(i) for i in designs], left=LEFT, cases=cases, uncorrected=S + 1.0)
 
 
 @pytest.fixture
@@ -162,6 +146,7 @@ def test_optimism_against_a_baseline_that_is_a_law_leaves_the_draw_of_scenarios_
     assert np.isnan(paired.optimism[2])
 
 
+@pytest.mark.slow
 def test_what_is_lost_covers_what_two_draws_do() -> None:
     """Equal truths: 0 is in all ten intervals in 95 % of 200 repetitions, seen with a standard error of 1.5 %."""
     inside = 0
@@ -214,6 +199,15 @@ def test_a_finalist_outside_the_set_wins_where_nobody_in_it_meets_the_requiremen
     assert choose_winner(resampled, in_set, np.zeros(3, dtype=np.bool_), 0.95) is None
 
 
+@pytest.mark.parametrize(("by", "winner"), [(5e-7, 0), (1.5e-6, 1)])
+def test_a_solvers_tolerance_makes_no_winner(by: float, winner: int) -> None:
+    """The same amount in every fresh scenario, which the scores part without a doubt."""
+    S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
+    resampled = Resampled.of(np.stack([S, S - by]), np.repeat([1, -1], 50), seed=1, samples=100)
+    both = np.ones(2, dtype=np.bool_)
+    assert choose_winner(resampled, both, both, 0.95) == winner
+
+
 def test_a_first_that_was_no_finalist_stays_the_winner_without_a_fresh_score(
     scores: np.ndarray, again: np.ndarray
 ) -> None:
@@ -235,8 +229,8 @@ def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.n
 def test_a_case_that_was_not_raced_has_no_winner_and_says_so(scores: np.ndarray, again: np.ndarray) -> None:
     dropped = tuple(Dropped(design(4 + i), 1, 50, 3.0, 1.0, 0.5) for i in range(2))
     race = Race(rounds=(50, 400), alive=(4, 4), dropped=dropped, runs=1, full_runs=2)
-    results = results_of(scores, (0, 1, 2, 3), ("departure", "control"))
-    results = dataclasses.replace(results, race=race, fresh=results_of(again[1:3], (1, 2), ("departure", "control")))
+    results = results_of(scores, (0, 1, 2, 3), (DEPARTURE, CONTROL))
+    results = dataclasses.replace(results, race=race, fresh=results_of(again[1:3], (1, 2), (DEPARTURE, CONTROL)))
     raced, other = (Ranking.of(results, case) for case in results.cases)
     assert (raced.winner, raced.survivors_only, raced.given_up) == (0, False, 2)
     assert not raced.warnings

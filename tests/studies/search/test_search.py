@@ -19,7 +19,6 @@ import pytest
 
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study, rank_study, run_study
-from studies.ranking.pareto import pareto_front
 from studies.search.search import Search
 
 pytestmark = pytest.mark.usefixtures("laws")
@@ -72,6 +71,10 @@ def two_bowls(design: Design) -> tuple[float, ...]:
     return (value + (0.2 if design.law == "lqr" else abs(float(gains["horizon"]) - 33) / 30),)
 
 
+SEEDS = pytest.mark.parametrize("seeds", [1, pytest.param(4, marks=pytest.mark.slow)])
+
+
+@pytest.mark.slow
 def test_a_search_is_clearly_better_than_chance() -> None:
     """The best of 100 designs in five dimensions of freedom, the median of five seeds: a third of chance's or less."""
     best: dict[str, list[float]] = {}
@@ -84,18 +87,29 @@ def test_a_search_is_clearly_better_than_chance() -> None:
     assert np.median(best["tpe"]) < np.median(best["random"]) / 3
 
 
-def test_the_better_law_is_found_although_it_is_harder_to_tune() -> None:
+@SEEDS
+def test_the_better_law_is_found_although_it_is_harder_to_tune(seeds: int) -> None:
     """Few MPCs of the first batches are better than an LQR, for want of the right horizon."""
-    for seed in range(4):
-        search = Search(make(TWO_LAWS, seed, trials=160, batch=8))
+    trials = 160 if seeds > 1 else 80
+    for seed in range(seeds):
+        search = Search(make(TWO_LAWS, seed, trials=trials, batch=8))
         drive(search, two_bowls)
         assert min(search.asked, key=two_bowls).law == "linear_mpc"
         laws = [design.law for design in search.asked]
-        assert min(laws.count("lqr"), laws.count("linear_mpc")) >= 40  # half of the proposals go in turn
+        assert min(laws.count("lqr"), laws.count("linear_mpc")) >= trials // 4  # half of the proposals go in turn
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "nsga2", "random"])
-@pytest.mark.parametrize("objectives", [["S"], ["S", "a_y_peak_mean"]])
+@pytest.mark.parametrize(
+    ("sampler", "objectives"),
+    [
+        ("tpe", ["S"]),
+        ("nsga2", ["S", "a_y_peak_mean"]),
+        *(
+            pytest.param(sampler, objectives, marks=pytest.mark.slow)
+            for sampler, objectives in (("tpe", ["S", "a_y_peak_mean"]), ("nsga2", ["S"]), ("random", ["S"]))
+        ),
+    ],
+)
 def test_the_same_values_lead_to_the_same_designs(sampler: str, objectives: list[str]) -> None:
     """A search that is started anew and told the same asks the same; the order within a batch does not matter."""
 
@@ -104,7 +118,7 @@ def test_the_same_values_lead_to_the_same_designs(sampler: str, objectives: list
             return None
         return (two_bowls(design)[0], 1 / design.y_s)[: len(objectives)]
 
-    study = make(TWO_LAWS, 3, trials=60, batch=7, sampler=sampler, objectives=objectives)
+    study = make(TWO_LAWS, 3, trials=30, batch=7, sampler=sampler, objectives=objectives)
     first = Search(study)
     batches = drive(first, objective)
     again = Search(Study.from_dict(json.loads(json.dumps(study.content()))))
@@ -113,8 +127,8 @@ def test_the_same_values_lead_to_the_same_designs(sampler: str, objectives: list
         again.tell({design.id: objective(design) for design in reversed(wanted)})
     assert again.ask() == ()
     assert again.asked == first.asked == tuple(design for batch in batches for design in batch)
-    assert len({design.id for design in first.asked}) == 60
-    other = Search(make(TWO_LAWS, 4, trials=60, batch=7, sampler=sampler, objectives=objectives))
+    assert len({design.id for design in first.asked}) == 30
+    other = Search(make(TWO_LAWS, 4, trials=30, batch=7, sampler=sampler, objectives=objectives))
     assert other.ask()[1:] != batches[0][1:]
 
 
@@ -131,6 +145,7 @@ print(*(d.id for d in search.asked))
 """
 
 
+@pytest.mark.slow
 def test_the_designs_do_not_depend_on_the_process() -> None:
     """Python orders sets of words anew in every process."""
     told = set()
@@ -144,56 +159,21 @@ def test_the_designs_do_not_depend_on_the_process() -> None:
     assert len(told) == 1
 
 
-def test_objectives_of_which_more_is_better_are_made_large() -> None:
-    def objective(design: Design) -> tuple[float, ...]:
-        return (design.y_s,)
-
-    block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}]
-    less = Search(make(block, trials=60, batch=3, objectives=["S"]))
-    more = Search(make(block, trials=60, batch=3, objectives=["reduction"]))
-    drive(less, objective)
-    drive(more, objective)
-    assert np.mean([d.y_s for d in less.asked[30:]]) < 0.2
-    assert np.mean([d.y_s for d in more.asked[30:]]) > 0.8
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
-def test_two_objectives_fill_a_front(sampler: str) -> None:
-    """Zitzler's ZDT1 in three variables: on the front K = -1 and N = 1; hypervolume below (1.1, 1.1)."""
-
-    def zdt1(design: Design) -> tuple[float, float]:
-        gains = dict(design.gains)
-        g = 1 + 4.5 * ((float(gains["K"]) + 1) + (int(gains["N"]) - 1) / 49)
-        return design.y_s, g * (1 - math.sqrt(design.y_s / g))
-
-    def volume(sampler: str, seed: int) -> float:
-        gains = {"K": {"from": -1, "to": 0}, "N": {"from": 1, "to": 50, "scale": "linear"}}
-        block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}, "gains": gains}]
-        search = Search(make(block, seed, trials=150, batch=10, sampler=sampler, objectives=["S", "a_y_peak_mean"]))
-        drive(search, zdt1)
-        points = np.array([zdt1(design) for design in search.asked])
-        front = points[pareto_front(points) & (points < 1.1).all(axis=1)]
-        front = front[np.argsort(front[:, 0])]
-        widths = np.diff(np.append(front[:, 0], 1.1))
-        return float(widths @ (1.1 - front[:, 1]))
-
-    found = np.median([volume(sampler, seed) for seed in range(3)])
-    chance = np.median([volume("random", seed) for seed in range(3)])
-    # the whole front has 1.21 - 1/3 = 0.877
-    assert found > chance + 0.1
-    assert found < 0.877
+@pytest.mark.parametrize(("objective", "most"), [("S", 0.3), ("reduction", 1.0)])
+def test_objectives_of_which_more_is_better_are_made_large(objective: str, most: float) -> None:
+    search = Search(make([{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}], trials=30, batch=3, objectives=[objective]))
+    drive(search, lambda design: (design.y_s,))
+    assert most - 0.3 <= np.mean([design.y_s for design in search.asked[15:]]) <= most
 
 
 def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
     """Six designs and no more, however many trials there are; those without a choice first."""
     block = [{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}]
-    for sampler in ("tpe", "nsga2", "random"):
-        search = Search(make(block, trials=500, batch=4, sampler=sampler))
-        batches = drive(search, lambda design: (design.y_s,))
-        assert batches[0][0].law == "none"
-        assert len(search.asked) == len({d.id for d in search.asked}) == 7
-        assert [len(batch) for batch in batches] == [4, 3]
+    search = Search(make(block, trials=500, batch=4))
+    batches = drive(search, lambda design: (design.y_s,))
+    assert batches[0][0].law == "none"
+    assert len(search.asked) == len({d.id for d in search.asked}) == 7
+    assert [len(batch) for batch in batches] == [4, 3]
 
 
 def test_tables_that_share_designs_run_them_once() -> None:
@@ -201,6 +181,13 @@ def test_tables_that_share_designs_run_them_once() -> None:
     search = Search(make([block, block | {"y_s": [0.2, 0.3, 0.4]}], trials=50, batch=2))
     drive(search, lambda design: (design.y_s,))
     assert sorted(design.y_s for design in search.asked) == [0.1, 0.2, 0.3, 0.4]
+
+
+def test_every_law_has_random_numbers_of_its_own() -> None:
+    block = {"law": ["toy", "boom"], "y_s": {"from": 0.0, "to": 1.0}}
+    asked = Search(make([block], trials=6, batch=6, sampler="random")).ask()
+    assert {design.law for design in asked} == {"toy", "boom"}
+    assert len({design.y_s for design in asked}) == 6
 
 
 def test_tables_without_a_choice_run_once_too() -> None:
@@ -219,7 +206,7 @@ def test_a_space_whose_conditions_merge_designs_comes_to_its_end() -> None:
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
 def test_conditions_decide_what_varies(sampler: str) -> None:
     gains = {"N": {"from": 20, "to": 50}, "on": [True, False], "K": {"from": -1, "to": 0}}
-    search = Search(make([{"law": "toy", "gains": gains, "when": {"N": {"on": True}}}], trials=80, sampler=sampler))
+    search = Search(make([{"law": "toy", "gains": gains, "when": {"N": {"on": True}}}], trials=30, sampler=sampler))
     drive(search, lambda design: (float(dict(design.gains)["K"]),))
     off = [dict(d.gains) for d in search.asked if not dict(d.gains)["on"]]
     assert off
@@ -248,10 +235,10 @@ def test_failed_designs_are_never_asked_again_and_do_not_stop_the_search() -> No
             return None
         return (math.nan,) if design.y_s > 0.5 else (1 - design.y_s,)
 
-    search = Search(make([{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}], trials=80, batch=8))
+    search = Search(make([{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}], trials=40, batch=8))
     drive(search, objective)
-    assert len(search.asked) == 80
-    assert max(d.y_s for d in search.asked if d.y_s <= 0.5) > 0.49
+    assert len(search.asked) == 40
+    assert max(d.y_s for d in search.asked if d.y_s <= 0.5) > 0.47
     nothing = Search(make(TWO_LAWS, trials=30, batch=8))
     drive(nothing, lambda design: None)
     assert len(nothing.asked) == 30
@@ -311,8 +298,15 @@ def restricted(design: Any, require: list[str], seed: int = 0, **search: Any) ->
     return Study.from_dict(content)
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
-@pytest.mark.parametrize("objectives", [["S"], ["S", "a_y_peak_mean"]])
+@pytest.mark.parametrize(
+    ("sampler", "objectives"),
+    [
+        ("tpe", ["S"]),
+        pytest.param("tpe", ["S", "a_y_peak_mean"], marks=pytest.mark.slow),
+        pytest.param("nsga2", ["S"], marks=pytest.mark.slow),
+        pytest.param("nsga2", ["S", "a_y_peak_mean"], marks=pytest.mark.slow),
+    ],
+)
 def test_a_search_keeps_to_what_the_ranking_requires(sampler: str, objectives: list[str]) -> None:
     """The first cost falls towards y_s = 0, and only 0.6 to 1 is allowed; below 0.3 there is no figure for it."""
 
@@ -324,19 +318,16 @@ def test_a_search_keeps_to_what_the_ranking_requires(sampler: str, objectives: l
 
     block = [ONE_LAW[0] | {"y_s": {"from": 0.0, "to": 1.0}}]
     study = restricted(block, ["S <= 1", "deeper <= 0.5"], trials=120, batch=6, sampler=sampler, objectives=objectives)
-    search, free = Search(study), Search(study)
+    search, again = Search(study), Search(study)
     drive_within(search, costs, margins)
-    drive(free, costs)  # without margins, the old way, all count as met
-    met = [np.array([design.y_s for design in one.asked]) >= 0.6 for one in (search, free)]
+    met = np.array([design.y_s for design in search.asked]) >= 0.6
     # of six seeds the least is 0.47 of the second half, and the most 0.27 without; the best lie next to the limit
-    assert met[0][60:].mean() > 0.45
-    assert met[1][60:].mean() < 0.3
+    assert met[60:].mean() > 0.45
     assert min(design.y_s for design in search.asked if design.y_s >= 0.6) < 0.65
     # the same margins, the same designs, whatever the order in a batch
-    again = Search(study)
-    while batch := again.ask():
+    while len(again.asked) < 40 and (batch := again.ask()):
         again.tell({d.id: costs(d) for d in reversed(batch)}, {d.id: margins(d) for d in reversed(batch)})
-    assert again.asked == search.asked
+    assert again.asked == search.asked[: len(again.asked)]
 
 
 def test_chance_is_not_led_by_requirements() -> None:
@@ -376,35 +367,26 @@ def test_designs_that_fail_have_no_margins_and_wrong_ones_are_refused() -> None:
     assert len(search.ask()) == 2
 
 
-def test_a_run_tells_the_margins_of_its_own_requirements(
-    make_study: Callable[..., Study], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_run_asks_for_what_its_own_values_and_margins_lead_to(
+    make_study: Callable[..., Study], tmp_path: Path
 ) -> None:
-    """Above 0 for the designs that the ranking refuses, requirement by requirement, and for no others."""
-    told: dict[str, tuple[float, ...]] = {}
-    tell = Search.tell
-
-    def listen(self: Search, values: Any, margins: Any = None) -> None:
-        told.update(margins)
-        tell(self, values, margins)
-
-    monkeypatch.setattr(Search, "tell", listen)
+    """Told by hand from the ranking of what ran: S, and how far S <= 0.9 and reduction > 0 are missed, as parts."""
     study = make_study(
         design=[{"law": "none"}, {"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": [10, 5000]}}],
-        search={"trials": 12, "batch": 4},
+        search={"trials": 16, "batch": 4},
         simulation={},
-        ranking={"bootstrap": 100, "finalists": 0, "require": ["S <= 0.3", "reduction > 0"]},
+        ranking={"bootstrap": 100, "finalists": 0, "require": ["S <= 0.9", "reduction > 0"]},
     )
     results = run_study(study, directory=tmp_path, workers=1)
     ranking = rank_study(results, study)[0]
-    assert len(told) == len(ranking) == 12
-    missed = {
-        design.id: tuple(text for text, margin in zip(ranking.require, told[design.id], strict=True) if margin > 0)
-        for design in ranking.designs
+    assert any(ranking.unmet)
+    assert not all(ranking.unmet)
+    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.S.tolist(), strict=True)}
+    margins = {
+        one.id: ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction)
+        for one, S, reduction in zip(ranking.designs, ranking.S.tolist(), ranking.reduction.tolist(), strict=True)
     }
-    assert missed == {design.id: unmet for design, unmet in zip(ranking.designs, ranking.unmet, strict=True)}
-    assert any(missed.values())
-    # in parts of the limit
-    S = {design.id: value for design, value in zip(ranking.designs, ranking.S.tolist(), strict=True)}
-    assert {name: margin[0] for name, margin in told.items()} == pytest.approx(
-        {name: (value - 0.3) / 0.3 for name, value in S.items()}, rel=1e-9
-    )
+    search = Search(study)
+    while batch := search.ask():
+        search.tell({one.id: values[one.id] for one in batch}, {one.id: margins[one.id] for one in batch})
+    assert search.asked == results.designs

@@ -16,6 +16,8 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.results import case_of_outcomes
+from helpers.results import results_of as given_results
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -30,9 +32,9 @@ from ldctoolkit import (
     simulate,
 )
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.metrics import Companions
 from ldctoolkit.scenario_model import load_model
-from studies import Case, CaseResults, Design, Study, StudyResults
+from studies import Case, Design, Study, StudyResults
+from studies.ranking.bootstrap import bootstrap_means
 from studies.results import Dropped, FailedDesign, Race
 from studies.sensitivity.sensitivity import BlockSensitivity, gain_value, sensitivity
 from studies.sensitivity.sensitivity_csv import COLUMNS, write_sensitivity
@@ -110,19 +112,7 @@ def results_of(
     """Scores from a formula, which may give a number or one number a scenario; 100 is added to each."""
     designs = study.designs if designs is None else designs
     values = np.stack([np.broadcast_to(np.asarray(S(design), dtype=np.float64) + 100.0, n) for design in designs])
-    shape = values.shape
-    empty = Companions(**{f.name: np.zeros(shape, np.float32) for f in dataclasses.fields(Companions)})
-    case = CaseResults(
-        Case("departure", "consistent"),
-        values,
-        np.full(shape, 90.0),
-        np.zeros(shape, np.int8),
-        empty,
-        np.zeros(shape, np.int32),
-        np.zeros(shape[0]),
-    )
-    side = np.where(np.arange(n) < n // 2, 1, -1)
-    return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,), **parts)
+    return given_results(values, designs, uncorrected=90.0, parts=parts)
 
 
 def ishigami(design: Design) -> float:
@@ -134,15 +124,6 @@ CUBE = {name: {"from": -math.pi, "to": math.pi} for name in "abc"}
 
 
 # --- the formulas -----------------------------------------------------------------------------------------------------
-
-
-def test_the_shares_of_a_fine_grid_are_the_known_indices() -> None:
-    """Midpoints: the sines are exact, the mean of c^4 and c^8 is off by 1e-4 of itself at 200 points."""
-    x = (np.arange(200) + 0.5) / 200 * 2 * np.pi - np.pi
-    a, b, c = x[::5, None, None], x[None, ::5, None], x[None, None, :]
-    first, total = factorial_shares((np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a))[None])
-    np.testing.assert_allclose(first[0], ISHIGAMI_FIRST, atol=3e-4)
-    np.testing.assert_allclose(total[0], ISHIGAMI_TOTAL, atol=3e-4)
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 4), min_size=1, max_size=4))
@@ -176,6 +157,8 @@ def test_samples_that_do_not_fit_are_refused() -> None:
         saltelli_indices(np.zeros(12), 3, confidence=0.95, samples=50, seed=0)
     with pytest.raises(InputError, match="63 designs; allowed: at least 64"):
         rbd_fast_indices(np.zeros((63, 1)), np.zeros(63), confidence=0.95, samples=50, seed=0)
+    even = (np.arange(64.0) + 0.5) / 64
+    assert rbd_fast_indices(even[:, None], even, confidence=0.95, samples=50, seed=0).first[0] > 0.9
 
 
 # --- blocks of a study ------------------------------------------------------------------------------------------------
@@ -208,10 +191,28 @@ def test_a_grid_in_which_only_the_product_counts_is_all_interaction() -> None:
     study = study_of({"law": "waves", "gains": {"a": [-1.0, 1.0], "b": [-2.0, 2.0], "on": [True, False]}})
     found = only(sensitivity(results_of(study, lambda d: gain_value(d, "a") * gain_value(d, "b")), study))
     assert found.indices is not None
-    np.testing.assert_allclose(found.indices.first, [0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(found.indices.total, [1, 1, 0], atol=1e-12)
+    for end in ("", "_low", "_high"):
+        np.testing.assert_allclose(getattr(found.indices, f"first{end}"), [0, 0, 0], atol=1e-9)
+        np.testing.assert_allclose(getattr(found.indices, f"total{end}"), [1, 1, 0], atol=1e-9)
 
 
+def test_the_interval_of_an_index_is_that_of_resampled_scenarios() -> None:
+    """S = a s1 + b s2: the index of the mean slopes of each resample, and the 2.5 and 97.5 % quantiles of these."""
+    a = [-1.0, 0.0, 1.0]
+    study = study_of({"law": "waves", "gains": {"a": a, "b": a}})
+    slopes = np.random.default_rng(1).normal([[2.0], [1.0]], 1.0, (2, 200))
+    scores = results_of(study, lambda d: gain_value(d, "a") * slopes[0] + gain_value(d, "b") * slopes[1], n=200)
+    found = only(sensitivity(scores, study)).indices
+    assert found is not None
+    means = bootstrap_means(slopes, scores.scenarios.side, samples=200, seed=5)
+    index = means**2 / (means**2).sum(axis=1, keepdims=True)
+    low, high = np.quantile(index, [0.025, 0.975], axis=0)
+    for name in ("first", "total"):
+        np.testing.assert_allclose(getattr(found, f"{name}_low"), low, rtol=1e-6)
+        np.testing.assert_allclose(getattr(found, f"{name}_high"), high, rtol=1e-6)
+
+
+@pytest.mark.slow
 def test_intervals_of_a_grid_cover_the_truth() -> None:
     """Slopes that differ from scenario to scenario: the index of the mean slopes is covered in 95 % of studies.
 
@@ -244,24 +245,24 @@ def test_scores_count_as_in_the_ranking() -> None:
     np.testing.assert_allclose(found.total, total[0], rtol=1e-9)
 
 
-def test_a_saltelli_sample_gives_the_known_indices_of_ishigami() -> None:
-    """1,024 base points: SALib's intervals are +-0.08 at most here, and hold the known values."""
-    sample = {"method": "saltelli", "count": 1024, "seed": 1}
-    study = study_of({"law": "waves", "gains": CUBE, "sample": sample})
+@pytest.mark.parametrize(("count", "error"), [(128, 0.12), pytest.param(1024, 0.05, marks=pytest.mark.slow)])
+def test_a_saltelli_sample_gives_the_known_indices_of_ishigami(count: int, error: float) -> None:
+    """SALib's intervals hold the known values; of 1,024 base points they are +-0.08 at most."""
+    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "saltelli", "count": count, "seed": 1}})
     found = only(sensitivity(results_of(study, ishigami), study))
-    assert (found.names, found.method, found.designs) == (("a", "b", "c"), "saltelli", 5120)
+    assert (found.names, found.method, found.designs) == (("a", "b", "c"), "saltelli", 5 * count)
     one = found.indices
     assert one is not None
-    np.testing.assert_allclose(one.first, ISHIGAMI_FIRST, atol=0.05)
-    np.testing.assert_allclose(one.total, ISHIGAMI_TOTAL, atol=0.05)
+    np.testing.assert_allclose(one.first, ISHIGAMI_FIRST, atol=error)
+    np.testing.assert_allclose(one.total, ISHIGAMI_TOTAL, atol=error)
     for index, known in (("first", ISHIGAMI_FIRST), ("total", ISHIGAMI_TOTAL)):
         low, high = getattr(one, f"{index}_low"), getattr(one, f"{index}_high")
         assert ((low <= known) & (known <= high)).all()
-        assert (high - low < 0.2).all()
+        assert (high - low < 4 * error).all()
     assert found.interval_over == "designs"
 
 
-@pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
+@pytest.mark.parametrize("method", ["sobol", pytest.param("latin_hypercube", marks=pytest.mark.slow)])
 def test_an_even_sample_gives_the_first_order_indices_of_ishigami(method: str) -> None:
     """512 designs: the error of RBD-FAST has a standard deviation of 0.03 here."""
     study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": method, "count": 512, "seed": 3}})
@@ -324,16 +325,16 @@ def test_why_there_are_no_indices_is_said() -> None:
 
 
 def test_a_few_failed_designs_of_an_even_sample_are_left_out_and_counted() -> None:
-    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "latin_hypercube", "count": 400}})
+    study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "latin_hypercube", "count": 200}})
     bad = study.designs[7]
     results = results_of(study, ishigami, designs=(*study.designs[:7], *study.designs[8:]),
                          failed=(FailedDesign(bad, "raised"),))  # fmt: skip
     found = only(sensitivity(results, study))
-    assert found.designs == 399
+    assert found.designs == 199
     assert "1 failed designs are left out" in found.note
-    # the others keep their places: the error has a standard deviation of 0.035 here
+    # the others keep their places: 200 designs know an index to about 0.05
     assert found.indices is not None
-    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.12)
+    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.2)
 
 
 def test_without_salib_a_sample_has_no_indices_and_a_grid_has(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -362,21 +363,8 @@ def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12)
     """What a run of the study gives, by `simulate` alone."""
     scenarios = load_model("reference").sample(n // 2, n - n // 2, seed=study.seed)
     designs = study.designs if designs is None else designs
-    outcomes = [[_outcome(study, design, scenarios, case) for design in designs] for case in study.cases]
     cases = tuple(
-        CaseResults(
-            case,
-            *(np.stack([getattr(one, name) for one in each]) for name in ("S", "S_uncorrected", "status")),
-            Companions(
-                **{
-                    f.name: np.stack([getattr(one.companions, f.name) for one in each])
-                    for f in dataclasses.fields(Companions)
-                }
-            ),
-            np.stack([one.failed_solves for one in each]),
-            np.zeros(len(designs)),
-        )
-        for case, each in zip(study.cases, outcomes, strict=True)
+        case_of_outcomes([_outcome(study, design, scenarios, case) for design in designs], case) for case in study.cases
     )
     return StudyResults(designs, scenarios, cases)
 

@@ -14,11 +14,12 @@ from studies.study_file.toml_text import toml_text
 @pytest.mark.parametrize("name", catalog_names())
 def test_the_same_study_comes_back(name: str, tmp_path: Path) -> None:
     study = load_study(name)
+    assert study.name == name
     path = tmp_path / f"{name}.toml"
     path.write_text(toml_text(study), encoding="utf-8")
     again = load_study(str(path))
-    assert again.hash == study.hash
     assert again.content() == study.content()
+    assert again.hash == study.hash
 
 
 def test_hard_text_comes_back(tmp_path: Path) -> None:
