@@ -274,6 +274,13 @@ def test_the_last_command_of_all_counts_too() -> None:
         assert usual.count(EventStatus.OK) == 1
 
 
+def test_a_scenario_that_failed_and_left_counts_as_left() -> None:
+    law = Stepped(Constant((0.5, 0.0, 2.0, 0.0)), lambda delta, k: np.where(k == 1, np.nan, delta))
+    out = run(law, Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), PlantOptions())
+    assert out.failed_solves[0] == 1
+    assert out.status[0] == EventStatus.DIVERGED
+
+
 def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
     class OwnError(Exception):
         pass
