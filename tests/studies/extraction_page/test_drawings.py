@@ -88,15 +88,6 @@ def test_a_departure_and_its_fit_stand_where_their_axes_say() -> None:
     assert ends == pytest.approx([v_mean - a_mean * T / 2, v_mean + a_mean * T / 2], abs=abs(down[1][0]) * 0.6)
 
 
-def test_a_long_departure_is_thinned() -> None:
-    event = make_extraction(1, (5, 0), dt=0.005).drawn.deepest[0]
-    assert event.t.size > event_plots.MOST_DOTS
-    svg = event_plots.event_panel(event).svg
-    for d in paths(svg, "dots left"):
-        assert d.count("M") == event_plots.MOST_DOTS
-    assert len(svg) < 8_000
-
-
 def test_the_deepest_of_all_sources() -> None:
     extraction = make_extraction(3, (20, 20))
     found = event_plots.deepest_of_all(extraction.drawn.deepest)
@@ -106,20 +97,6 @@ def test_the_deepest_of_all_sources() -> None:
         deepest = sorted(depths.tolist(), reverse=True)[:KEPT]
         assert [panel.values.split(",")[0] for panel in one.panels] == [f"d_y = {value:.2f} m" for value in deepest]
         assert {panel.side for panel in one.panels} == {one.side}
-
-
-def test_source_by_source_as_many_as_keep_the_page_light() -> None:
-    for sources, expected in ((1, 12), (2, 12), (6, 12), (12, 6), (50, 1), (100, 1)):
-        drawn = make_extraction(sources, (15, 15)).drawn
-        names = [f"D{i + 1}" for i in range(sources)]
-        found = event_plots.by_source(drawn.deepest, drawn.by_lot, names)
-        assert [one.source for one in found] == names
-        assert event_plots.most_of_source(sources) == expected
-        for one in found:
-            assert one.counts == (2 * expected, 2 * expected)
-            for kind in (one.deepest, one.by_lot):
-                assert [(side.side, len(side.panels)) for side in kind] == [("left", expected), ("right", expected)]
-                assert all((p.source, p.side) == (one.source, side.side) for side in kind for p in side.panels)
 
 
 def test_a_side_without_departures_has_no_heading() -> None:

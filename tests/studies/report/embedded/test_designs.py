@@ -15,9 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from controllers import NoControl, PreviewProportional
-from helpers.reports import PRIMARY, invented_scenarios, report_input, run
-from studies.design import Design
+from helpers.reports import invented_scenarios, report_input, run
 from studies.ranking.figures import FIGURES
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
@@ -148,12 +146,3 @@ def test_texts_are_read_back_by_toml(text: str) -> None:
     import tomllib
 
     assert tomllib.loads(f"a = {value_text(text)}")["a"] == text
-
-
-def test_weight_of_many_designs() -> None:
-    rng = np.random.default_rng(0)
-    designs = [Design.of(NoControl(), 0.2)]
-    designs += [Design.of(PreviewProportional(K_y=-k, K_psi=-q), y) for k, q, y in rng.uniform(0.01, 0.4, (40, 3))]
-    context = Context.of(report_input(run(designs, invented_scenarios(3, 3), [PRIMARY])))
-    text = json.dumps(designs_data(context), separators=(",", ":"))
-    assert len(text) - 9_000 < 400 * len(designs)  # 9 kB of titles; 5,000 designs stay below 2 MB

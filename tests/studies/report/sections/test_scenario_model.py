@@ -92,7 +92,6 @@ def test_rank_correlations_are_told_with_what_chance_makes(model: ScenarioModel)
     (left,) = match(other, model)
     assert left.widest_pair is not None
     assert left.widest_pair.beyond
-    count = sum(one.beyond for one in left.pairs)
     text = said(of(other, model=model, model_name="reference", model_notes=()))
     assert "Left: the generated departures differ from the source departures by no more than chance" in text
     assert f"{sum(one.beyond for one in left.pairs)} of 28 rank correlations differ from those of the" in text
