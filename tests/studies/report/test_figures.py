@@ -9,16 +9,18 @@ import xml.etree.ElementTree as ET
 import matplotlib
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from controllers import LQR, LinearMPC, NoControl
+from helpers.examples import examples
+from helpers.pages import Page
 from helpers.reports import invented_scenarios, report_input, run
 from ldctoolkit.departures import lateral
 from studies.design import Design
 from studies.report.context import Context
-from studies.report.figures.examples import examples
+from studies.report.figures.examples import examples as examples_of
 from studies.report.figures.landscape import color_range, on_the_edge, swept_axes
 from studies.report.figures.landscape_figures import Landscape, heat_map
 from studies.report.figures.landscape_panels import landscape_panels
@@ -160,7 +162,7 @@ def test_replayed_paths_start_at_the_trigger_and_score_as_stored() -> None:
     chosen = chosen_designs(context)
     replayed = replay(context, picked_departures(context, chosen, 0), chosen)
     assert replayed.mismatch < 1e-12  # the same arithmetic on the same departure
-    found = examples(context, replayed)
+    found = examples_of(context, replayed)
     assert [e.side for e in found] == ["Left"] * 3 + ["Right"] * 3
     for example in found:
         one = scenarios.take([example.row])
@@ -206,21 +208,13 @@ def test_figures_leave_the_settings_of_matplotlib_alone() -> None:
     assert dict(matplotlib.rcParams) == before
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.text(max_size=40))
 def test_symbols_never_let_markup_through(text: str) -> None:
-    from html.parser import HTMLParser
-
-    out: list[str] = []
-    tags: set[str] = set()
-    parser = HTMLParser(convert_charrefs=True)
-    parser.handle_data = out.append  # type: ignore[method-assign]
-    parser.handle_starttag = lambda tag, attrs: tags.add(tag)  # type: ignore[method-assign]
-    parser.feed(str(symbols(text)))
-    parser.close()
-    assert tags <= {"sub"}
+    page = Page(str(symbols(text)))
+    assert set(page.counts) <= {"sub"}
     if "_" not in text:
-        assert "".join(out) == printable(text)
+        assert page.text[""] == printable(text)
 
 
 def test_numbers_as_text() -> None:
