@@ -276,6 +276,13 @@ def test_hours_of_nothing_valid() -> None:
     assert "No valid samples" in found.text["widths"]
 
 
+def test_sources_with_the_fewest_hours_are_gathered() -> None:
+    one = make_extraction(70, (1, 0))
+    accounts = tuple(dataclasses.replace(a, read_ns=a.read_ns * (1 + i)) for i, a in enumerate(one.accounts))
+    rows = parsed(dataclasses.replace(one, accounts=accounts)).captioned("By source and side")[2:]
+    assert [rows[0][0], rows[-3][0], rows[-2][0], rows[-1][0]] == ["D12", "D70", "11 more", "All"]
+
+
 @pytest.mark.parametrize("sources", [pytest.param(50, marks=pytest.mark.slow), 400])
 def test_many_sources_stay_light(sources: int) -> None:
     """At 50 samples a second, so that drawings are as heavy as they get; the rest is gathered in one row."""

@@ -42,7 +42,9 @@ def test_table_holds_the_numbers(driven: ReportInput) -> None:
     for k, line in enumerate(table[1:]):
         assert line[0].startswith(found.titles[k])
         for i, cell in enumerate(line[1:]):
-            assert details[1 + k * len(found.designs) + i][2] == number(float(found.S[k, i]))
+            detail = details[1 + k * len(found.designs) + i]
+            assert detail[2] == number(float(found.S[k, i]))
+            assert detail[4] == number(100 * (1 - found.S[k, i] / found.S_uncorrected[k, i]), 1) + " %"
             assert (number(float(found.S[k, i])) in cell) == (k == 0)
             a, b = found.rank[0, i], found.rank[k, i]
             assert (f"rank {a} → {b}" if a != b else f"rank {b}") in cell
@@ -88,6 +90,8 @@ def test_sentences_say_who_stays_first_what_hurts_and_who_fails(driven: ReportIn
     said = changed(driven, rank=rank, failures=failures, diverged=diverged, change=change, low=low, high=high, S=S,
                    lead=lead, lead_low=lead_low, lead_high=lead_high, excess=excess, excess_low=excess_low)  # fmt: skip
     assert f"is clearly first on {p - 2} of the {p - 1} other plants and behind on 1 (Actuator lag, rank 3), by" in said
+    shown = dataclasses.replace(driven, robustness=dataclasses.replace(found, failures=failures, diverged=diverged))
+    assert section_of(section, shown)[1].filled()[1][1 + 2 * d][5:7] == ["7", "5"]
     rival = next(iter(re.findall(r"On Actuator lag (.*?) is better by", said)))
     assert rival.startswith(("Preview P", "LQR", "No control"))
     assert "is better by 0.400 m·s (interval 0.300 to 0.500)" in said
