@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -11,6 +10,7 @@ from markupsafe import Markup
 from studies.comparison.comparison import PHRASES, CaseComparison, Comparison
 from studies.comparison.paired_verdicts import Verdict
 from studies.comparison.winners import Winners
+from studies.report.section import Tile
 from studies.report.words.text import difference_text, number, percent, plural, signed, symbols
 
 
@@ -42,17 +42,7 @@ def lead(comparison: Comparison) -> list[Markup]:
     return said
 
 
-@dataclasses.dataclass(frozen=True)
-class WinnerTile:
-    """The winners' difference as a number with its words."""
-
-    value: str
-    unit: str
-    what: str
-    detail: str
-
-
-def winner_tile(comparison: Comparison) -> WinnerTile | None:
+def winner_tile(comparison: Comparison) -> Tile | None:
     """How much S of the new winner is from that of the old one; None where winners are not compared."""
     winners = comparison.cases[0].winners
     if winners is None:
@@ -65,7 +55,7 @@ def winner_tile(comparison: Comparison) -> WinnerTile | None:
     }[winners.verdict]
     what = f"{winners.new.label}, winner of both" if winners.same_design else "new winner against the old one"
     interval = interval_text(winners.low, winners.high)
-    return WinnerTile(difference_text(winners.difference), "m·s", f"S, {what}: {verdict}", f"interval {interval}")
+    return Tile(difference_text(winners.difference), "m·s", f"S, {what}: {verdict}", f"interval {interval}")
 
 
 def winners_text(winners: Winners) -> Markup:

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from ldctoolkit.departures import LEFT
 from ldctoolkit.recordings import Extraction
 from studies.extraction_page.amounts import hours, rate
 from studies.extraction_page.counts import SIDES, Row, reason_title
+from studies.report.section import Tile
 from studies.report.words.text import percent, plural
-
-
-@dataclasses.dataclass(frozen=True)
-class Tile:
-    """One large number at the top of the page."""
-
-    value: str
-    unit: str
-    text: str
-    detail: str
 
 
 def side_counts(extraction: Extraction) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from ldctoolkit.diagnostics import Calibration, Comparison, Component, ModelDiag
 from ldctoolkit.diagnostics.thresholds import COMPARISON_STANDARD_ERRORS
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from studies.fit_page.style import TITLES
+from studies.report.section import Tile
 from studies.report.words import text
 
 
@@ -48,16 +49,6 @@ class Side:
     def ordered(self) -> list[tuple[int, Component]]:
         """Number and values of each component, the heaviest first."""
         return sorted(enumerate(self.found.components), key=lambda pair: -pair[1].weight)
-
-
-@dataclasses.dataclass(frozen=True)
-class Tile:
-    """One large number at the top of the page."""
-
-    value: str
-    unit: str
-    text: str
-    detail: str
 
 
 def sides_of(model: ScenarioModel, found: ModelDiagnostics) -> tuple[Side, Side]:

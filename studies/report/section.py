@@ -51,6 +51,16 @@ class Drawing:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tile:
+    """One large number at the top of a page."""
+
+    value: str
+    unit: str
+    text: str
+    detail: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Section:
     """One section of the report.
 

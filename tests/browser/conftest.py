@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 import pytest
 
-TESTS = Path(__file__).resolve().parents[1]
-
-
-def load(name: str, path: Path) -> ModuleType:
-    """A file of functions; test modules cannot import each other."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    return sys.modules[name]
+from helpers.browser_pages import Made
 
 
 def missing(what: str) -> NoReturn:
@@ -109,23 +96,9 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture(scope="session")
-def make() -> ModuleType:
-    """Functions that invent small studies, shared with the tests of the report."""
-    return load("report_making", TESTS / "studies" / "report" / "conftest.py")
-
-
-@pytest.fixture(scope="session")
-def look() -> ModuleType:
-    """What a reader's eye would see, measured: overlaps, cut text, sideways scrolling."""
-    return load("looking", TESTS / "browser" / "looking.py")
-
-
-@pytest.fixture(scope="session")
-def made(make: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Pages by name, each made when it is first asked for: see `made_pages.py`."""
-    module = load("made_pages", TESTS / "browser" / "made_pages.py")
-    fit = load("fit_page_making", TESTS / "studies" / "fit_page" / "conftest.py")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Pages by name, each made when it is first asked for."""
     base = tmp_path_factory.getbasetemp()
     root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "pages"
     root.mkdir(exist_ok=True)
-    return module.Made(make, fit, root)
+    return Made(root)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import pytest
+
+from helpers.looking import faults_of_access
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -17,28 +18,26 @@ PAGES = (
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_no_serious_violation(open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str, name: str) -> None:
-    assert look.faults_of_access(open_page(made(name).path), axe) == []
+def test_no_serious_violation(open_page: Callable[..., Any], made: Any, axe: str, name: str) -> None:
+    assert faults_of_access(open_page(made(name).path), axe) == []
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1366, 390])
-def test_nor_with_everything_open(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str, width: int, dark: bool
-) -> None:
+def test_nor_with_everything_open(open_page: Callable[..., Any], made: Any, axe: str, width: int, dark: bool) -> None:
     page = open_page(made("ordinary").path, width=width, dark=dark)
     page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
-    assert look.faults_of_access(page, axe) == []
+    assert faults_of_access(page, axe) == []
 
 
-def test_axe_finds_what_is_wrong(open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str) -> None:
+def test_axe_finds_what_is_wrong(open_page: Callable[..., Any], made: Any, axe: str) -> None:
     """The check itself: grey on grey, and a field without a name."""
     page = open_page(made("one-design").path)
     page.evaluate(
         """() => { document.querySelector("main p").style.cssText = "color:#999;background:#aaa";
         document.querySelector("main").appendChild(document.createElement("input")); }"""
     )
-    found = look.faults_of_access(page, axe)
+    found = faults_of_access(page, axe)
     assert any(one.startswith("color-contrast") for one in found)
     assert any(one.startswith("label") for one in found)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+from helpers.looking import faults_of_access
 from studies import Study
 from studies.report.words.text import number
 
@@ -90,11 +90,11 @@ def test_the_explorer_is_offered_where_it_holds_paths(open_page: Callable[..., A
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], ids=["desk", "hand"])
 def test_open_details_are_in_order(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str, width: int, height: int, dark: bool
+    open_page: Callable[..., Any], made: Any, axe: str, width: int, height: int, dark: bool
 ) -> None:
     page = open_page(made("ordinary").path, width=width, height=height, dark=dark)
     page.locator("#ranking").get_by_role("region").first.locator("tbody tr").first.get_by_role("button").click()
-    assert look.faults_of_access(page, axe) == []
+    assert faults_of_access(page, axe) == []
     box = page.get_by_role("dialog").bounding_box()
     assert box["x"] >= 0
     assert box["x"] + box["width"] <= width

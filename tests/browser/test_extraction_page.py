@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+from helpers.extractions import make_extraction
+from helpers.looking import faults_of_access, faults_of_layout
 from ldctoolkit.recordings.recording import Problem
 from studies.extraction_page import write_extraction_page
 
@@ -33,20 +32,14 @@ WARNINGS = (
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Pages by name, each made when it is first asked for."""
-    path = Path(__file__).resolve().parents[1] / "studies" / "extraction_page" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("extraction_page_making", path)
-    assert spec is not None
-    assert spec.loader is not None
-    sys.modules["extraction_page_making"] = make = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make)
     root = tmp_path_factory.mktemp("extraction_pages")
     makers = {
-        "one": lambda: make.make_extraction(1, (300, 200), problems=PROBLEMS, warnings=WARNINGS),
-        "six": lambda: make.make_extraction(6, (60, 40), labels=True, problems=PROBLEMS[:3], warnings=WARNINGS),
-        "fifty": lambda: make.make_extraction(50, (40, 30), labels=True, dt=0.02),
-        "left-only": lambda: make.make_extraction(1, (7, 0)),
-        "nothing-found": lambda: make.make_extraction(2, (0, 0)),
-        "nothing-read": lambda: make.make_extraction(0, (0, 0), problems=PROBLEMS),
+        "one": lambda: make_extraction(1, (300, 200), problems=PROBLEMS, warnings=WARNINGS),
+        "six": lambda: make_extraction(6, (60, 40), labels=True, problems=PROBLEMS[:3], warnings=WARNINGS),
+        "fifty": lambda: make_extraction(50, (40, 30), labels=True, dt=0.02),
+        "left-only": lambda: make_extraction(1, (7, 0)),
+        "nothing-found": lambda: make_extraction(2, (0, 0)),
+        "nothing-read": lambda: make_extraction(0, (0, 0), problems=PROBLEMS),
     }
 
     def page(name: str) -> Path:
@@ -67,7 +60,6 @@ def opened(page: Any) -> Any:
 def test_nothing_overlaps_and_everybody_can_read_it(
     open_page: Callable[..., Any],
     pages: Callable[[str], Path],
-    look: ModuleType,
     axe: str,
     name: str,
     width: int,
@@ -75,14 +67,12 @@ def test_nothing_overlaps_and_everybody_can_read_it(
     dark: bool,
 ) -> None:
     page = opened(open_page(pages(name), width=width, height=height, dark=dark))
-    assert look.faults_of_layout(page) == []
-    assert look.faults_of_access(page, axe) == []
+    assert faults_of_layout(page) == []
+    assert faults_of_access(page, axe) == []
 
 
 @PAGES
-def test_reads_without_script(
-    open_page: Callable[..., Any], pages: Callable[[str], Path], look: ModuleType, name: str
-) -> None:
+def test_reads_without_script(open_page: Callable[..., Any], pages: Callable[[str], Path], name: str) -> None:
     page = open_page(pages(name), script=False)
     for section in page.locator("main > section").all():
         assert section.locator("h2").first.is_visible()
@@ -90,7 +80,7 @@ def test_reads_without_script(
     for link in page.locator("a[href]").all():
         assert page.locator(f'[id="{link.get_attribute("href")[1:]}"]').count() == 1
     assert page.locator("button, select, input, script").count() == 0
-    assert look.faults_of_layout(page) == []
+    assert faults_of_layout(page) == []
 
 
 def test_drawings_are_seen_in_the_dark(open_page: Callable[..., Any], pages: Callable[[str], Path]) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import pytest
+
+from helpers.looking import faults_of_layout
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -19,28 +20,24 @@ PAGES = (
 
 @pytest.mark.parametrize("name", PAGES)
 @SIZES
-def test_nothing_overlaps(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, name: str, width: int, height: int
-) -> None:
+def test_nothing_overlaps(open_page: Callable[..., Any], made: Any, name: str, width: int, height: int) -> None:
     page = open_page(made(name).path, width=width, height=height)
-    assert look.faults_of_layout(page) == []
+    assert faults_of_layout(page) == []
 
 
 @SIZES
-def test_nor_without_script(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, width: int, height: int
-) -> None:
+def test_nor_without_script(open_page: Callable[..., Any], made: Any, width: int, height: int) -> None:
     page = open_page(made("ordinary").path, width=width, height=height, script=False)
-    assert look.faults_of_layout(page) == []
+    assert faults_of_layout(page) == []
 
 
 @SIZES
 def test_nor_in_the_dark_with_everything_open(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, width: int, height: int
+    open_page: Callable[..., Any], made: Any, width: int, height: int
 ) -> None:
     page = open_page(made("ordinary").path, width=width, height=height, dark=True)
     page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
-    assert look.faults_of_layout(page) == []
+    assert faults_of_layout(page) == []
 
 
 def test_a_picture_of_the_first_screen_is_no_blank(open_page: Callable[..., Any], made: Any) -> None:

@@ -7,11 +7,12 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+
+from helpers.looking import faults_of_access, faults_of_layout
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -21,26 +22,22 @@ SIZES = pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], 
 
 @PAGES
 @SIZES
-def test_nothing_overlaps(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, name: str, width: int, height: int
-) -> None:
-    assert look.faults_of_layout(open_page(made(name).path, width=width, height=height)) == []
+def test_nothing_overlaps(open_page: Callable[..., Any], made: Any, name: str, width: int, height: int) -> None:
+    assert faults_of_layout(open_page(made(name).path, width=width, height=height)) == []
 
 
 @PAGES
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_no_serious_violation(
-    open_page: Callable[..., Any], made: Any, look: ModuleType, axe: str, name: str, dark: bool
-) -> None:
-    assert look.faults_of_access(open_page(made(name).path, dark=dark), axe) == []
+def test_no_serious_violation(open_page: Callable[..., Any], made: Any, axe: str, name: str, dark: bool) -> None:
+    assert faults_of_access(open_page(made(name).path, dark=dark), axe) == []
 
 
 @PAGES
-def test_reads_without_script(open_page: Callable[..., Any], made: Any, look: ModuleType, name: str) -> None:
+def test_reads_without_script(open_page: Callable[..., Any], made: Any, name: str) -> None:
     page = open_page(made(name).path, script=False)
     assert page.locator("table:visible").count() >= 1
     assert [one.inner_text() for one in page.locator("button:visible, select:visible, input:visible").all()] == []
-    assert look.faults_of_layout(page) == []
+    assert faults_of_layout(page) == []
 
 
 @PAGES

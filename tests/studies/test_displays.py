@@ -7,7 +7,6 @@ import html
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, NoControl
+from helpers.pages import Page
 from ldctoolkit import EventStatus, Scenarios, simulate
 from studies import Ranking, Study, StudyResults, compare, rank_study, run_study
 
@@ -28,33 +28,12 @@ STUDY: dict[str, Any] = {
 }
 
 
-class Rows(HTMLParser):
+def rows_of(text: str) -> list[list[str]]:
     """Cells of all rows; refuses anything that is not plain, closed HTML."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.rows: list[list[str]] = []
-        self.tags: list[str] = []
-        self.feed(text)
-        self.close()
-        assert self.tags == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert tag in {"div", "b", "br", "table", "thead", "tbody", "tr", "th", "td", "span"}
-        assert {name for name, _ in attrs} <= {"style", "title", "scope"}
-        if tag != "br":
-            self.tags.append(tag)
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("th", "td"):
-            self.rows[-1].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.tags.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if {"th", "td"} & set(self.tags):
-            self.rows[-1][-1] += data
+    page = Page(text)
+    assert set(page.counts) <= {"div", "b", "br", "table", "thead", "tbody", "tr", "th", "td", "span"}
+    assert set(re.findall(r' ([a-z-]+)="', text)) <= {"style", "title", "scope"}
+    return [row for table in page.filled() for row in table]
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +48,7 @@ def ranking(results: StudyResults) -> Ranking:
 
 def test_ranking(ranking: Ranking) -> None:
     text = ranking._repr_html_()
-    _, *rows = Rows(text).rows
+    _, *rows = rows_of(text)
     assert len(rows) == 21  # and no control, which is the last
     for row, i in zip(rows, [*range(20), 24], strict=True):
         assert row[0] == str(ranking.rank[i])
@@ -86,7 +65,7 @@ def test_ranking(ranking: Ranking) -> None:
 def test_numbers_have_true_minus_signs_and_do_not_break(ranking: Ranking) -> None:
     worse = dataclasses.replace(ranking, difference=-ranking.difference, reduction=-1.0 - ranking.reduction)
     text = worse._repr_html_()
-    _, *rows = Rows(text).rows
+    _, *rows = rows_of(text)
     assert rows[1][4] == f"\u2212{ranking.difference[1]:.4f}"
     assert rows[0][5].startswith("\u22121")
     assert not any(re.search(r"-\d", cell) for row in rows for cell in row)
@@ -109,18 +88,18 @@ def test_text_of_users_is_text(ranking: Ranking) -> None:
     designs = tuple(Named(d.law, d.y_s, d.gains) for d in ranking.designs)
     text = dataclasses.replace(ranking, designs=designs, warnings=(EVIL,))._repr_html_()
     assert EVIL not in text
-    assert Rows(text).rows[1][1] == EVIL
+    assert rows_of(text)[1][1] == EVIL
     assert text.count(html.escape(EVIL)) >= 21
 
 
 def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
     none = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
     assert "none is ranked and none wins" in none._repr_html_()
-    assert {row[0] for row in Rows(none._repr_html_()).rows[1:]} == {"–"}  # noqa: RUF001
+    assert {row[0] for row in rows_of(none._repr_html_())[1:]} == {"–"}  # noqa: RUF001
 
 
 def test_results(results: StudyResults) -> None:
-    lines = {row[0]: row[1] for row in Rows(results._repr_html_()).rows}
+    lines = {row[0]: row[1] for row in rows_of(results._repr_html_())}
     assert lines["designs"] == "25: none (1), lqr (24)"
     assert lines["scenarios"] == "50 (30 left, 20 right)"
     assert lines["cases"] == results.cases[0].case.label
@@ -134,12 +113,12 @@ def test_comparison(results: StudyResults, tmp_path: Path) -> None:
     text = found._repr_html_()
     assert EVIL not in text
     assert html.escape(found.summary) in text
-    row = Rows(text).rows[1]
+    row = rows_of(text)[1]
     assert row[0] == str(found.cases[0].S.verdict[0])
     assert float(row[2]) == pytest.approx(found.cases[0].S.S_old[0], abs=6e-5)
     assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.cases[0].S.difference[0], rel=1e-3)
     assert "-" not in "".join(row[2:])
-    assert text.count("white-space:nowrap") == 5 * (len(Rows(text).rows) - 1)
+    assert text.count("white-space:nowrap") == 5 * (len(rows_of(text)) - 1)
 
 
 def test_outcome() -> None:
@@ -147,7 +126,7 @@ def test_outcome() -> None:
         T=[3.0, 2.0, 2.0, 2.0], d_y=[0.6, 0.4, 0.02, 0.3], v_mean=[25.0, 25.0, 25.0, 95.0], side=[1, -1, -1, 1]
     )
     outcome = simulate(LQR(), scenarios, y_s=0.1)
-    lines = {row[0]: row[1] for row in Rows(outcome._repr_html_()).rows}
+    lines = {row[0]: row[1] for row in rows_of(outcome._repr_html_())}
     driven = outcome.status != EventStatus.INVALID
     S, S_0 = np.mean(outcome.S[driven]), np.mean(outcome.S_uncorrected[driven])
     assert lines["mean S with control"] == f"{S:.4f} m s, {100 * (S / S_0 - 1):+.1f} %".replace("-", "\u2212")
@@ -160,7 +139,7 @@ def test_outcome() -> None:
 
 def test_an_outcome_without_scenarios_to_speak_of() -> None:
     bad = Scenarios.from_arrays(T=[2.0], d_y=0.3, v_mean=95.0, side=1)
-    lines = {row[0]: row[1] for row in Rows(simulate(NoControl(), bad)._repr_html_()).rows}
+    lines = {row[0]: row[1] for row in rows_of(simulate(NoControl(), bad)._repr_html_())}
     assert lines == {"cannot be driven": "1", "failures": "0"}
 
 

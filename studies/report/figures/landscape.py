@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Self
 
 import numpy as np
@@ -47,32 +47,6 @@ def swept_axes(designs: Sequence[Design]) -> tuple[Axis, ...]:
     return tuple(axes)
 
 
-def landscapes(
-    designs: Sequence[Design], S_mean: FloatArray, winner: int, framed: Collection[int] = ()
-) -> Iterator[Landscape]:
-    """The panels of every law: y_s against each swept gain, or a profile where one quantity is swept.
-
-    Parameters
-    ----------
-    designs : sequence of Design
-        d designs.
-    S_mean : (d,) [m s]
-    winner : int
-        Index of the best design.
-    framed : collection of int
-        Indices of the best designs of the other laws; of a law without one the least `S_mean` is taken.
-
-    Yields
-    ------
-    Landscape
-        Each cell is the least mean S over everything that the panel does not show.
-    """
-    for law in dict.fromkeys(d.law for d in designs):
-        members = LawDesigns.of(designs, S_mean, winner, law, framed)
-        for x, y in members.pairs:
-            yield members.landscape(x, y)
-
-
 @dataclasses.dataclass(frozen=True)
 class LawDesigns:
     """The m designs of one law, with their scores.
@@ -105,7 +79,7 @@ class LawDesigns:
     def of(
         cls, designs: Sequence[Design], S_mean: FloatArray, winner: int, law: str, framed: Collection[int] = ()
     ) -> Self:
-        """Those of one law; the other parameters are those of `landscapes`."""
+        """Those of one law; `framed` are the best designs of the other laws, else the least `S_mean` is taken."""
         members = [i for i, d in enumerate(designs) if d.law == law]
         best = winner if winner in members else min(members, key=lambda i: (i not in framed, S_mean[i]))
         own = [designs[i] for i in members]
@@ -118,13 +92,6 @@ class LawDesigns:
             members.index(best),
             best == winner,
         )
-
-    @property
-    def pairs(self) -> list[tuple[Axis, Axis | None]]:
-        """The first axis with each of the others, or alone."""
-        if len(self.axes) < 2:
-            return [(axis, None) for axis in self.axes]
-        return [(self.axes[0], other) for other in self.axes[1:]]
 
     def landscape(self, x: Axis, y: Axis | None) -> Landscape:
         """Cells over two axes, or one."""

@@ -81,8 +81,13 @@ def landscape_panels(
 
     Parameters
     ----------
-    designs, S_mean, winner, framed
-        As for `studies.report.figures.landscape.landscapes`.
+    designs : sequence of Design
+        d designs.
+    S_mean : (d,) [m s]
+    winner : int
+        Index of the best design.
+    framed : collection of int
+        Indices of the best designs of the other laws; of a law without one the least `S_mean` is taken.
     weights : mapping of law to mapping of name to float, optional
         How much each quantity matters, where that is known; else it is estimated from the designs.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from typing import Final
@@ -10,23 +9,13 @@ from typing import Final
 from studies.report.context import Context
 from studies.report.figures.law_intervals import Line, law_intervals_figure
 from studies.report.rendering import render
-from studies.report.section import Drawing, Section
+from studies.report.section import Drawing, Section, Tile
 from studies.report.tables.case_table import CaseTable
 from studies.report.tables.row import Row, is_baseline
 from studies.report.words import prose, text
 from studies.report.words.answer import answer
 
 _MOST_LAWS: Final = 12
-
-
-@dataclasses.dataclass(frozen=True)
-class Tile:
-    """One large number at the top of the page."""
-
-    value: str
-    unit: str
-    text: str
-    detail: str
 
 
 def _tiles(context: Context) -> list[Tile]:

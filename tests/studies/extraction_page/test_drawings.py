@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.extractions import make_extraction
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.recordings.drawn import KEPT
 from studies.extraction_page import event_plots
@@ -60,8 +60,8 @@ def test_a_histogram_shows_the_shares() -> None:
             before = x
 
 
-def test_a_departure_and_its_fit_stand_where_their_axes_say(make: ModuleType) -> None:
-    event = make.make_extraction(1, (20, 0), seed=4).drawn.deepest[0]
+def test_a_departure_and_its_fit_stand_where_their_axes_say() -> None:
+    event = make_extraction(1, (20, 0), seed=4).drawn.deepest[0]
     svg = event_plots.event_panel(event).svg
     T, d_y, v_mean, a_mean = (float(event.parameters[i]) for i in (0, 1, 3, 4))
     ticks = ticks_of(svg)
@@ -88,17 +88,8 @@ def test_a_departure_and_its_fit_stand_where_their_axes_say(make: ModuleType) ->
     assert ends == pytest.approx([v_mean - a_mean * T / 2, v_mean + a_mean * T / 2], abs=abs(down[1][0]) * 0.6)
 
 
-def test_a_long_departure_is_thinned(make: ModuleType) -> None:
-    event = make.make_extraction(1, (5, 0), dt=0.005).drawn.deepest[0]
-    assert event.t.size > event_plots.MOST_DOTS
-    svg = event_plots.event_panel(event).svg
-    for d in paths(svg, "dots left"):
-        assert d.count("M") == event_plots.MOST_DOTS
-    assert len(svg) < 8_000
-
-
-def test_the_deepest_of_all_sources(make: ModuleType) -> None:
-    extraction = make.make_extraction(3, (20, 20))
+def test_the_deepest_of_all_sources() -> None:
+    extraction = make_extraction(3, (20, 20))
     found = event_plots.deepest_of_all(extraction.drawn.deepest)
     assert [one.side for one in found] == ["left", "right"]
     for one, side in zip(found, (LEFT, RIGHT), strict=True):
@@ -108,22 +99,8 @@ def test_the_deepest_of_all_sources(make: ModuleType) -> None:
         assert {panel.side for panel in one.panels} == {one.side}
 
 
-def test_source_by_source_as_many_as_keep_the_page_light(make: ModuleType) -> None:
-    for sources, expected in ((1, 12), (2, 12), (6, 12), (12, 6), (50, 1), (100, 1)):
-        drawn = make.make_extraction(sources, (15, 15)).drawn
-        names = [f"D{i + 1}" for i in range(sources)]
-        found = event_plots.by_source(drawn.deepest, drawn.by_lot, names)
-        assert [one.source for one in found] == names
-        assert event_plots.most_of_source(sources) == expected
-        for one in found:
-            assert one.counts == (2 * expected, 2 * expected)
-            for kind in (one.deepest, one.by_lot):
-                assert [(side.side, len(side.panels)) for side in kind] == [("left", expected), ("right", expected)]
-                assert all((p.source, p.side) == (one.source, side.side) for side in kind for p in side.panels)
-
-
-def test_a_side_without_departures_has_no_heading(make: ModuleType) -> None:
-    drawn = make.make_extraction(2, (3, 0)).drawn
+def test_a_side_without_departures_has_no_heading() -> None:
+    drawn = make_extraction(2, (3, 0)).drawn
     (found, _) = event_plots.by_source(drawn.deepest, drawn.by_lot, ["D1", "D2"])
     assert [one.side for one in (*found.deepest, *found.by_lot)] == ["left", "left"]
     assert [one.side for one in event_plots.by_lot_of_all(drawn.by_lot)] == ["left"]

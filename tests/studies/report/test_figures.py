@@ -5,26 +5,28 @@ from __future__ import annotations
 
 import itertools
 import xml.etree.ElementTree as ET
-from types import ModuleType
 
 import matplotlib
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from controllers import LQR, LinearMPC, NoControl
+from helpers.examples import examples
+from helpers.pages import Page
+from helpers.reports import invented_scenarios, report_input, run
 from ldctoolkit.departures import lateral
 from studies.design import Design
 from studies.report.context import Context
-from studies.report.figures.examples import examples
-from studies.report.figures.landscape import color_range, landscapes, on_the_edge, swept_axes
-from studies.report.figures.landscape_figures import heat_map, profile
-from studies.report.figures.path_figures import ControlledPath, Example, path_figure
+from studies.report.figures.examples import examples as examples_of
+from studies.report.figures.landscape import color_range, on_the_edge, swept_axes
+from studies.report.figures.landscape_figures import Landscape, heat_map
+from studies.report.figures.landscape_panels import landscape_panels
+from studies.report.figures.path_figures import path_figure
 from studies.report.figures.scores import (
     Curve,
-    convergence_figure,
     distribution_figure,
     interleaved,
     running_mean,
@@ -79,30 +81,21 @@ def test_bars_have_the_length_of_the_means() -> None:
     assert "Score S [m·s]" in labels(figure)
 
 
-def test_distribution_reaches_its_quantiles() -> None:
-    S = RNG.lognormal(size=999)
-    figure = distribution_figure([Curve("none", RECORDED, S)], "Left")
-    x, y = figure.axes[0].lines[0].get_data()
-    assert [np.interp(0.5, y, x), x[0], x[-1]] == pytest.approx([np.median(S), S.min(), S.max()], rel=1e-2)
-
-
-def test_convergence_ends_at_the_mean_of_all() -> None:
-    S = RNG.lognormal(size=300)
-    figure = convergence_figure([Curve("law", STYLE, S)], np.arange(300), "Mean", "Mean S [m·s]")
-    x, y = figure.axes[0].lines[0].get_data()
-    assert (x[-1], y[-1]) == pytest.approx((300, S.mean()), rel=1e-13)
-
-
 def grid() -> tuple[Design, ...]:
     combinations = itertools.product((0.05, 0.2, 0.1), (1.0, 10.0), (300.0, 30.0))
     return (Design.of(NoControl(), 0.1), *(Design.of(LQR(q_y=q, r_delta=r), y) for y, q, r in combinations))
+
+
+def panels_of(designs: tuple[Design, ...], S: np.ndarray, winner: int) -> list[Landscape]:
+    shown = landscape_panels(designs, S, winner).shown
+    return sorted((one for one in shown if isinstance(one, Landscape)), key=lambda one: one.y.name if one.y else "")
 
 
 def test_landscape_takes_the_least_over_the_rest() -> None:
     designs = grid()
     S = RNG.uniform(1.0, 2.0, len(designs))
     S[7] = 0.5
-    panels = list(landscapes(designs, S, 7))
+    panels = panels_of(designs, S, 7)
     assert [(p.x.label, p.y.label if p.y else None) for p in panels] == [
         ("y_s [m]", "q_y [1/m²]"),
         ("y_s [m]", "r_delta [1/rad²]"),
@@ -121,20 +114,10 @@ def test_landscape_takes_the_least_over_the_rest() -> None:
         assert panel.winner
 
 
-def test_landscape_without_a_full_grid_and_with_words() -> None:
-    designs = (
-        Design.of(PreviewProportional(convention="consistent"), 0.1),
-        Design.of(PreviewProportional(convention="as_printed"), 0.2),
-    )
-    (panel,) = landscapes(designs, np.array([1.0, 2.0]), 0)
-    assert panel.y is not None
-    assert panel.y.values == ("consistent", "as_printed")
-    assert np.isnan(panel.S[0, 1])
-    assert np.isnan(panel.S[1, 0])
-    heat_map(panel, 1.0, 2.0, 3.0)
-    one = list(landscapes(tuple(Design.of(LQR(), y) for y in (0.3, 0.1)), np.array([2.0, 1.0]), 1))
-    assert [(p.y, p.x.values, p.S.tolist(), p.best) for p in one] == [(None, (0.1, 0.3), [[1.0, 2.0]], (0, 0))]
-    assert list(landscapes((Design.of(LQR(), 0.1),), np.array([1.0]), 0)) == []
+def test_landscape_of_one_quantity_is_its_profile() -> None:
+    (one,) = panels_of(tuple(Design.of(LQR(), y) for y in (0.3, 0.1)), np.array([2.0, 1.0]), 1)
+    assert (one.y, one.x.values, one.S.tolist(), one.best) == (None, (0.1, 0.3), [[1.0, 2.0]], (0, 0))
+    assert panels_of((Design.of(LQR(), 0.1),), np.array([1.0]), 0) == []
 
 
 def test_edge_of_the_sweep_is_named() -> None:
@@ -149,7 +132,7 @@ def test_edge_of_the_sweep_is_named() -> None:
 def test_heat_map_marks_what_is_worse_than_no_control() -> None:
     designs = grid()
     S = np.linspace(1.0, 2.0, len(designs))
-    panels = list(landscapes(designs, S, 1))
+    panels = panels_of(designs, S, 1)
     low, high = color_range(panels, 1.6)
     assert high <= 1.6 < S.max()
     figure = heat_map(panels[0], low, high, 1.6)
@@ -159,12 +142,6 @@ def test_heat_map_marks_what_is_worse_than_no_control() -> None:
     shown = {text.get_text().removeprefix("★\n") for text in axes.texts}
     assert shown == {number(v) for v in panels[0].S.ravel()}
     assert {"y_s [m]", "q_y [1/m²]", "Mean S [m·s]"} <= labels(figure)
-
-
-def test_profile_is_drawn_to_scale() -> None:
-    (panel,) = landscapes(tuple(Design.of(LQR(), y) for y in (0.3, 0.1, 0.15)), np.array([2.0, 1.0, 1.5]), 1)
-    figure = profile(panel, STYLE, 2.5)
-    assert figure.axes[0].lines[1].get_xydata().tolist() == [[0.1, 1.0], [0.15, 1.5], [0.3, 2.0]]
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=30))
@@ -177,15 +154,15 @@ def test_examples_are_the_least_median_and_greatest(values: list[float]) -> None
     assert np.quantile(reduction, 0.5, method="inverted_cdf") in reduction[rows]
 
 
-def test_replayed_paths_start_at_the_trigger_and_score_as_stored(make: ModuleType) -> None:
-    scenarios = make.invented_scenarios(20, 20, seed=5)
+def test_replayed_paths_start_at_the_trigger_and_score_as_stored() -> None:
+    scenarios = invented_scenarios(20, 20, seed=5)
     designs = (Design.of(LQR(), 0.1), Design.of(LinearMPC(), 0.15), Design.of(NoControl(), 0.1))
-    results = make.run(designs, scenarios, [Case("departure", "consistent")])
-    context = Context.of(make.report_input(results))
+    results = run(designs, scenarios, [Case("departure", "consistent")])
+    context = Context.of(report_input(results))
     chosen = chosen_designs(context)
     replayed = replay(context, picked_departures(context, chosen, 0), chosen)
     assert replayed.mismatch < 1e-12  # the same arithmetic on the same departure
-    found = examples(context, replayed)
+    found = examples_of(context, replayed)
     assert [e.side for e in found] == ["Left"] * 3 + ["Right"] * 3
     for example in found:
         one = scenarios.take([example.row])
@@ -200,14 +177,6 @@ def test_replayed_paths_start_at_the_trigger_and_score_as_stored(make: ModuleTyp
                 assert np.isfinite(path.delta).all()
         figure = path_figure(example)
         assert {"Edge beyond line y [m]", "Steering δ [°]", "Time since the crossing t [s]"} <= labels(figure)
-
-
-def test_path_that_never_triggers_is_left_out() -> None:
-    empty = np.empty(0)
-    t = np.linspace(0.0, 2.0, 5)
-    example = Example(0, "Left", "median reduction", "", 0.0, t, 0.1 * t * (2 - t), -1.7,
-                      (ControlledPath("law", STYLE, empty, empty, empty),))  # fmt: skip
-    assert len(path_figure(example).axes[0].lines) == 2  # lane line and recorded path
 
 
 def test_styles_differ_even_without_colour() -> None:
@@ -239,21 +208,13 @@ def test_figures_leave_the_settings_of_matplotlib_alone() -> None:
     assert dict(matplotlib.rcParams) == before
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.text(max_size=40))
 def test_symbols_never_let_markup_through(text: str) -> None:
-    from html.parser import HTMLParser
-
-    out: list[str] = []
-    tags: set[str] = set()
-    parser = HTMLParser(convert_charrefs=True)
-    parser.handle_data = out.append  # type: ignore[method-assign]
-    parser.handle_starttag = lambda tag, attrs: tags.add(tag)  # type: ignore[method-assign]
-    parser.feed(str(symbols(text)))
-    parser.close()
-    assert tags <= {"sub"}
+    page = Page(str(symbols(text)))
+    assert set(page.counts) <= {"sub"}
     if "_" not in text:
-        assert "".join(out) == printable(text)
+        assert page.text[""] == printable(text)
 
 
 def test_numbers_as_text() -> None:

@@ -6,7 +6,6 @@ import base64
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,13 @@ import numpy.typing as npt
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
+from helpers.reports import invented_scenarios, report_input, run
 from ldctoolkit import Outcome, Setup, VehicleParameters, simulate
 from ldctoolkit.departures import curvature, lateral, lateral_acceleration, speed
 from studies.design import Design
 from studies.report import ReportInput
 from studies.report.context import Context
-from studies.report.embedded.departures import BUDGET, RESOLUTION, bytes_of, embedded_departures, grids, trimmed, weight
+from studies.report.embedded.departures import BUDGET, embedded_departures, grids, trimmed, weight
 from studies.report.embedded.packed import script_json
 from studies.report.replay.paths import replay
 from studies.report.replay.picks import chosen_designs, picked_departures
@@ -136,12 +136,12 @@ def test_facts_are_the_stored_ones(report: ReportInput) -> None:
         assert read(page.data["departures"][name]) == pytest.approx(getattr(context.scenarios, name)[rows], rel=1e-6)
 
 
-def test_numbers_beyond_16_bits_are_kept(make: ModuleType) -> None:
+def test_numbers_beyond_16_bits_are_kept() -> None:
     design = Design.of(PreviewProportional(K_psi=-5.0, K_y=-1.0), 0.05)  # unstable
-    scenarios = make.invented_scenarios(3, 0)
+    scenarios = invented_scenarios(3, 0)
     scenarios = dataclasses.replace(scenarios, T=np.full(3, 9.0), d_y=np.full(3, 0.4), v_mean=np.full(3, 36.0))
-    results = make.run([design], scenarios, [Case("departure", "consistent")])
-    context, page = held(make.report_input(results))
+    results = run([design], scenarios, [Case("departure", "consistent")])
+    context, page = held(report_input(results))
     assert page.data["paths"]["delta"][0]["type"] == "i4"
     assert page.data["paths"]["y"][0]["type"] == "i2"
     kept = simulate(design.controller(), scenarios, y_s=0.05, trajectories=True).trajectories
@@ -153,24 +153,23 @@ def test_numbers_beyond_16_bits_are_kept(make: ModuleType) -> None:
     assert context.scenarios.n == 3
 
 
-def test_no_control_and_laws_without_paths_are_not_held(make: ModuleType) -> None:
-    results = make.run(
+def test_no_control_and_laws_without_paths_are_not_held() -> None:
+    results = run(
         [Design.of(LQR(), 0.1), Design.of(NoControl(), 0.1)],
-        make.invented_scenarios(5, 5),
+        invented_scenarios(5, 5),
         [Case("control", "consistent")],
     )
-    context, page = held(make.report_input(results))
+    context, page = held(report_input(results))
     assert len(list(page.lines("paths", "y"))) == 10
     assert page.data["own_window"] is True
     shown = read(page.data["facts"]["S_uncorrected"])
     assert shown == pytest.approx(context.case.S_uncorrected[chosen_designs(context)[0].row.index][page.index])
 
 
-def test_long_studies_are_cut_to_the_budget(make: ModuleType, results: StudyResults) -> None:
+def test_long_studies_are_cut_to_the_budget(results: StudyResults) -> None:
     long = dataclasses.replace(results.scenarios, T=np.full(results.scenarios.n, 10.0))
-    report = make.report_input(
-        dataclasses.replace(results, scenarios=long), setup=Setup(settle=60.0), departures=(17, 80)
-    )
+    long_results = dataclasses.replace(results, scenarios=long)
+    report = report_input(long_results, setup=Setup(settle=60.0), departures=(17, 80))
     context = Context.of(report)
     designs = chosen_designs(context)
     coarsest = grids(0.05)[-1].every
@@ -182,21 +181,3 @@ def test_long_studies_are_cut_to_the_budget(make: ModuleType, results: StudyResu
     kept = trimmed(context, every, designs, 1)
     assert weight(context, kept, designs, 1) <= BUDGET < weight(context, every[: len(kept) + 1], designs, 1)
     assert trimmed(context, every, designs * 500, 1) == every[:2]  # those asked for stay
-
-
-def test_weight_is_an_upper_bound_unless_numbers_take_32_bits(report: ReportInput) -> None:
-    context, page = held(report)
-    designs = chosen_designs(context)
-    picks = picked_departures(context, designs, 120)
-    bound, real = weight(context, picks, designs, 1), bytes_of(page.data)
-    wide = sum(len(one["data"]) for name in RESOLUTION for one in page.data["paths"][name] if one["type"] == "i4")
-    assert 0.6 * bound < real - 0.5 * wide < 1.02 * bound
-
-
-def test_the_first_picks_of_a_replay(report: ReportInput) -> None:
-    context = Context.of(report)
-    designs = chosen_designs(context)
-    picks = picked_departures(context, designs, 60)
-    every, few = replay(context, picks, designs), replay(context, picks[:7], designs)
-    cut = embedded_departures(context, every.first(7), 1)
-    assert script_json(cut) == script_json(embedded_departures(context, few, 1))

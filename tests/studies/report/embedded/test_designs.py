@@ -9,21 +9,18 @@ import json
 import re
 import struct
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from controllers import NoControl, PreviewProportional
+from helpers.reports import invented_scenarios, report_input, run
 from ldctoolkit.metrics import METRICS
-from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.ranking.ranking_csv import write_csv
 from studies.report import ReportInput, page
-from studies.report.context import Context
-from studies.report.embedded.designs import FLAGS, coded, column, designs_data, value_text
+from studies.report.embedded.designs import FLAGS, coded, column, value_text
 from studies.report.sections import ranking as ranking_section
 from studies.results import StudyResults
 
@@ -59,29 +56,6 @@ def same(found: np.ndarray, wanted: npt.ArrayLike) -> None:
         np.testing.assert_array_equal(found.astype(np.float32), np.asarray(wanted, np.float64).astype(np.float32))
 
 
-def test_every_number_is_the_rankings(report: ReportInput, monkeypatch: pytest.MonkeyPatch) -> None:
-    data, ranking = on_page(report, monkeypatch), report.rankings[0]
-    d = data["count"]
-    assert d == len(ranking)
-    assert {one["name"] for one in data["figures"]} == set(METRICS)
-    for one in data["figures"]:
-        name = one["name"]
-        wanted = getattr(ranking, name) if hasattr(ranking, name) else getattr(ranking.release, name)
-        if name in ("triggered", "needless"):
-            wanted = np.where([design.law == "none" for design in ranking.designs], np.nan, wanted)
-        same(expanded(one["values"], d), wanted)
-        assert one["better"] == METRICS[name].better
-    for name in ("S", "difference", "baseline_difference"):
-        for end in ("low", "high"):
-            same(expanded(data["ends"][name][end], d), getattr(ranking, f"{name}_{end}"))
-    same(expanded(data["ends"]["difference"]["value"], d), ranking.difference)
-    assert numbers(data["rank"]) == ranking.rank.tolist()
-    assert [data["ids"][12 * i : 12 * i + 12] for i in range(d)] == [design.id for design in ranking.designs]
-    rows = Context.of(report).primary.rows
-    same(expanded(data["ends"]["reduction"]["low"], d), [row.reduction.low for row in rows])
-    assert not any("fresh" in name for name in data["ends"])
-
-
 def test_numbers_are_those_of_ranking_csv(report: ReportInput, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = on_page(report, monkeypatch)
     write_csv(report.rankings[:1], tmp_path / "ranking.csv")
@@ -110,14 +84,14 @@ def test_numbers_are_those_of_ranking_csv(report: ReportInput, tmp_path: Path, m
             assert [value.strip('"') for value in values] == [line[name] for line in own]
 
 
-def test_flags_and_fresh_scores(make: ModuleType, results: StudyResults, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flags_and_fresh_scores(results: StudyResults, monkeypatch: pytest.MonkeyPatch) -> None:
     first = Ranking.of(results, results.cases[0], bootstrap=100).index[:3]
     finalists = results.designs[:1] + tuple(results.designs[i] for i in first)
-    fresh = make.run(finalists, make.invented_scenarios(30, 30, seed=5), [results.cases[0].case])
+    fresh = run(finalists, invented_scenarios(30, 30, seed=5), [results.cases[0].case])
     alone = dataclasses.replace(results, cases=results.cases[:1], fresh=fresh)
     pareto, require = ["S", "effort_mean"], ["S <= 0.8"]
     ranking = Ranking.of(alone, alone.cases[0], bootstrap=100, pareto=pareto, require=require)
-    data = on_page(dataclasses.replace(make.report_input(alone), rankings=(ranking,)), monkeypatch)
+    data = on_page(dataclasses.replace(report_input(alone), rankings=(ranking,)), monkeypatch)
     bits = np.array(numbers(data["flags"]), dtype=int)
     flags = {name: (bits >> i & 1).astype(bool) for i, name in enumerate(FLAGS)}
     np.testing.assert_array_equal(flags["set_of_best"], ranking.set_of_best)
@@ -158,12 +132,3 @@ def test_texts_are_read_back_by_toml(text: str) -> None:
     import tomllib
 
     assert tomllib.loads(f"a = {value_text(text)}")["a"] == text
-
-
-def test_weight_of_many_designs(make: ModuleType) -> None:
-    rng = np.random.default_rng(0)
-    designs = [Design.of(NoControl(), 0.2)]
-    designs += [Design.of(PreviewProportional(K_y=-k, K_psi=-q), y) for k, q, y in rng.uniform(0.01, 0.4, (40, 3))]
-    context = Context.of(make.report_input(make.run(designs, make.invented_scenarios(3, 3), [make.PRIMARY])))
-    text = json.dumps(designs_data(context), separators=(",", ":"))
-    assert len(text) - 9_000 < 400 * len(designs)  # 9 kB of titles; 5,000 designs stay below 2 MB

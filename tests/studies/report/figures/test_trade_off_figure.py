@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from studies.report.figures.trade_off_figure import Group, front_of_two, trade_off_figure
-from studies.report.look.style import LineStyle
+from studies.report.figures.trade_off_figure import front_of_two
 
 
 @pytest.mark.parametrize("better", list(itertools.product(("less", "more"), repeat=2)))
@@ -31,12 +30,3 @@ def test_front_is_what_no_other_beats(better: tuple[str, str]) -> None:
 def test_without_a_ranked_design_all_are_looked_at() -> None:
     values = np.array([[1.0, 2.0], [2.0, 3.0]])
     assert front_of_two(values, np.zeros(2, dtype=bool), "less", "less").tolist() == [0]
-
-
-def test_line_and_marks() -> None:
-    group = Group("A law", LineStyle("#0072B2", (), "o"), np.array([1.0, 2.0]), np.array([2.0, 1.0]))
-    figure = trade_off_figure([group], np.array([[1.0, 2.0], [2.0, 1.0]]), {"winner": (1.0, 2.0)}, ("S", "a"))
-    (axes,) = figure.axes
-    (step,) = (line for line in axes.lines if line.get_drawstyle() == "steps-post")
-    assert np.asarray(step.get_data()).tolist() == [[1.0, 2.0], [2.0, 1.0]]
-    assert [text.get_text() for text in axes.texts] == ["winner"]

@@ -176,11 +176,3 @@ def test_without_a_model_and_few_departures(model: ScenarioModel) -> None:
     source = table(model.sample(100, 100, seed=6))
     (left,) = match(model.sample(40, 0, seed=1), None, source=source)
     assert (left.origin, left.source) == ("table", 100)
-
-
-def test_the_same_numbers_each_time(model: ScenarioModel, generated: Scenarios) -> None:
-    one, other = (match(generated, model) for _ in range(2))
-    for a, b in zip(one, other, strict=True):
-        for p, q in zip(a.margins, b.margins, strict=True):
-            assert np.array_equal(p.model, q.model)
-            assert (p.to_model, p.to_source) == (q.to_model, q.to_source)

@@ -17,6 +17,7 @@ def ranks(x: np.ndarray) -> np.ndarray:
     return np.asarray(moments / (size[:, :, None] * size[:, None, :]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "other"), [(20, 20), (40, 500), (200, 300)])
 def test_chance_leads_beyond_them_as_rarely_as_told(n: int, other: int) -> None:
     """Four correlated normal columns, six pairs, both samples drawn."""
@@ -39,4 +40,6 @@ def test_limits_hold_the_reference_and_close_with_the_number() -> None:
         wide, narrow = rank_limits(reference, 30, 100, 28), rank_limits(reference, 3000, 10_000, 28)
         assert -1.0 <= wide[0] <= narrow[0] <= reference + 1e-6
         assert reference - 1e-6 <= narrow[1] <= wide[1] <= 1.0
+    # at r = 0 artanh r has the variance 1/(n - 3) = 0.01; Student's quantile of 97.5 % with 100 degrees is 1.984
+    assert rank_limits(0.0, 103, 1e9, 1) == pytest.approx((-0.1958, 0.1958), abs=1e-4)
     assert rank_limits(0.3, 100, 100, 1)[1] < rank_limits(0.3, 100, 100, 28)[1]

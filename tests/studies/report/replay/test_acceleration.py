@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from controllers import LQR, LinearMPC, PreviewProportional
+from helpers.reports import invented_scenarios
 from ldctoolkit import Controller, Setup
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.simulation import Takeover, drive
@@ -27,8 +27,8 @@ PLANTS = {
 }
 
 
-def driven(make: ModuleType, controller: Controller, options: PlantOptions, convention: str = "consistent"):  # type: ignore[no-untyped-def]
-    scenarios = make.invented_scenarios(8, 7)
+def driven(controller: Controller, options: PlantOptions, convention: str = "consistent"):  # type: ignore[no-untyped-def]
+    scenarios = invented_scenarios(8, 7)
     scenarios = dataclasses.replace(scenarios, sigma_y=np.full(15, 0.02), sigma_v=np.full(15, 0.2))
     setup = Setup(convention=convention, options=options, seed=3)  # type: ignore[arg-type]
     over = Takeover.build(scenarios, setup, y_s=0.05)
@@ -41,8 +41,8 @@ def driven(make: ModuleType, controller: Controller, options: PlantOptions, conv
 
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("controller", [LQR(), LinearMPC()], ids=["linear", "steps"])
-def test_the_largest_is_the_stored_peak(make: ModuleType, plant: str, controller: Controller) -> None:
-    over, run, (t, _, _), (left, right) = driven(make, controller, PLANTS[plant])
+def test_the_largest_is_the_stored_peak(plant: str, controller: Controller) -> None:
+    over, run, (t, _, _), (left, right) = driven(controller, PLANTS[plant])
     assert over.m > 8
     # T between two samples is no sample of the closed loop: its peak leaves it out, so ours may only be larger there
     since = (t - t[:, :1]) / over.setup.dt
@@ -56,8 +56,8 @@ def test_the_largest_is_the_stored_peak(make: ModuleType, plant: str, controller
 
 
 @pytest.mark.parametrize("convention", ["consistent", "as_printed"])
-def test_it_is_that_of_the_linear_model(make: ModuleType, convention: str) -> None:
-    over, _, (t, x, delta), (left, right) = driven(make, PreviewProportional(), PlantOptions(), convention)
+def test_it_is_that_of_the_linear_model(convention: str) -> None:
+    over, _, (t, x, delta), (left, right) = driven(PreviewProportional(), PlantOptions(), convention)
     v = over.plant.v
     lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
     A, B, E = over.setup.model.matrices(v)

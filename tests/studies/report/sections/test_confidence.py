@@ -1,34 +1,24 @@
+# ruff: noqa: RUF001 - the page shows true minus signs
 """Confidence: widths and numbers of scenarios against independent arithmetic and simulated repetitions."""
 
 from __future__ import annotations
 
 import dataclasses
-import html
 import math
 import re
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from controllers import LQR, NoControl, PreviewProportional
+from helpers.reports import PRIMARY, invented_scenarios, report_input, run, said_in, section_of
 from studies.design import Design
 from studies.report.context import Context
 from studies.report.figures.precision import measured_errors, needed_scenarios, two_digits
-from studies.report.figures.precision_figure import WidthCurve, precision_figure
 from studies.report.inputs import ReportInput
-from studies.report.look.style import RECORDED
 from studies.report.sections import confidence
-from studies.report.tables.finalists import finalist_rows
 from studies.report.tables.rivals import rivals
-from studies.report.words.text import number, signed
-from studies.results import Case, StudyResults
-
-PRIMARY = Case("departure", "consistent")
-
-
-def words(body: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
+from studies.results import StudyResults
 
 
 def test_measured_errors_are_those_of_stratified_means() -> None:
@@ -95,54 +85,45 @@ def test_the_next_design_that_may_be_best_is_among_the_rivals(report: ReportInpu
     rows = [dataclasses.replace(row, in_set=row.place in (0, 3)) for row in context.primary.rows]
     changed = dataclasses.replace(context, tables=(dataclasses.replace(context.primary, rows=tuple(rows)),))
     assert [one.row.place for one in rivals(changed)][:2] == [1, 3]
-    assert "in the set of best" in words(confidence.section(changed).body)
+    assert "in the set of best" in said_in(confidence.section, changed)
 
 
-def test_the_figure_rings_where_the_width_meets_the_difference() -> None:
-    count = np.array([20, 50, 100])
-    curve = WidthCurve("law", RECORDED, count, 1.0 / np.sqrt(count), 0.05, 400.0)
-    axes = precision_figure([curve], "Half width").axes[0]
-    ring = next(line for line in axes.lines if line.get_marker() == "o")
-    assert (ring.get_xdata()[0], ring.get_ydata()[0]) == (400.0, 0.05)
-    law = axes.lines[0]
-    assert np.ptp(np.log(law.get_ydata())) / np.ptp(np.log(law.get_xdata())) == pytest.approx(0.5)
-    assert axes.get_xlim()[1] >= 400.0
-
-
-def with_fresh(make: ModuleType, results: StudyResults) -> ReportInput:
+def test_finalists_stand_with_both_scores(results: StudyResults) -> None:
     designs = [results.designs[i] for i in (0, 11, 12, 13, 14)]
-    cases = [case.case for case in results.cases]
-    fresh = make.run(designs, make.invented_scenarios(60, 40, seed=5), cases)
-    report: ReportInput = make.report_input(dataclasses.replace(results, fresh=fresh))
-    return report
+    fresh = run(designs, invented_scenarios(60, 40, seed=5), [case.case for case in results.cases])
+    report = report_input(dataclasses.replace(results, fresh=fresh))
+    ranking = report.rankings[0]
+    finalists = np.flatnonzero(np.isfinite(ranking.optimism))
 
+    def spread(values: list[float]) -> np.ndarray:
+        out = np.full(len(ranking), np.nan)
+        out[finalists[:3]] = values
+        return out
 
-def test_finalists_stand_with_both_scores(make: ModuleType, results: StudyResults) -> None:
-    report = with_fresh(make, results)
-    context = Context.of(report)
-    section, ranking = confidence.section(context), report.rankings[0]
-    said, rows = words(section.body), finalist_rows(context.primary)
-    assert len(rows) == np.isfinite(ranking.optimism).sum() > 0
-    for one in rows:
-        k = one.row.place
-        assert f"{number(ranking.S[k])} [{number(ranking.S_low[k])} to {number(ranking.S_high[k])}]" in said
-        assert (
-            f"{number(ranking.fresh_S[k])} [{number(ranking.fresh_low[k])} to {number(ranking.fresh_high[k])}]" in said
+    known = {"S": 1.111, "S_low": 1.011, "S_high": 1.211}
+    given = {name: np.full(len(ranking), value) for name, value in known.items()} | {
+        "fresh_S": spread([2.222] * 3), "fresh_low": spread([2.122] * 3), "fresh_high": spread([2.322] * 3),
+        "optimism": spread([0.3, 0.1, -0.3]), "optimism_low": spread([0.2, -0.1, -0.4]),
+        "optimism_high": spread([0.4, 0.2, -0.2]),
+    }  # fmt: skip
+    ranking = dataclasses.replace(ranking, **given)
+    made, page = section_of(confidence.section, dataclasses.replace(report, rankings=(ranking, report.rankings[1])))
+    rows = page.captioned("Finalists on fresh departures")[1:]
+    assert [row[2:4] + row[5:7] for row in rows] == [
+        ["1.111 [1.011 to 1.211]", "2.222 [2.122 to 2.322]", optimism, verdict]
+        for optimism, verdict in (
+            ("+0.300 [+0.200 to +0.400]", "the search flattered it"),
+            ("+0.100 [−0.100 to +0.200]", "within chance"),
+            ("−0.300 [−0.400 to −0.200]", "better on the fresh departures"),
         )
-        assert signed(ranking.optimism[k]) in said
-        inside = ranking.optimism_low[k] <= 0.0 <= ranking.optimism_high[k]
-        assert ("within chance" in one.verdict) == inside
-        assert one.winner == (k == ranking.winner)
-    figure = next(drawing.figure for drawing in section.drawings if drawing.name == "finalists")
-    squares, circles = (line for line in figure.axes[0].lines if line.get_marker() in ("s", "o"))
-    assert list(squares.get_xdata()) == [ranking.S[one.row.place] for one in rows]
-    assert list(circles.get_xdata()) == [ranking.fresh_S[one.row.place] for one in rows]
+    ]
+    assert "finalists" in [drawing.name for drawing in made.drawings]
 
 
 def test_frequencies_are_shares_of_resamples_and_sum_to_one(report: ReportInput) -> None:
     context = Context.of(report)
     ranking = context.ranking
-    said = words(confidence.section(context).body)
+    said = said_in(confidence.section, context)
     shares = [float(text) for text in re.findall(r"([\d.]+)\s%", said.split("Share of resamples")[-1])]
     assert sum(shares) == pytest.approx(100.0 + 100.0 * ("0 to 100" in said.split("Share of resamples")[-1]), abs=0.5)
     assert "not the probability that the design is the best" in said
@@ -151,28 +132,11 @@ def test_frequencies_are_shares_of_resamples_and_sum_to_one(report: ReportInput)
     assert "No finalist ran on fresh departures" in said
 
 
-def test_designs_that_cannot_be_told_apart(make: ModuleType) -> None:
-    designs = [Design.of(LQR(), 0.1), Design.of(LQR(r_delta=LQR().r_delta * 1.01), 0.1), Design.of(NoControl(), 0.1)]
-    said = words(
-        confidence.section(
-            Context.of(make.report_input(make.run(designs, make.invented_scenarios(6, 6), [PRIMARY])))
-        ).body
-    )
-    assert "tell" in said
-    nothing = [Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0)]
-    said = words(
-        confidence.section(
-            Context.of(make.report_input(make.run(nothing, make.invented_scenarios(6, 6), [PRIMARY])))
-        ).body
-    )
-    assert "scores the same as the first of the ranking: no number of departures tells them apart" in said
-
-
 @pytest.mark.parametrize(("left", "right"), [(1, 0), (1, 1), (2, 1), (9, 0), (0, 9)])
-def test_few_scenarios(make: ModuleType, left: int, right: int) -> None:
+def test_few_scenarios(left: int, right: int) -> None:
     designs = [Design.of(LQR(), 0.05), Design.of(PreviewProportional(), 0.05), Design.of(NoControl(), 0.05)]
-    results = make.run(designs, make.invented_scenarios(left, right), [PRIMARY])
-    said = words(confidence.section(Context.of(make.report_input(results))).body)
+    results = run(designs, invented_scenarios(left, right), [PRIMARY])
+    said = said_in(confidence.section, report_input(results))
     assert "nan" not in said
     assert ("One departure only" in said) == (left + right == 1)
     assert ("shows no spread" in said) == (min(left, right) == 1 or left + right == 1)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import html
-import re
-from types import ModuleType
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from controllers import LQR, NoControl, PreviewProportional
+from controllers import LQR
+from helpers.reports import PRIMARY, invented_scenarios, report_input, run, said_in
 from studies.design import Design
 from studies.report.context import Context
 from studies.report.figures.limit_curves import axle_curves, comfort_curves, depth_curves
@@ -18,13 +15,6 @@ from studies.report.figures.limit_figure import LimitCurve, axis_ends, limit_fig
 from studies.report.inputs import ReportInput
 from studies.report.look.style import RECORDED
 from studies.report.sections import distributions
-from studies.results import Case, StudyResults
-
-PRIMARY = Case("departure", "consistent")
-
-
-def words(body: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
 
 
 def test_shares_beyond_are_those_of_the_ranking(report: ReportInput) -> None:
@@ -55,13 +45,13 @@ def test_depth_is_positive_outwards_at_both_points(report: ReportInput) -> None:
     assert np.all(axle.values >= centre.values - 1e-6)
 
 
-def test_depth_without_a_design_that_does_nothing_is_the_fitted_one(make: ModuleType) -> None:
-    results = make.run([Design.of(LQR(), 0.05)], make.invented_scenarios(8, 8), [PRIMARY])
-    context = Context.of(make.report_input(results))
+def test_depth_without_a_design_that_does_nothing_is_the_fitted_one() -> None:
+    results = run([Design.of(LQR(), 0.05)], invented_scenarios(8, 8), [PRIMARY])
+    context = Context.of(report_input(results))
     first, _ = depth_curves(context)
     assert (first.label, first.values.tolist()) == ("No control", results.scenarios.d_y.tolist())
     assert [curve.label for curve in axle_curves(context)] == ["LQR"]
-    assert "that of the fitted path" in words(distributions.section(context).body)
+    assert "that of the fitted path" in said_in(distributions.section, context)
 
 
 def test_the_limit_stands_in_the_figure_with_the_shares() -> None:
@@ -82,29 +72,3 @@ def test_the_axis_always_holds_the_limit_and_most_values(values: npt.NDArray[np.
     assert low <= 0.0 < 0.5 < high
     assert low <= np.quantile(values, 0.1)
     assert high >= np.quantile(values, 0.7)
-
-
-def test_over_the_control_window_no_control_is_that_of_one_design(make: ModuleType) -> None:
-    designs, scenarios = [Design.of(LQR(), 0.05), Design.of(NoControl(), 0.05)], make.invented_scenarios(6, 6)
-    said = [
-        words(distributions.section(Context.of(make.report_input(make.run(designs, scenarios, [case])))).body)
-        for case in (PRIMARY, Case("control", "consistent"))
-    ]
-    assert ["the bar without control is over that of the winner" in one for one in said] == [False, True]
-    assert ["without control is over the window of the winner, from its trigger on" in one for one in said] == [
-        False, True]  # fmt: skip
-
-
-def test_nobody_intervened(make: ModuleType) -> None:
-    designs = [Design.of(PreviewProportional(), 5.0), Design.of(NoControl(), 5.0)]
-    section = distributions.section(
-        Context.of(make.report_input(make.run(designs, make.invented_scenarios(5, 0), [PRIMARY])))
-    )
-    assert "No design took over in any departure, so there is no lateral acceleration" in words(section.body)
-    assert [drawing.name for drawing in section.drawings] == [
-        "score-left", "distribution-left", "distribution-deepest", "distribution-axle"]  # fmt: skip
-
-
-def test_failures_are_drawn(make: ModuleType, with_failures: StudyResults) -> None:
-    section = distributions.section(Context.of(make.report_input(with_failures)))
-    assert len(section.drawings) == 8

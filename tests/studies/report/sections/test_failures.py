@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from types import ModuleType
 
 import numpy as np
 
+from helpers.reports import report_input
 from ldctoolkit import EventStatus
 from studies.report.context import Context
 from studies.report.replay.picks import chosen_designs, picked_departures
@@ -18,8 +18,8 @@ def words(context: Context) -> str:
     return " ".join(section(context).body.striptags().split())
 
 
-def test_the_winners_worst_departures(make: ModuleType, results: StudyResults) -> None:
-    context = Context.of(make.report_input(results))
+def test_the_winners_worst_departures(results: StudyResults) -> None:
+    context = Context.of(report_input(results))
     said = words(context)
     S = context.S(context.primary.best)
     share = np.sort(S)[-5:].sum() / S.sum()
@@ -27,14 +27,14 @@ def test_the_winners_worst_departures(make: ModuleType, results: StudyResults) -
     assert f"make up {100 * share:.0f}\u00a0% of its sum of S".replace("\u00a0", " ") in said.replace("\u00a0", " ")
 
 
-def test_departures_without_control_among_the_worst_are_told(make: ModuleType, results: StudyResults) -> None:
-    report = make.report_input(results)
+def test_departures_without_control_among_the_worst_are_told(results: StudyResults) -> None:
+    report = report_input(results)
     best = Context.of(report).primary.best
     status, S = results.cases[0].status.copy(), Context.of(report).S(best)
     worst = np.argsort(-S, kind="stable")[:5]
     status[best.index][worst[1:4]] = EventStatus.NEVER_TRIGGERED
     case = dataclasses.replace(results.cases[0], status=status)
-    report = make.report_input(dataclasses.replace(results, cases=(case,)))
+    report = report_input(dataclasses.replace(results, cases=(case,)))
     context = Context.of(report)
     said = words(context)
     assert f"3 of the 5 never get deeper than y s = {best.design.y_s:g} m, so no control acts there" in said.replace(
@@ -46,12 +46,12 @@ def test_departures_without_control_among_the_worst_are_told(make: ModuleType, r
     assert not {int(k) for k in worst} - {pick.row for pick in picked_departures(context, chosen_designs(context), 0)}
 
 
-def test_long_lists_are_cut_and_counted(make: ModuleType, results: StudyResults) -> None:
+def test_long_lists_are_cut_and_counted(results: StudyResults) -> None:
     first = results.designs[0]
     failed = tuple(FailedDesign(first, f"reason {i}") for i in range(130))
     dropped = tuple(Dropped(first, 1, 50, 1.0, 0.5, 0.125) for _ in range(130))
     race = Race((50, 100), (145, 15), dropped, 10, 100)
-    said = words(Context.of(make.report_input(dataclasses.replace(results, failed=failed, race=race))))
+    said = words(Context.of(report_input(dataclasses.replace(results, failed=failed, race=race))))
     assert "reason 99 " in said
     assert "reason 100" not in said
     assert "And 30 more designs" in said

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import dataclasses
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from helpers.reports import report_input
 from studies.ranking.ranking import Ranking
 from studies.report.context import Context
 from studies.report.tables.rivals import Rival, rivals
@@ -17,7 +17,7 @@ from studies.report.words.enough_scenarios import enough_sentence
 from studies.results import StudyResults
 
 
-def test_designs_that_miss_a_requirement_are_no_rivals(make: ModuleType, results: StudyResults) -> None:
+def test_designs_that_miss_a_requirement_are_no_rivals(results: StudyResults) -> None:
     one = dataclasses.replace(results, cases=results.cases[:1])
     S = np.sort(one.cases[0].S.mean(axis=1))
     for require, ranked in (
@@ -27,7 +27,7 @@ def test_designs_that_miss_a_requirement_are_no_rivals(make: ModuleType, results
     ):
         ranking = Ranking.of(one, one.cases[0], bootstrap=100, require=[require])
         assert ranking.ranked == ranked
-        context = Context.of(dataclasses.replace(make.report_input(one), rankings=(ranking,)))
+        context = Context.of(dataclasses.replace(report_input(one), rankings=(ranking,)))
         found = rivals(context)
         assert all(rival.row.rank for rival in found) == (ranked > 0)
         assert bool(found) == (ranked != 1)
@@ -42,10 +42,8 @@ def test_designs_that_miss_a_requirement_are_no_rivals(make: ModuleType, results
         (Interval(3.21e-4, -1e-4, 7.4e-4), False, "3.2e−04 m·s above that of the winner, difference −1.0e−04 to"),
     ],
 )
-def test_apart_means_that_zero_is_outside(
-    make: ModuleType, results: StudyResults, difference: Interval, apart: bool, words: str
-) -> None:
-    context = Context.of(make.report_input(results))
+def test_apart_means_that_zero_is_outside(results: StudyResults, difference: Interval, apart: bool, words: str) -> None:
+    context = Context.of(report_input(results))
     rival: Rival = dataclasses.replace(rivals(context)[0], difference=difference)
     assert rival.apart == apart
     said = enough_sentence(rival, "the winner", 100).striptags()

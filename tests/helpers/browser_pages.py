@@ -9,20 +9,21 @@ import fcntl
 import io
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any, ClassVar
 from unittest import mock
 
 import numpy as np
 
 from controllers import LQR, NoControl, PreviewProportional
+from helpers.fits import make_departures, make_model, skewed
+from helpers.reports import PRIMARY, grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from studies.cli import main
 from studies.design import Design
 from studies.fit_page import write_fit_page
 from studies.ranking.ranking import Ranking
 from studies.report import write_report
-from studies.results import Case, per_scenario
+from studies.results import per_scenario
 
 ORDINARY = """
 name = "ordinary"
@@ -106,9 +107,6 @@ class Hostile(Controller):
         return RecordedPath()
 
 
-PRIMARY = Case("departure", "consistent")
-
-
 @dataclasses.dataclass(frozen=True)
 class OnePage:
     """A page and what it was made from."""
@@ -131,8 +129,8 @@ class OnePage:
 class Made:
     """Pages by name, each made once."""
 
-    def __init__(self, make: ModuleType, make_fit: ModuleType, root: Path) -> None:
-        self._make, self._make_fit, self._root = make, make_fit, root
+    def __init__(self, root: Path) -> None:
+        self._root = root
         self._pages: dict[str, OnePage] = {}
         self._makers: dict[str, Callable[[Path], Path]] = {
             "ordinary": lambda folder: self._study(folder, ORDINARY),
@@ -143,9 +141,9 @@ class Made:
             ),
             "one-design": lambda folder: self._designs(folder, Design.of(PreviewProportional(), 0.2)),
             "only-no-control": lambda folder: self._designs(folder, Design.of(NoControl(), 0.2)),
-            "left-only": lambda folder: self._designs(folder, *make.grid()[:6], sides=(14, 0)),
-            "right-only": lambda folder: self._designs(folder, *make.grid()[:6], sides=(0, 14)),
-            "one-scenario": lambda folder: self._designs(folder, *make.grid()[:4], sides=(1, 0)),
+            "left-only": lambda folder: self._designs(folder, *grid()[:6], sides=(14, 0)),
+            "right-only": lambda folder: self._designs(folder, *grid()[:6], sides=(0, 14)),
+            "one-scenario": lambda folder: self._designs(folder, *grid()[:4], sides=(1, 0)),
             "all-failures": self._all_failures,
             "nothing-ranked": self._nothing_ranked,
             "compare": self._compare,
@@ -174,13 +172,13 @@ class Made:
 
     def _written(self, folder: Path, results: Any, **changes: Any) -> Path:
         folder.mkdir()
-        return write_report(self._make.report_input(results, **changes), folder / "report.html")
+        return write_report(report_input(results, **changes), folder / "report.html")
 
     def _designs(self, folder: Path, *designs: Design, sides: tuple[int, int] = (12, 9)) -> Path:
-        return self._written(folder, self._make.run(designs, self._make.invented_scenarios(*sides), [PRIMARY]))
+        return self._written(folder, run(designs, invented_scenarios(*sides), [PRIMARY]))
 
     def _all_failures(self, folder: Path) -> Path:
-        results = self._make.run(self._make.grid()[:6], self._make.invented_scenarios(12, 9), [PRIMARY])
+        results = run(grid()[:6], invented_scenarios(12, 9), [PRIMARY])
         (case,) = results.cases
         status = np.full(case.status.shape, EventStatus.DIVERGED, dtype=np.int8)
         status[:, ::2] = EventStatus.SOLVER_FAILED
@@ -188,15 +186,15 @@ class Made:
         return self._written(folder, dataclasses.replace(results, cases=(failed,)))
 
     def _nothing_ranked(self, folder: Path) -> Path:
-        results = self._make.run(self._make.grid()[:6], self._make.invented_scenarios(12, 9), [PRIMARY])
+        results = run(grid()[:6], invented_scenarios(12, 9), [PRIMARY])
         folder.mkdir()
         rankings = tuple(Ranking.of(results, case, bootstrap=100, require=["S <= 0"]) for case in results.cases)
-        report = dataclasses.replace(self._make.report_input(results), rankings=rankings)
+        report = dataclasses.replace(report_input(results), rankings=rankings)
         return write_report(report, folder / "report.html")
 
     def _thousand(self, folder: Path) -> Path:
         """1,000 designs: a few, at thresholds less than a millimetre apart, with scores that differ a little."""
-        few = self._make.run(self._make.grid()[1:], self._make.invented_scenarios(60, 60), [PRIMARY])
+        few = run(grid()[1:], invented_scenarios(60, 60), [PRIMARY])
         copies = -(-999 // len(few.designs))
         take = slice(0, 999)
         designs = [dataclasses.replace(d, y_s=d.y_s + 1e-7 * k) for k in range(copies) for d in few.designs][take]
@@ -214,7 +212,7 @@ class Made:
             companions=per_scenario(case.companions, tiled),
             law_time=np.zeros(len(designs)),
         )
-        none = self._make.run([Design.of(NoControl(), 0.2)], few.scenarios, [PRIMARY])
+        none = run([Design.of(NoControl(), 0.2)], few.scenarios, [PRIMARY])
         joined = dataclasses.replace(
             many,
             **{
@@ -245,6 +243,6 @@ class Made:
 
     def _fit(self, folder: Path) -> Path:
         folder.mkdir()
-        model, page = self._make_fit.make_model(), folder / "fit.html"
-        write_fit_page(page, model, self._make_fit.skewed(self._make_fit.make_departures(model)))
+        model, page = make_model(), folder / "fit.html"
+        write_fit_page(page, model, skewed(make_departures(model)))
         return page

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from types import ModuleType
 
 import numpy as np
-import pytest
 
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
@@ -49,19 +46,3 @@ def make_departures(model: ScenarioModel, n: int = 400, seed: int = 1) -> Depart
 def skewed(departures: Departures) -> Departures:
     """The same with d_y crowding towards its bound."""
     return dataclasses.replace(departures, d_y=departures.d_y**6)
-
-
-@pytest.fixture(scope="session")
-def make() -> ModuleType:
-    """The functions of this file."""
-    return sys.modules[__name__]
-
-
-@pytest.fixture(scope="session")
-def model() -> ScenarioModel:
-    return make_model()
-
-
-@pytest.fixture(scope="session")
-def departures(model: ScenarioModel) -> Departures:
-    return make_departures(model)

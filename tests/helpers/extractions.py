@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from types import ModuleType
 
 import numpy as np
-import pytest
 
 from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.departures import LEFT, RIGHT, Departures, rebuild_signals
@@ -116,9 +113,3 @@ def make_extraction(
         make_drawn(departures, owner, rng, dt),
         problems,
     )
-
-
-@pytest.fixture(scope="session")
-def make() -> ModuleType:
-    """The functions of this file."""
-    return sys.modules[__name__]

@@ -1,0 +1,139 @@
+"""Small studies with invented departures, and the reports and pages made of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup
+
+from controllers import LQR, NoControl, PreviewProportional
+from helpers.pages import Page, whole
+from ldctoolkit import BicycleModel, Scenarios, VehicleParameters, simulate
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from studies.design import Design
+from studies.ranking.ranking import Ranking
+from studies.report import ReportInput
+from studies.report.context import Context
+from studies.report.page import make_page
+from studies.report.section import Section
+from studies.results import Case, CaseResults, StudyResults, per_scenario
+
+
+def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:
+    """Departures of a plausible size; numbers only, no claim about any road."""
+    rng = np.random.default_rng(seed)
+    n = n_left + n_right
+    v = np.where(rng.random(n) < 0.5, rng.normal(14.0, 1.5, n), rng.normal(28.0, 2.0, n))
+    T = np.clip(rng.lognormal(np.log(2.0), 0.5, n), 0.5, 10.0)
+    return Scenarios.from_arrays(
+        T=T,
+        d_y=np.clip(rng.lognormal(np.log(0.2), 0.5, n) * (T / 2.0) ** 0.3, 0.02, 1.2),
+        v_mean=np.clip(v, 9.0, 38.0),
+        a_mean=rng.normal(0.0, 0.3, n),
+        c_0=rng.normal(0.0, 0.4, n) / v**2,
+        dc=rng.normal(0.0, 0.2, n) / v**2,
+        side=np.repeat([1, -1], [n_left, n_right]),
+    )
+
+
+def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], **settings: Any) -> StudyResults:
+    """Results of a study, one `simulate` call a design and case."""
+    designs = tuple(designs)
+    scored = []
+    for case in cases:
+        model = BicycleModel(VehicleParameters(), convention=case.convention)
+        outcomes = [
+            simulate(d.controller(case.convention), scenarios, vehicle=model, y_s=d.y_s, window=case.window, **settings)
+            for d in designs
+        ]
+        columns = {name: np.stack([getattr(o, name) for o in outcomes])
+                   for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
+        companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
+                      for name in COMPANION_UNITS}  # fmt: skip
+        scored.append(
+            CaseResults(case, **columns, companions=Companions(**companions), law_time=np.zeros(len(designs)))
+        )
+    return StudyResults(designs, scenarios, tuple(scored))
+
+
+def report_input(results: StudyResults, **changes: object) -> ReportInput:
+    rankings = tuple(Ranking.of(results, case, bootstrap=200) for case in results.cases)
+    given = {
+        "title": "Trigger threshold and gains",
+        "study_name": "trigger-and-gains",
+        "settings": (("seed", "0"), ("left", "60"), ("model hash", "0f" * 32)),
+        "versions": (("ldctoolkit", "0.1.0"), ("python", "3.11")),
+        "model_notes": ("An invented population.",),
+        "warnings": ("Speed looks like km/h.",),
+        "synthetic": True,
+        "command": "ldc run trigger-and-gains -o out",
+    }
+    return ReportInput(results=results, rankings=rankings, **(given | changes))  # type: ignore[arg-type]
+
+
+def grid() -> list[Design]:
+    designs = [Design.of(NoControl(), 0.2), Design.of(PreviewProportional(), 0.2)]
+    for y_s, K_y, K_psi in itertools.product((0.05, 0.2), (-0.005, -0.02), (-0.2, -0.4)):
+        designs.append(Design.of(PreviewProportional(K_y=K_y, K_psi=K_psi), y_s))
+    for y_s, r_delta in itertools.product((0.05, 0.1, 0.2), (30.0, 300.0)):
+        designs.append(Design.of(LQR(r_delta=r_delta), y_s))
+    return list({d.id: d for d in designs}.values())
+
+
+PRIMARY = Case("departure", "consistent")
+
+
+def drawn_page(report: ReportInput) -> Page:
+    """The page of a report, after what must hold for every page."""
+    made = make_page(report)
+    page = Page(made.html)
+    whole(page)
+    assert {section.id for section in made.sections} <= set(page.ids)
+    assert all(page.words(section.id) for section in made.sections)
+    assert page.counts["script"] == 2
+    return page
+
+
+def page_of(report: ReportInput) -> Page:
+    """`drawn_page` without its drawings, which take most of the time."""
+    with mock.patch("studies.report.section.Drawing.svg", Markup("<svg></svg>")):
+        return drawn_page(report)
+
+
+def section_of(make: Callable[[Context], Section], given: ReportInput | Context) -> tuple[Section, Page]:
+    """One section by itself, without its drawings; its text is `Page.words()`."""
+    with mock.patch("studies.report.section.Drawing.svg", Markup("<svg></svg>")):
+        made = make(given if isinstance(given, Context) else Context.of(given))
+    return made, Page(str(made.body))
+
+
+def said_in(make: Callable[[Context], Section], given: ReportInput | Context) -> str:
+    """The text of one section."""
+    return section_of(make, given)[1].words()
+
+
+def only(*designs: Design, scenarios: Scenarios | None = None, cases: tuple[Case, ...] = (PRIMARY,)) -> ReportInput:
+    """The report of these designs, by default on a dozen departures to the left and nine to the right."""
+    return report_input(run(designs, scenarios or invented_scenarios(12, 9), cases))
+
+
+def scored(S: npt.ArrayLike, S_0: npt.ArrayLike, designs: Sequence[Design]) -> StudyResults:
+    """A study whose scores are given, all else as for the first design; half of the columns left, half right."""
+    d, S, S_0 = len(designs), np.atleast_2d(np.asarray(S, dtype=float)), np.asarray(S_0, dtype=float)
+    one = run(designs[:1], invented_scenarios(S_0.size // 2, S_0.size // 2), [PRIMARY])
+    case = dataclasses.replace(
+        one.cases[0],
+        S=S,
+        S_uncorrected=np.tile(S_0, (d, 1)),
+        status=np.tile(one.cases[0].status, (d, 1)),
+        failed_solves=np.tile(one.cases[0].failed_solves, (d, 1)),
+        companions=per_scenario(one.cases[0].companions, lambda values: np.tile(values, (d, 1))),
+        law_time=np.zeros(d),
+    )
+    return StudyResults(tuple(designs), one.scenarios, (case,))
