@@ -80,11 +80,12 @@ def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, found: ModelDi
     every = found.left.calibrations
     far = dataclasses.replace(every[1], distance=0.4321, limit=0.1234)
     strip = dataclasses.replace(found.right.strips[0], error=-0.87, standard_error=0.11)
-    left = dataclasses.replace(found.left, calibrations=(every[0], far, *every[2:]))
+    left = dataclasses.replace(found.left, events=123, calibrations=(every[0], far, *every[2:]))
     right = dataclasses.replace(found.right, strips=(strip, *found.right.strips[1:]))
     with mock.patch("studies.fit_page.page.inline_svg", return_value=Markup("")):
         page = Page(render_page(model, dataclasses.replace(found, left=left, right=right), seed=3))
     text = page.words("warnings")
+    assert "523departures123 left, 400 right" in text
     assert "43.21 %Kolmogorov distance of dy, leftthe worst against its limit, 12.34 %" in text
     assert f"−87 %mass next to the {strip.end} bound of {strip.name.replace('_', '')}, right" in text
     assert "the largest error at a bound, standard error 11 %" in text
