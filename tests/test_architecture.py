@@ -16,7 +16,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 
 # bottom to top: a module may import from below, and from its own level
 LEVELS = (
-    ("ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
+    ("ldctoolkit.arrays", "ldctoolkit.errors", "ldctoolkit.version", "ldctoolkit.whole_file"),
     ("ldctoolkit.option_checks",),
     ("ldctoolkit.departure_columns",),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
@@ -42,7 +42,7 @@ LEVELS = (
     ("controllers",),
     ("studies.design", "studies.paper_design", "studies.results"),
     # the names that a study file's requirements are checked against
-    ("studies.ranking.figures", "studies.ranking.release"),
+    ("studies.ranking.figures",),
     ("studies.study_file", "studies.design_space"),
     ("studies.storage",),
     ("studies.running",),

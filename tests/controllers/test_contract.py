@@ -21,7 +21,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
 from studies import Study
 
-ZOO = controller_names()
+ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("controllers.")]
 
 ITERATIVE = {"linear_mpc", "nonlinear_mpc"}
 """Laws with a solver: mirrored to 1e-9 of the largest command; all others to the bit."""

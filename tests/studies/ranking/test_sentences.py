@@ -12,8 +12,7 @@ from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus
 from studies import Design, Ranking, StudyResults
 from studies.ranking.failed_commands import warnings_of
-from studies.ranking.ranking import SCORE, ranking_sentences
-from studies.ranking.sentences import failures, marks
+from studies.ranking.ranking import SCORE, failures, marks, ranking_sentences
 
 NONE = Design.from_gains("none", 0.1, {})
 LAWS = tuple(Design.from_gains("lqr", 0.1 * (i + 1), {}) for i in range(2))

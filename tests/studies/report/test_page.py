@@ -92,7 +92,7 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, pa
                 "overshoot_share": 0.432, "overshoot_max": 0.654, "comfortable": 0.765, "a_y_peak_mean": 1.1,
                 "a_y_peak_p95": 2.2, "a_y_peak_max": 3.3, "jerk_peak_mean": 4.4, "jerk_peak_p95": 5.5,
                 "jerk_peak_max": 6.6, "delta_peak_max": 0.1, "delta_rate_peak_max": 0.5, "effort_mean": 0.01,
-                "needless": 0.234, "law_time": 0.0,
+                "needless": 0.234,
             }.items()
         },
     )  # fmt: skip

@@ -80,8 +80,8 @@ def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
 
 FOUND = {
     "one-day": "1 of HV_Primary",
-    "two-month": "1 of HV_Primary, without a header",
-    ".": "2 of HV_Primary, 1 of them without a header",
+    "two-month": "1 of HV_Primary without a header",
+    ".": "1 of HV_Primary, 1 of HV_Primary without a header",
 }
 
 
