@@ -141,11 +141,11 @@ REAL = PlantOptions(
 
 
 def test_a_plant_that_is_not_ideal_is_told_and_driven_again(page: Page) -> None:
-    settings = {"options": REAL, "settle": 1.5, "seed": 7}
+    settings: dict[str, Any] = {"options": REAL, "settle": 1.5, "seed": 7}
     designs = [Design.of(LQR(r_delta=3000.0), 0.05), Design.of(NoControl(), 0.05)]
     scenarios = dataclasses.replace(invented_scenarios(12, 9), sigma_y=np.full(21, 0.02), sigma_v=np.full(21, 0.1))
     results = run(designs, scenarios, [PRIMARY], **settings)
-    real = page_of(report_input(results, **settings))
+    real = page_of(report_input(results, setup=Setup(**settings)))
     said = real.words("answer")
     assert "The plant of this study is not ideal:" in said
     for words in ("speed follows its profile", "steering actuator", "saturating tyres", "Kalman filter", "residuals"):
@@ -159,7 +159,7 @@ def test_a_plant_that_is_not_ideal_is_told_and_driven_again(page: Page) -> None:
     assert "not ideal" not in page.html
     # drawn numbers too are those of the study: scenarios keep their numbers when some are chosen
     assert "Their scores equal the stored ones." in real.words("departures")
-    other = page_of(report_input(results, **(settings | {"seed": 8})))
+    other = page_of(report_input(results, setup=Setup(**(settings | {"seed": 8}))))
     assert "differ from the stored ones" in other.words("departures")
 
 
