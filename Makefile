@@ -7,7 +7,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long lint bench format clean
+.PHONY: help study test test-all test-long loops lint bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -40,8 +40,12 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint  ## lint, types and the tests that a change should pass, in minutes
+test: $(VENV)/.dev  ## lint, types and the tests that a change should pass, in minutes
+	@$(MAKE) --no-print-directory -j2 lint loops
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
+
+loops: $(VENV)/.dev  # compile the closed loops once, before two test workers would do so each for itself
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/helpers/compile_loops.py
 
 test-all: test test-long  ## the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
