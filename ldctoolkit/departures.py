@@ -13,11 +13,9 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 LEFT: Final = 1
 RIGHT: Final = -1

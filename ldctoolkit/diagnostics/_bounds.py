@@ -6,8 +6,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.diagnostics._marginals import box_share
-from ldctoolkit.diagnostics.parts import FloatArray, Strip
+from ldctoolkit.diagnostics.parts import Strip
 from ldctoolkit.mixture import Distribution
 
 QUANTILE: Final = 0.05

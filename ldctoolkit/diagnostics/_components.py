@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.diagnostics.parts import Component, FloatArray
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.diagnostics.parts import Component
 from ldctoolkit.mixture import Distribution
 
 _BLOCK: Final = 65_536

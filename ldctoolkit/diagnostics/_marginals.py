@@ -6,12 +6,10 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit.diagnostics.parts import FloatArray, Marginal
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.diagnostics.parts import Marginal
 from ldctoolkit.mixture import Distribution, TruncatedNormal
-
-IntArray = npt.NDArray[np.int64]
 
 KNOTS: Final = 16
 """Stretches of equal share between which a distribution function is integrated; inside each the sample has its say."""

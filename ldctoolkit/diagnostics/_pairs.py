@@ -6,8 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.diagnostics._marginals import IntArray, bin_edges, bin_of
-from ldctoolkit.diagnostics.parts import FloatArray, PairDensity
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.diagnostics._marginals import bin_edges, bin_of
+from ldctoolkit.diagnostics.parts import PairDensity
 from ldctoolkit.mixture import Distribution
 
 PAIR_BINS: Final = 24

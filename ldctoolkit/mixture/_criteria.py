@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.mixture._distribution import Distribution
-from ldctoolkit.mixture._expectation import FloatArray, natural
+from ldctoolkit.mixture._expectation import natural
 from ldctoolkit.mixture.events import Events
 
 

@@ -8,8 +8,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, log_terms, natural, shares, statistics
+from ldctoolkit.mixture._expectation import Components, Statistics, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._extrapolation import Point, leap
 from ldctoolkit.mixture._maximisation import Prior, Step, maximise, predicted_gain
 from ldctoolkit.mixture._split_merge import best_moves

@@ -12,12 +12,10 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.mixture._maximisation import LEAST_LOG_PROBABILITY
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
-
-FloatArray = npt.NDArray[np.float64]
 
 _SHORTEST: Final = 1.01
 _LEAST_PRECISION: Final = 0.1

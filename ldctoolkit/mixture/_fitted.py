@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._conditional import Given
 from ldctoolkit.mixture._conventions import Parameters
-from ldctoolkit.mixture._distribution import Distribution, IntArray
-from ldctoolkit.mixture._expectation import FloatArray
+from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture.checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
 
 

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 _GAMMA: Final = {1021: 0.3, 4093: 0.5, 16381: 0.25}
 """Weight of a further variable in the search, for each number of points: of 0.2, 0.25, 0.3 and 0.5 the one with the

@@ -6,13 +6,10 @@ import dataclasses
 from typing import Final, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture.checks import check_number
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 Criterion = Literal["bic", "aic", "icl", "held_out"]
 

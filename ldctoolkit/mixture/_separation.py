@@ -13,15 +13,12 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._lattice import Lattice, lattice
 from ldctoolkit.mixture._tilt import minimax_tilt
-from ldctoolkit.mixture._univariate import FloatArray, Restricted, log_mass
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from ldctoolkit.mixture._univariate import Restricted, log_mass
 
 _CACHED: Final = 16_384
 """Points times components handled at once, so that they stay in the second cache; it changes no number."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._criteria import Criteria, criteria_of
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.events import Events
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._parallel import in_processes, may_start_processes
 from ldctoolkit.mixture._rule import Criterion, Rule, choose, least
@@ -25,8 +26,6 @@ from ldctoolkit.mixture.checks import (
 )
 from ldctoolkit.mixture.events import Events, usable_cores
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
 _SMALL: Final = 100_000

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 
 HALF_WINDOW: Final = 0.2
 """Half the smoothing window [s]. A longer one takes in the road before and after a departure, which flattens dc where

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, reduce_signals
 from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.curvature import HALF_WINDOW, curvature_from_yaw_rate
@@ -24,7 +25,7 @@ from ldctoolkit.recordings.events import (
     signals_of_runs,
 )
 from ldctoolkit.recordings.joined import no_departures
-from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray, RecordingTable, usable_samples
+from ldctoolkit.recordings.table import RecordingTable, usable_samples
 
 __all__ = ["ACCEPTED", "REASONS", "Found", "find_departures"]
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 
 MAX_JUMP: Final = 0.6
 """Offsets [m] further apart are a jump: no value between them is made up, so that it is seen as one later on."""

@@ -8,9 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings.medians import MAX_JUMP, WindowMedians
-from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
+from ldctoolkit.recordings.recording import Recording
 from ldctoolkit.recordings.table import usable_samples
 
 MAX_GAP: Final = 0.25

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.recordings.recording import Recording
 
 __all__ = ["LARGEST", "BoolArray", "FloatArray", "IntArray", "RecordingTable", "measured", "usable_samples"]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import Selection, select_components
 from ldctoolkit.scenario_model.card import SideSummary
@@ -17,7 +17,6 @@ from ldctoolkit.scenario_model.settings import SideSettings
 from ldctoolkit.scenario_model.side_events import SideEvents
 from ldctoolkit.scenario_model.source_summary import summarize_events
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 EVENTS_PER_PARAMETER: Final = 2

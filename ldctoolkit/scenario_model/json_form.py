@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
@@ -17,8 +17,6 @@ from ldctoolkit.scenario_model._reader import Reader, is_number, parse, short
 from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.card_json import card_from_json, card_to_json
 from ldctoolkit.scenario_model.parts import LEAST_LOWER, SideModel, check_usable
-
-FloatArray = npt.NDArray[np.float64]
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
@@ -22,9 +22,6 @@ from ldctoolkit.scenario_model.given import Condition, Given, conditions, mixtur
 from ldctoolkit.scenario_model.parts import SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50

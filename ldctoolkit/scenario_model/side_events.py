@@ -7,14 +7,13 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture.bounded_events import InsideBounds, inside_bounds
 from ldctoolkit.mixture.events import Events, profile_of
 from ldctoolkit.scenario_model.bounds import Box, box_of
 from ldctoolkit.scenario_model.settings import SideSettings, check_transform
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

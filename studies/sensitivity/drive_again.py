@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import EventStatus, LdcError
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.law_errors import raised
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
 from studies.results import FAILED_STATUSES, CaseResults, StudyResults
 from studies.study_file.spec import Study
-
-FloatArray = npt.NDArray[np.float64]
 
 _SAME = 1e-6
 """Scores [m s] that are driven anew differ from the stored ones by less: solver tolerance."""

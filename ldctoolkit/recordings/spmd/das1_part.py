@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
 from ldctoolkit.recordings.table import LARGEST, measured
@@ -16,8 +16,6 @@ from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, read_trips, told
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
 
 TOLERANCE: Final = 5.0

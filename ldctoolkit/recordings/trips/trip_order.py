@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.recordings.rising_times import rising_rows
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 def pieces_in_time(trip: IntArray, piece: IntArray, t: FloatArray) -> IntArray:

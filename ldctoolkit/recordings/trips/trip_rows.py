@@ -8,17 +8,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.trips.table_text import Cells, read_cells
 from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex
 from ldctoolkit.recordings.trips.trip_order import forward_rows, pieces_in_time
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 Key = tuple[int, int]
 T = TypeVar("T")
 

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.table import BoolArray, FloatArray
 from ldctoolkit.recordings.uah.text import Column, read_number_text
 
 DETECTED: Final = 2.0

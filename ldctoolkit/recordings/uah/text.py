@@ -11,9 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.rising_times import rising_rows
-from ldctoolkit.recordings.table import LARGEST, BoolArray, FloatArray
+from ldctoolkit.recordings.table import LARGEST
 
 LARGEST_FILE: Final = 64 << 20
 """A file of one trip is not larger [bytes]: it would be hours of driving, some megabytes are usual."""

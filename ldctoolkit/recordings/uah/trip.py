@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.recordings.recording import Label, Problem, Recording
 from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
-from ldctoolkit.recordings.table import LARGEST, BoolArray, FloatArray
+from ldctoolkit.recordings.table import LARGEST
 from ldctoolkit.recordings.uah.tables import ACCELEROMETERS, DETECTED, GPS, LANE, TableKind, is_course, read_table
 
 SPEED_STEP: Final = 2.5

@@ -10,12 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.context import Context
 from studies.report.embedded.packed import packed, script_json
 from studies.report.replay.paths import Replay
 from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick, most_departures
-
-FloatArray = npt.NDArray[np.float64]
 
 RESOLUTION: Final = {"y": 1e-3, "delta": math.radians(1e-3), "a_y": 1e-3}
 """Steps of the embedded positions [m], steering angles [rad] and lateral accelerations [m/s^2]."""

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from studies.design import Design
 from studies.report.figures.influence import influence
-from studies.report.figures.landscape import FloatArray, LawDesigns
+from studies.report.figures.landscape import LawDesigns
 from studies.report.figures.landscape_figures import Axis, Landscape
 from studies.report.figures.sample_figure import MOST_POINTS, Sample
 

@@ -8,14 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import DTLE_LIMIT, SCENARIO_METRICS
 from studies.report.context import Context
 from studies.report.figures.limit_figure import LimitCurve
 from studies.report.look.style import RECORDED
 from studies.report.tables.row import Row, is_baseline
 from studies.report.words.text import printable
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def depth_curves(context: Context) -> tuple[LimitCurve, ...]:

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.figures.scores import new_panel, wrap
 from studies.report.look.style import PANEL, LineStyle, figure_settings
 from studies.report.words.text import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEPS = 200
 

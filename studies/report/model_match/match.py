@@ -6,9 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import Scenarios
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.diagnostics import ModelMarginal, bin_edges, kolmogorov_limit, model_marginal
 from ldctoolkit.mixture import Distribution
@@ -24,8 +24,6 @@ from ldctoolkit.scenario_model.source_summary import (
 from studies.report.model_match.parts import Distance, Drawing, Margin, Pair, SideMatch
 from studies.report.model_match.rank_chance import rank_limits
 from studies.report.model_match.source import Source, source_of_side
-
-FloatArray = npt.NDArray[np.float64]
 
 BINS: Final = 24
 QUANTILES: Final = (0.05, 0.5, 0.95)

@@ -5,17 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.report.context import Context
 from studies.report.replay.acceleration import path_acceleration
 from studies.report.replay.picks import Chosen, Pick, most_departures
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _NOT_AGAIN = (EventStatus.TIMED_OUT, EventStatus.CRASHED)
 """What became of a departure that is not driven once more."""
