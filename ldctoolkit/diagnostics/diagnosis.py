@@ -15,8 +15,7 @@ from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
 from ldctoolkit.diagnostics._comparison import comparison_or_reason
 from ldctoolkit.diagnostics._events import checked_events
-from ldctoolkit.diagnostics._marginals import BINS, bin_edges, box_share, marginal, model_marginal
-from ldctoolkit.diagnostics._pairs import pair_densities
+from ldctoolkit.diagnostics._marginals import BINS, bin_edges, box_share, marginal, model_marginal, pair_densities
 from ldctoolkit.diagnostics.parts import Calibration, Component, Marginal, ModelDiagnostics, SideDiagnostics, Strip
 from ldctoolkit.diagnostics.thresholds import (
     COMPARISON_STANDARD_ERRORS,

@@ -1,4 +1,12 @@
-"""Truncated EM: short runs from several starts on some of the events, then the best one to convergence on all."""
+"""Truncated EM: short runs from several starts on some of the events, then the best one to convergence on all.
+
+A leap from three points of an EM run (SQUAREM: Varadhan and Roland, Scand. J. Statist. 35:335-353, 2008, eq. 8).
+
+Where components overlap, EM creeps: each pass goes nearly as far as the last one, in nearly the same direction. With
+r = p1 - p0 and v = p2 - 2 p1 + p0 the leap is p0 + 2 s r + s^2 v, s = |r|/|v|; s = 1 is p2, and where each pass shrinks
+the error by one factor the leap ends at the limit. Points are natural parameters and logarithms of weights: there a
+normal that lies far outside its box moves along a straight line. Whoever leaps must check that the objective gained.
+"""
 
 from __future__ import annotations
 

@@ -2,9 +2,16 @@
 
 All functions work on K components at once; the bounds are relative to each component's mean, (K, p).
 
+Frozen integration points: a rank-1 lattice with Sidi's sine transformation.
+
+The points depend on their number and dimension only, never on the integrand, so whatever is computed from them is a
+smooth deterministic function of a component's parameters.
+
 References
 ----------
 Genz (1992); Gibson, Glasbey, Elston (1994) for the order; Botev, JRSS B 79(1):125-148 (2017) for the tilt.
+Sloan and Joe, *Lattice Methods for Multiple Integration*, 1994; Nuyens and Cools, Math. Comp. 75:903-920, 2006
+(component by component); Sidi, *A new variable transformation for numerical integration*, 1993.
 """
 
 from __future__ import annotations

@@ -84,3 +84,7 @@ class RecordingTable:
     def recording_index(self) -> IntArray:
         """Index of the recording that each sample belongs to, (m,)."""
         return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
+
+
+MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
+"""In lower case, without blanks around them."""

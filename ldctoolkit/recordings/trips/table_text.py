@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.recordings.missing_words import MISSING
+from ldctoolkit.recordings.table import MISSING
 
 if TYPE_CHECKING:
     import polars as pl

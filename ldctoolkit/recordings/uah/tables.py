@@ -27,6 +27,22 @@ MOSTLY: Final = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
+class Column:
+    """A column that is needed.
+
+    Attributes
+    ----------
+    index : int
+        Counted from 0.
+    name : str
+        For messages.
+    """
+
+    index: int
+    name: str
+
+
+@dataclasses.dataclass(frozen=True)
 class TableKind:
     """A kind of table.
 
@@ -135,22 +151,6 @@ TOLD: Final = 5
 """So many faulty lines of one file are named one by one, the others are counted."""
 
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
-
-
-@dataclasses.dataclass(frozen=True)
-class Column:
-    """A column that is needed.
-
-    Attributes
-    ----------
-    index : int
-        Counted from 0.
-    name : str
-        For messages.
-    """
-
-    index: int
-    name: str
 
 
 def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> tuple[FloatArray | None, list[Problem]]:

@@ -1,4 +1,4 @@
-"""The answer of the report in sentences: what won, by how much, how sure, and among how many."""
+"""The answer of the report in sentences: what won, by how much, how sure, at what cost, among how many."""
 
 from __future__ import annotations
 
