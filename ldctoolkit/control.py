@@ -20,12 +20,11 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import Gain, check_declarations, declared_gains
 from ldctoolkit.vehicle import Plant
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 StatusArray = npt.NDArray[np.int8]
 
 

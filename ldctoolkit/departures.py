@@ -8,16 +8,15 @@ its mirror image. Source: Zhao, Wang, LeBlanc (2017), section III.
 from __future__ import annotations
 
 import dataclasses
-from typing import Final, Self
+from collections.abc import Sequence
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departure_columns import ExtraColumn
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.departure_columns import ExtraColumn, joined_columns
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 LEFT: Final = 1
 RIGHT: Final = -1
@@ -383,3 +382,29 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     t = np.minimum((np.arange(event.size) - offsets[:-1][event]) * dt, every.T)
     t[offsets[1:] - 1] = p.T
     return DepartureSignals(offsets, t, lateral(every, t), speed(every, t), curvature(every, t))
+
+
+def no_departures() -> Departures:
+    """A table without rows."""
+    numbers: dict[str, Any] = dict.fromkeys((*PARAMETER_NAMES, "start_time"), np.empty(0))
+    return Departures(
+        side=np.empty(0, dtype=np.int64),
+        recording=np.empty(0, dtype=np.str_),
+        samples=np.empty(0, dtype=np.int64),
+        **numbers,
+    )
+
+
+def joined_departures(parts: Sequence[Departures]) -> Departures:
+    """Departures one after the other; an extra column that a part lacks is empty there.
+
+    Examples
+    --------
+    >>> joined_departures([no_departures(), no_departures()]).n
+    0
+    """
+    if not parts:
+        return no_departures()
+    names = [field.name for field in dataclasses.fields(Departures) if field.name != "extra"]
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Departures(**columns, extra=joined_columns([(part.extra, part.n) for part in parts]))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -22,8 +23,6 @@ from ldctoolkit.control import (
     check_class,
 )
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def check_controller(controller: object) -> Controller:

@@ -18,10 +18,8 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 Better = Literal["less", "more"]
 Over = Literal["all", "interventions"]

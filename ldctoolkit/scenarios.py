@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters, IntArray
+from ldctoolkit.arrays import IntArray
+from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError
 
 SPEED_FLOOR = 1.0

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import Companions
 from ldctoolkit.simulation import Window
@@ -26,10 +27,6 @@ FAILED_STATUSES: Final = (
     EventStatus.CRASHED,
 )
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 RunKey = tuple[str, str]
 """Identifier of a design and a convention: what one simulation is called."""

@@ -6,8 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.diagnostics._marginals import ModelMarginal
-from ldctoolkit.diagnostics.parts import Calibration, FloatArray
+from ldctoolkit.diagnostics.parts import Calibration
 
 LEVEL: Final = 0.95
 _GRID: Final = 201

@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.diagnostics.parts import Comparison, FloatArray
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.diagnostics.parts import Comparison
 from ldctoolkit.errors import LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.diagnostics.parts import FloatArray
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import Distribution
 from ldctoolkit.mixture.bounded_events import inside_bounds

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Final
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures
-from ldctoolkit.diagnostics._bounds import strips
 from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
 from ldctoolkit.diagnostics._comparison import comparison_or_reason
-from ldctoolkit.diagnostics._components import components
 from ldctoolkit.diagnostics._events import checked_events
-from ldctoolkit.diagnostics._marginals import BINS, bin_edges, marginal, model_marginal
-from ldctoolkit.diagnostics._pairs import pair_densities
-from ldctoolkit.diagnostics._warnings import warnings_of
-from ldctoolkit.diagnostics.parts import Calibration, Marginal, ModelDiagnostics, SideDiagnostics
+from ldctoolkit.diagnostics._marginals import BINS, bin_edges, box_share, marginal, model_marginal, pair_densities
+from ldctoolkit.diagnostics.parts import Calibration, Component, Marginal, ModelDiagnostics, SideDiagnostics, Strip
+from ldctoolkit.diagnostics.thresholds import (
+    COMPARISON_STANDARD_ERRORS,
+    FAR_OUTSIDE,
+    ILL_CONDITIONED,
+    LEAST_PROBABILITY,
+    strip_is_off,
+)
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 from ldctoolkit.mixture.checks import check_number, check_weights
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 
@@ -239,3 +244,167 @@ def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | Non
     if len(given) != dimension:
         raise InputError(f"names: {len(given)} names; allowed: {dimension}, one a column")
     return tuple(str(name) for name in given)
+
+
+_BLOCK: Final = 65_536
+
+
+def components(
+    distribution: Distribution, names: tuple[str, ...], x: FloatArray, weight: FloatArray
+) -> tuple[Component, ...]:
+    """One row a component; weights count events."""
+    K = distribution.weights.size
+    total, squares = np.zeros(K), np.zeros(K)
+    for start in range(0, x.shape[0], _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        share = weight[rows, None] * distribution.shares(x[rows])
+        total += share.sum(axis=0)
+        squares += (share**2).sum(axis=0)
+    normal = distribution.truncated
+    spread = np.sqrt(np.diagonal(normal.Sigma, axis1=1, axis2=2))
+    outside = np.maximum(np.maximum(normal.lower - normal.mu, normal.mu - normal.upper) / spread, 0.0)
+    worst = np.argmax(outside, axis=1)
+    condition = np.linalg.cond(normal.Sigma / (spread[:, :, None] * spread[:, None, :]))
+    return tuple(
+        Component(
+            weight=float(distribution.weights[k]),
+            log_probability=float(normal.log_probability[k]),
+            outside=float(outside[k, worst[k]]),
+            outside_name=names[worst[k]] if outside[k, worst[k]] > 0.0 else "",
+            condition=float(condition[k]),
+            events=float(total[k]),
+            kish=float(total[k] ** 2 / squares[k]) if squares[k] > 0.0 else 0.0,
+        )
+        for k in range(K)
+    )
+
+
+QUANTILE: Final = 0.05
+"""A strip reaches from the bound to this quantile of the events."""
+
+NEAR: Final = 0.5
+"""A bound counts where its strip is narrower than this part of the middle 90 % of the events."""
+
+_ENDS: Final[tuple[Literal["lower", "upper"], ...]] = ("lower", "upper")
+
+
+def weighted_quantile(column: FloatArray, weight: FloatArray, share: float) -> float:
+    """The least value that this share of the weight does not exceed; weights sum to one."""
+    order = np.argsort(column, kind="stable")
+    reached = np.cumsum(weight[order])
+    return float(column[order][min(int(np.searchsorted(reached, share * (1.0 - 1e-12))), column.size - 1)])
+
+
+def strips(
+    distribution: Distribution, names: tuple[str, ...], x: FloatArray, weight: FloatArray, effective_events: float
+) -> tuple[tuple[Strip, ...], tuple[tuple[str, str], ...]]:
+    """Strips at the bounds that events come near to, and the names of the bounds that they do not.
+
+    Parameters
+    ----------
+    distribution : Distribution
+        The mixture.
+    names : tuple of str
+        Its d parameters.
+    x : (n, d)
+        Events inside the box.
+    weight : (n,)
+        Summing to one.
+    effective_events : float
+        Kish's effective number, for the standard errors.
+
+    Returns
+    -------
+    strips : tuple of Strip
+    far : tuple of (str, str)
+        Parameter and end of the bounds that events do not come near to, see `NEAR`.
+    """
+    found: list[Strip] = []
+    far: list[tuple[str, str]] = []
+    for j, name in enumerate(names):
+        quantiles = [weighted_quantile(x[:, j], weight, share) for share in (QUANTILE, 1.0 - QUANTILE)]
+        for end, edge in zip(_ENDS, quantiles, strict=True):
+            low, high = distribution.transform.lower.copy(), distribution.transform.upper.copy()
+            bound = float(low[j] if end == "lower" else high[j])
+            if not np.isfinite(bound):
+                continue
+            if abs(edge - bound) > NEAR * (quantiles[1] - quantiles[0]) or edge == bound:
+                far.append((name, end))
+                continue
+            inside = x[:, j] <= edge if end == "lower" else x[:, j] >= edge
+            (high if end == "lower" else low)[j] = edge
+            data, model = float(weight[inside].sum()), box_share(distribution, low, high)
+            spread = float(np.sqrt(data * (1.0 - data) / effective_events))
+            found.append(Strip(name, end, bound, edge, data, model, model / data - 1.0, spread / data * (model / data)))
+    return tuple(found), tuple(far)
+
+
+def warnings_of(
+    found: SideDiagnostics, mixture: BoundedGaussianMixture, summary: SideSummary | None
+) -> tuple[str, ...]:
+    """Sentences, the most serious first; each begins with the side where there is one."""
+    prefix = f"{found.label}: " if found.label else ""
+    lines = (*_fit(mixture, summary), *_misfit(found), *_components(found), *_events(found, summary))
+    return tuple(f"{prefix}{line}" for line in lines)
+
+
+def _fit(mixture: BoundedGaussianMixture, summary: SideSummary | None) -> Iterator[str]:
+    converged = summary.converged if summary is not None else getattr(mixture, "converged_", True)
+    if not converged:
+        yield "the fit stopped before it had converged"
+    K = mixture.distribution.weights.size
+    if summary is not None and len(summary.n_components) > 1 and max(summary.n_components) == K:
+        yield f"the chosen K = {K} is the largest that was tried, the best may be larger: try more"
+
+
+def _misfit(found: SideDiagnostics) -> Iterator[str]:
+    beyond = sorted((c for c in found.calibrations if c.distance > c.limit), key=lambda c: -c.distance)
+    if beyond:
+        shown = ", ".join(f"{c.name} {c.distance:.3g}" for c in beyond)
+        yield (
+            f"Kolmogorov distance beyond the {beyond[0].limit:.3g} that chance allows in {len(beyond)} of "
+            f"{len(found.names)} parameters: {shown}"
+        )
+    off = sorted((strip for strip in found.strips if strip_is_off(strip)), key=lambda strip: -abs(strip.error))
+    if off:
+        shown = ", ".join(
+            f"{s.name} {s.end} {abs(s.error):.0%} {'too much' if s.error > 0 else 'too little'} ({s.model:.2%}, events "
+            f"{s.data:.2%})"
+            for s in off
+        )
+        yield f"the model's mass next to bounds is not that of the events: {shown}".replace("%", " %")
+    c = found.comparison
+    if c is not None and c.difference > COMPARISON_STANDARD_ERRORS * c.standard_error:
+        yield (
+            f"a mixture after a logarithm or logit of the bounded parameters describes held-out events better, by "
+            f"{c.difference:.3f} +- {c.standard_error:.3f} nats an event"
+        )
+
+
+def _components(found: SideDiagnostics) -> Iterator[str]:
+    d = len(found.names)
+    free = 1 + d + d * (d + 1) // 2
+    for k, one in enumerate(found.components):
+        if one.events < free:
+            yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
+        rare = one.log_probability < math.log(LEAST_PROBABILITY)
+        if rare or one.outside > FAR_OUTSIDE:
+            parts = [f"P = 10^{one.log_probability / math.log(10.0):.0f}"] if rare else []
+            if one.outside > 0.0:
+                parts.append(f"mean {one.outside:.1f} standard deviations outside in {one.outside_name}")
+            yield (
+                f"component {k} is the tail of a normal that lies outside the bounds ({', '.join(parts)}): its mean "
+                "and covariance say little"
+            )
+        if one.condition > ILL_CONDITIONED:
+            yield f"component {k} is nearly flat: its correlation matrix has condition number {one.condition:.2g}"
+
+
+def _events(found: SideDiagnostics, summary: SideSummary | None) -> Iterator[str]:
+    for name, count in summary.moved_inside if summary is not None else ():
+        yield f"{count} events had {name} exactly on a bound, moved just inside"
+    if found.outside:
+        shown = ", ".join(f"{name} {count}" for name, count in found.outside)
+        yield f"events outside the model's bounds were left out ({shown})"
+    if found.comparison is None:
+        yield f"no comparison with a transformed mixture: {found.comparison_note}"

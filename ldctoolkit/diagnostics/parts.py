@@ -6,9 +6,8 @@ import dataclasses
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,14 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.mixture._expectation import FloatArray
 from ldctoolkit.mixture._transform import Transform
 from ldctoolkit.mixture.checks import column_name
 
-IntArray = npt.NDArray[np.int64]
 Given = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
 """Column name or number -> a value, or (lower, upper) with None or an infinite number where open."""
 

@@ -9,17 +9,14 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._conditional import Given, given_values, intervals, part_of
 from ldctoolkit.mixture._draw import Sampler
-from ldctoolkit.mixture._expectation import Components, FloatArray, log_density, log_terms, shares
+from ldctoolkit.mixture._expectation import Components, log_density, log_terms, shares
 from ldctoolkit.mixture._transform import Transform
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 SAMPLE_BLOCK: Final = 8192
 """Events drawn from one random stream; fixed, so that the first m of n samples do not depend on n."""

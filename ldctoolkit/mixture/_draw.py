@@ -6,13 +6,11 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture._separation import IntArray, Separation
-from ldctoolkit.mixture._univariate import FloatArray, Restricted
-
-BoolArray = npt.NDArray[np.bool_]
+from ldctoolkit.mixture._separation import Separation
+from ldctoolkit.mixture._univariate import Restricted
 
 _PLAIN_REJECTION: Final = 0.25
 """Above this probability of the box plain rejection is the cheaper exact sampler."""

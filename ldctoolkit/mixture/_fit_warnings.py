@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture.checks import column_name
 from ldctoolkit.mixture.events import Events, Profile, sums_of
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _LEAST_LOG_P: Final = -20.0
 """Below this ln P the box lies some 6 standard deviations off: only the density inside still says something."""

@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.errors import InputError
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._conditional import Given
-from ldctoolkit.mixture._conventions import Parameters
-from ldctoolkit.mixture._distribution import Distribution, IntArray
-from ldctoolkit.mixture._expectation import FloatArray
+from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture.checks import RandomState, check_matrix, check_number, check_sample_weight, seed_of
+
+
+class Parameters:
+    """Constructor arguments that are kept as attributes of the same name."""
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """The constructor's arguments (scikit-learn's convention)."""
+        del deep
+        return {
+            name: getattr(self, name) for name in inspect.signature(type(self).__init__).parameters if name != "self"
+        }
+
+    def set_params(self, **params: Any) -> Self:
+        """Change constructor arguments (scikit-learn's convention)."""
+        known = self.get_params()
+        for name, value in params.items():
+            if name not in known:
+                raise InputError(f"{type(self).__name__}: no parameter {name!r}; {nearest(name, known)}")
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        default = {k: v.default for k, v in inspect.signature(type(self).__init__).parameters.items()}
+        shown = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v is not default[k])
+        return f"{type(self).__name__}({shown})"
 
 
 class FittedMixture(Parameters):

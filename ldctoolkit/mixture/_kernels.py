@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 _ROWS: Final = 256
 _FLOOR: Final = -100.0

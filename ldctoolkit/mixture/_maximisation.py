@@ -19,14 +19,11 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.mixture._expectation import Statistics
-from ldctoolkit.mixture._separation import IntArray
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Step = Literal["newton", "lee_scott"]
 
 _TRIALS: Final = 8

@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import LdcError
 from ldctoolkit.mixture.events import Events
 
-FloatArray = npt.NDArray[np.float64]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 StartMethod = Literal["fork", "spawn", "forkserver"]

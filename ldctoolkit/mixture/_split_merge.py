@@ -20,7 +20,8 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.mixture._expectation import Components, FloatArray, Statistics, log_terms
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.mixture._expectation import Components, Statistics, log_terms
 from ldctoolkit.mixture._maximisation import Prior, maximise, objective
 from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal

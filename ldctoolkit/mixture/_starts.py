@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.mixture._expectation import Components
-
-FloatArray = npt.NDArray[np.float64]
 
 _LLOYD_PASSES: Final = 20
 _VARIANCE_FLOOR: Final = 1e-6

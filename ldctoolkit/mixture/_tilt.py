@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.mixture._univariate import FloatArray, Restricted
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.mixture._univariate import Restricted
 
 _STEPS: Final = 60
 _TOLERANCE: Final = 1e-9

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 
-FloatArray = npt.NDArray[np.float64]
 Kind = Literal["none", "log", "logit"]
 
 KINDS: Final = ("none", "log", "logit", "auto")

@@ -6,10 +6,8 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from ldctoolkit.arrays import BoolArray, FloatArray
 
 _LOG_ROOT_2PI: Final = 0.5 * float(np.log(2.0 * np.pi))
 _NARROW: Final = 1e-2

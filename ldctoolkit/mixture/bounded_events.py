@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture.events import Events, FloatArray, IntArray, Profile, profile_of
+from ldctoolkit.mixture.events import Events, Profile, profile_of
 
 _FLAT: Final = 1e-12
 """A column whose range is this small beside its values is constant."""

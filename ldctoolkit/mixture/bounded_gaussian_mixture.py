@@ -10,10 +10,11 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._distribution import Distribution
 from ldctoolkit.mixture._em import EMSettings, fit_components
-from ldctoolkit.mixture._expectation import Components, FloatArray
+from ldctoolkit.mixture._expectation import Components
 from ldctoolkit.mixture._fit_warnings import correlation_of, fit_warnings
 from ldctoolkit.mixture._fitted import FittedMixture
 from ldctoolkit.mixture._maximisation import Step

@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.mixture.checks import as_matrix, check_matrix
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST_ROWS: Final = 50
 """With fewer rows no end is looked for; only zero is."""

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture.events import Events, Profile, profile_of
 
 RandomState = int | np.random.Generator | None
-FloatArray = npt.NDArray[np.float64]
 
 LARGEST: Final = 1e100
 """Squares and their sums must not overflow; nor may the squares of spreads below its inverse vanish."""

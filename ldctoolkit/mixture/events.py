@@ -17,10 +17,9 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Part = TypeVar("Part")
 Work = Callable[[FloatArray, FloatArray | None], Part]
 """From the rows (m, d) of a block and their weights (m,), if any."""

@@ -9,10 +9,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._draw import Sampler
-from ldctoolkit.mixture._separation import IntArray, Separation, WhitenedMoments, integrate, separate
-from ldctoolkit.mixture._univariate import FloatArray
+from ldctoolkit.mixture._separation import Separation, WhitenedMoments, integrate, separate
 
 Array = npt.NDArray[Any]
 Fields = TypeVar("Fields", Separation, WhitenedMoments)

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
-from ldctoolkit.recordings.recording import FloatArray, IntArray, Label
+from ldctoolkit.recordings.recording import Label
 from ldctoolkit.recordings.source_file import printable
 from ldctoolkit.recordings.table import RecordingTable
 

@@ -7,8 +7,8 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, TypeVar
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.recording import FloatArray
 
 T = TypeVar("T")
 

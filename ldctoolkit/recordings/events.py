@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals
-from ldctoolkit.recordings.table import BoolArray, FloatArray, IntArray, RecordingTable
+from ldctoolkit.recordings.table import RecordingTable
 
 REASONS: Final = (
     "lane_change",

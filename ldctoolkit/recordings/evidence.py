@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.recordings.recording import FloatArray, IntArray, Recording
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.recordings.recording import Recording
 from ldctoolkit.recordings.table import LARGEST, RecordingTable
 from ldctoolkit.recordings.units import unit_counts
 

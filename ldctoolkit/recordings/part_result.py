@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 
-from ldctoolkit.departures import Departures
+from ldctoolkit.departures import Departures, joined_departures, no_departures
 from ldctoolkit.recordings.account import Account, joined_accounts
 from ldctoolkit.recordings.drawn import Drawn, joined_drawn
 from ldctoolkit.recordings.evidence import Evidence, joined_evidence, no_evidence
-from ldctoolkit.recordings.joined import joined_departures, no_departures
 from ldctoolkit.recordings.recording import Problem
 
 

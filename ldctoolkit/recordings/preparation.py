@@ -4,15 +4,265 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from ldctoolkit.errors import InputError
-from ldctoolkit.recordings.medians import MAX_JUMP
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings.recording import Recording
-from ldctoolkit.recordings.resample import MAX_GAP, resample
-from ldctoolkit.recordings.table import usable_samples
-from ldctoolkit.recordings.yaw_from_heading import with_yaw_rate
+from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
+from ldctoolkit.recordings.table import LARGEST, usable_samples
+
+MAX_JUMP: Final = 0.6
+"""Offsets [m] further apart are a jump: no value between them is made up, so that it is seen as one later on."""
+
+
+class WindowMedians:
+    """One value a window ``low:high`` of samples; the windows are laid once for all columns.
+
+    Parameters
+    ----------
+    low, high : (k,) int
+        First sample of each window, and the one after its last.
+    filled : (k,) bool
+        Windows that hold samples.
+    bridged : (k,) bool
+        Empty windows whose value is interpolated between the samples around, ``low - 1`` and ``low``.
+    centre : (k,) [s]
+        Times in the middle of the windows.
+
+    Examples
+    --------
+    >>> windows = WindowMedians(np.array([0, 3]), np.array([3, 5]), np.ones(2, bool), np.zeros(2, bool), np.arange(2.0))
+    >>> windows.of(np.array([1.0, 9.0, 2.0, 0.5, 0.25]), np.arange(5.0), None).tolist()
+    [2.0, 0.375]
+    """
+
+    def __init__(
+        self, low: IntArray, high: IntArray, filled: BoolArray, bridged: BoolArray, centre: FloatArray
+    ) -> None:
+        self._low, self._filled = low, filled
+        self._bridged, self._centre = bridged, centre[bridged]
+        count = np.where(filled, high - low, 0)
+        self._single = bool((count <= 1).all())
+        if not self._single:
+            self._window = np.repeat(np.arange(low.size), count)
+            begin = np.cumsum(count) - count
+            self._place = low[self._window] + np.arange(self._window.size) - begin[self._window]
+            self._below, self._above = (begin + (count - 1) // 2)[filled], (begin + count // 2)[filled]
+
+    def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None, max_jump: float = MAX_JUMP) -> FloatArray:
+        """Value of each window.
+
+        Parameters
+        ----------
+        values : (m,)
+            The column.
+        t : (m,) [s]
+            Times of its samples.
+        near : (k,), optional
+            Where the two middle values of a window are more than `max_jump` apart, the one nearer to this is taken
+            instead of their mean.
+        max_jump : float
+            In the unit of the values.
+
+        Returns
+        -------
+        (k,)
+            NaN where a window is neither filled nor bridged.
+        """
+        result = np.full(self._low.size, np.nan)
+        filled, bridged = self._filled, self._bridged
+        if self._single:
+            result[filled] = values[self._low[filled]]
+        else:
+            inside = values[self._place]
+            ordered = inside[np.lexsort((inside, self._window))]
+            below, above = ordered[self._below], ordered[self._above]
+            middle = np.where(below == above, below, 0.5 * (below + above))
+            if near is not None:
+                beside = np.where(np.abs(below - near[filled]) <= np.abs(above - near[filled]), below, above)
+                middle = np.where(above - below > max_jump, beside, middle)
+            result[filled] = middle
+        if bridged.any():
+            after = self._low[bridged]
+            share = (self._centre - t[after - 1]) / (t[after] - t[after - 1])
+            result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
+        return result
+
+
+MAX_GAP: Final = 0.25
+"""Longest time [s] between two usable samples that is bridged."""
+
+_SLACK: Final = 1e-6
+"""Of a step: a sample on the edge of a window is in it, however its time was rounded."""
+
+_MOST_STEPS: Final = 2**52
+"""Multiples of the step up to here are told apart by floating point numbers."""
+
+_NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+_NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
+"""Columns of which no mean or median is taken: the nearest usable sample's value counts, of two the earlier one's."""
+
+
+def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_jump: float = MAX_JUMP) -> Recording:
+    """The same recording at multiples of a time step after its first sample.
+
+    Parameters
+    ----------
+    recording : Recording
+        m samples.
+    step : float [s]
+        New time step.
+    max_gap : float [s]
+        Longest time between two usable samples that values are interpolated across.
+    max_jump : float [m]
+        Offsets further apart are a jump.
+
+    Returns
+    -------
+    Recording
+        Each value is the median of the usable samples within half a step to either side, ends included. Where there is
+        none, it is interpolated linearly if the usable samples around are at most `max_gap` apart, their lane is the
+        same and their offsets do not jump; else the sample is not valid if the source has unusable samples there, and
+        left out if it has nothing.
+
+    Raises
+    ------
+    InputError
+        If the step or the gap is not positive.
+    RecordingError
+        If the recording lasts for so many steps that they cannot be told apart.
+
+    Notes
+    -----
+    Samples that already lie at the multiples keep their values, and their times, to the last bit. Of two middle offsets
+    of a window that are a jump apart, the one nearer to the nearest sample's is taken, not their mean. Where the lane
+    changes in a window, only samples in the nearest sample's lane count.
+
+    Examples
+    --------
+    >>> t = np.array([0.0, 0.03, 0.07, 0.1, 0.2])
+    >>> x = np.array([0.0, 0.1, 0.3, 0.4, 9.0])
+    >>> one = Recording("a", t, x, np.full(5, 3.6), np.full(5, 25.0), np.ones(5, bool))
+    >>> resample(one, 0.1).lane_offset.tolist()
+    [0.05, 0.35, 9.0]
+    """
+    for name, value in (("step", step), ("max_gap", max_gap)):
+        if not 0.0 < value < np.inf:
+            raise InputError(f"{name}: {value!r} s; allowed: more than 0, finite")
+    if recording.samples == 0:
+        return recording
+    origin = recording.t[0]
+    with np.errstate(over="ignore"):
+        t = recording.t - origin
+    if not t[-1] <= _MOST_STEPS * step:
+        raise RecordingError(
+            f"recording {recording.name!r}: from t = {float(origin)!r} to {float(recording.t[-1])!r} s; too long to be "
+            f"brought to steps of {step!r} s"
+        )
+    usable = usable_samples(recording)
+    grid = _occupied(t, step, max_gap)
+    centre: FloatArray = np.asarray(grid * step, dtype=np.float64)
+    first, last = _windows(t, grid, centre, step)
+    seen = last > first
+    before = np.concatenate([[0], np.cumsum(usable)])
+    low, high = before[first], before[last]
+    filled = high > low
+    tu, offset = t[usable], recording.lane_offset[usable]
+    nearest = _nearest_in(low, high, tu, centre)
+    times = _times(recording.t, _nearest_in(first, last, t, centre), origin + centre, step)
+    stretch = None
+    if recording.lane is not None and tu.size:
+        # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
+        lane = recording.lane[usable]
+        stretch = np.cumsum(np.concatenate([[False], lane[1:] != lane[:-1]]))
+        low = np.where(filled, np.maximum(low, np.searchsorted(stretch, stretch[nearest], "left")), low)
+        high = np.where(filled, np.minimum(high, np.searchsorted(stretch, stretch[nearest], "right")), high)
+    inside = np.flatnonzero(~filled & (low > 0) & (low < tu.size))
+    after = low[inside]
+    same = (tu[after] - tu[after - 1] <= max_gap * (1.0 + _SLACK)) & (
+        np.abs(offset[after] - offset[after - 1]) <= max_jump
+    )
+    if stretch is not None:
+        same &= stretch[after] == stretch[after - 1]
+    bridged = np.zeros(grid.size, dtype=bool)
+    bridged[inside[same]] = True
+    kept = filled | bridged | seen
+    good, nearest, centre = (filled | bridged)[kept], nearest[kept], centre[kept]
+    medians = WindowMedians(low[kept], high[kept], filled[kept], bridged[kept], centre)
+
+    columns: dict[str, Any] = {}
+    for name in _NUMBERS:
+        values = getattr(recording, name)
+        near = offset[nearest] if name == "lane_offset" and tu.size else None
+        columns[name] = None if values is None else medians.of(values[usable], tu, near, max_jump)
+    for name in _NAMES:
+        values = getattr(recording, name)
+        columns[name] = None if values is None else _taken(values[usable], nearest)
+    return dataclasses.replace(recording, t=times[kept], valid=good, **columns)
+
+
+def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:
+    """Samples within half a step of each centre: the first of them, and the one after the last."""
+    own = np.rint(t / step).astype(np.int64)
+    if (own[1:] > own[:-1]).all() and (np.abs(t - own * step) <= _SLACK * step).all():
+        # each sample lies at a multiple of its own: no search
+        first = np.arange(own.size) if np.array_equal(own, grid) else np.searchsorted(own, grid, "left")
+        return first, first + (own[np.minimum(first, own.size - 1)] == grid)
+    half = (0.5 + _SLACK) * step
+    return np.searchsorted(t, centre - half, "left"), np.searchsorted(t, centre + half, "right")
+
+
+def _nearest_in(low: IntArray, high: IntArray, t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, where ``low:high`` are those in its window."""
+    nearest = low.copy()
+    others = np.flatnonzero(high - low != 1)
+    nearest[others] = _nearest(t, centre[others])
+    return nearest
+
+
+def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, of two the earlier; 0 where there are none at all."""
+    if t.size == 0:
+        return np.zeros(centre.size, dtype=np.int64)
+    after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
+    before = np.searchsorted(t, t[np.maximum(after - 1, 0)], "left")  # the first of a repeated time
+    nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
+    return nearest
+
+
+def _times(t: FloatArray, nearest: IntArray, wanted: FloatArray, step: float) -> FloatArray:
+    """The wanted times; a recorded one in place of one that differs by rounding only."""
+    recorded = t[nearest]
+    times: FloatArray = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)
+    return times
+
+
+def _taken(values: npt.NDArray[Any], places: IntArray) -> npt.NDArray[Any]:
+    """Values at some places; zeros where there are none at all."""
+    if values.size == 0:
+        return np.zeros(places.size, dtype=values.dtype)
+    taken: npt.NDArray[Any] = values[places]
+    return taken
+
+
+def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
+    """Multiples of the step that lie within reach of a sample; a long gap costs nothing."""
+    cut = np.flatnonzero(np.diff(t) > max_gap + step)
+    first = np.concatenate([t[:1], t[cut + 1]])
+    last = np.concatenate([t[cut], t[-1:]])
+    low = np.floor(first / step).astype(np.int64)
+    high = np.ceil(last / step).astype(np.int64)
+    low[1:] = np.maximum(low[1:], high[:-1] + 1)
+    count = np.maximum(high - low + 1, 0)
+    starts = np.cumsum(count) - count
+    grid: IntArray = np.repeat(low, count) + np.arange(count.sum()) - np.repeat(starts, count)
+    inside: IntArray = grid[grid * step <= t[-1] + 0.5 * step]
+    return inside
+
 
 LONGEST_GAP = 10.0
 """Longest time [s] that may be bridged; bounds the memory, too."""
@@ -107,3 +357,63 @@ def scaled(recording: Recording, nominal: float) -> Recording:
             lane_width=recording.lane_width * factor,
             lane_scale=recording.lane_scale * factor,
         )
+
+
+HALF_WINDOW: Final = 1.0
+"""Half the window of the slope [s]: a heading is coarse."""
+
+LONGEST: Final = 1.5
+"""Longest time [s] between headings that is bridged; GPS receivers give one a second at least."""
+
+WORTH_TELLING: Final = 0.01
+"""Share of the valid samples above which it is told."""
+
+FILLED: Final = "the yaw rate is missing in places, and comes from the GPS heading there"
+NONE: Final = "no yaw rate: the lane counts as straight"
+
+
+def with_yaw_rate(recording: Recording) -> Recording:
+    """The recording with the heading's slope for missing yaw rates.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its `yaw_rate` may hold NaN; None, or a recorded curvature, leaves it as it is.
+
+    Returns
+    -------
+    Recording
+        With a note if anything was filled in, and `yaw_rate_measured` False there. Without a single yaw rate in the end
+        it has none, and says so.
+
+    Examples
+    --------
+    >>> t, one = np.arange(40) * 0.1, np.ones(40)
+    >>> recording = Recording("a", t, 0 * one, 3.6 * one, 25 * one, one > 0, yaw_rate=np.nan * one, heading=0.02 * t)
+    >>> with_yaw_rate(recording).yaw_rate.round(6)[:2].tolist()
+    [0.02, 0.02]
+    """
+    rate = recording.yaw_rate
+    if rate is None or recording.curvature is not None:
+        return recording
+    missing = ~(np.abs(rate) < LARGEST)
+    if not missing.any():
+        return recording
+    notes, measured = recording.notes, recording.yaw_rate_measured
+    if recording.heading is not None:
+        known = np.abs(recording.heading) < LARGEST
+        t, heading = merge_repeated(recording.t[known], np.unwrap(recording.heading[known]))
+        slope = local_slope(t, heading, half=HALF_WINDOW, longest=LONGEST)
+        sure = np.isfinite(slope)
+        found = values_at(recording.t[missing], t[sure], slope[sure], longest=LONGEST, beyond=HALF_WINDOW)
+        rate = rate.copy()
+        rate[missing] = found
+        measured = ~missing if measured is None else measured & ~missing
+        filled = np.isfinite(found) & recording.valid[missing]
+        told_already = any("yaw rate" in note for note in notes)  # by the reader
+        if not told_already and np.count_nonzero(filled) > WORTH_TELLING * np.count_nonzero(recording.valid):
+            notes = (*notes, FILLED)
+    # where the lane or the speed is not known either, the recording is of no use anyway
+    if not (np.abs(rate) < LARGEST).any() and (recording.valid & np.isfinite(recording.speed)).any():
+        return dataclasses.replace(recording, yaw_rate=None, yaw_rate_measured=None, notes=(*notes, NONE))
+    return dataclasses.replace(recording, yaw_rate=rate, yaw_rate_measured=measured, notes=notes)

@@ -7,14 +7,10 @@ import hashlib
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.source_file import printable
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 def _text(value: object, what: str) -> str:

@@ -6,7 +6,7 @@ import bisect
 
 import numpy as np
 
-from ldctoolkit.recordings.table import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 
 
 def rising_rows(t: FloatArray) -> BoolArray:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.recordings.table import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 
 ROUNDING: Final = 1e-6
 """Times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5."""

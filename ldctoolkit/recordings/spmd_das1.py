@@ -8,19 +8,196 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.spmd.das1_part import LANE, WSU, Das1Part, trip_bytes
+from ldctoolkit.recordings.table import LARGEST, measured
 from ldctoolkit.recordings.trips.look_through import look_through, recognised
 from ldctoolkit.recordings.trips.table_header import TableLayout, check_columns, read_header
-from ldctoolkit.recordings.trips.trip_index import TripIndex
-from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips
+from ldctoolkit.recordings.trips.table_text import Cells
+from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex
+from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips, told
+
+TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
+
+TOLERANCE: Final = 5.0
+"""Half a step of 10 Hz [centiseconds]: the largest distance in time between rows that belong together."""
+
+USABLE_QUALITY: Final = (2.0, 3.0)
+PLACEHOLDER: Final = (-1.875, 1.875)
+"""Distances to the left and right that stand for "no lane"."""
+
+ALONE: Final = "no rows in DataWsu, so that speed and yaw rate are not known"
+
+LANE: Final = ("Time", "LaneDistanceLeft", "LaneDistanceRight", "LaneQualityLeft", "LaneQualityRight")
+WSU: Final = (
+    "Time", "ValidCanWsu", "SpeedWsu", "YawRateWsu", "TurnSngLWsu", "TurnSngRWsu",
+    "GpsValidWsu", "GpsSpeedWsu", "GpsHeadingWsu",
+)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Das1Part:
+    """Some trips of a lane table, and where the other table holds them.
+
+    Attributes
+    ----------
+    key : str
+        Names the lane table and the first trip.
+    lane, wsu : TripTable
+        The two tables.
+    trips : tuple of (tuple of Stretch, tuple of Stretch)
+        Each trip's place in both.
+    """
+
+    key: str
+    lane: TripTable
+    wsu: TripTable
+    trips: tuple[TripPlace, ...]
+
+    @property
+    def bytes(self) -> int:
+        """Text that is read."""
+        return sum(map(trip_bytes, self.trips))
+
+    def read(self) -> Iterator[Recording | Problem]:
+        """What could not be used, then recordings in the order of the lane table.
+
+        Raises
+        ------
+        RecordingError
+            If a table cannot be read or has changed since it was looked through.
+        """
+        lane = read_trips(self.lane, [one for one, _ in self.trips], self.lane.spelled(LANE), time="Time")
+        wsu = read_trips(self.wsu, [one for _, one in self.trips], self.wsu.spelled(WSU), time="Time")
+        yield from lane.problems
+        yield from wsu.problems
+        match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
+        signals = _signals(lane.cells, wsu.cells, match)
+        ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
+        joined = np.concatenate([[0], np.cumsum(match >= 0)])
+        apart: list[tuple[int, str, str]] = []
+        for (stretches, there), begin, end in zip(self.trips, ends[:-1], ends[1:], strict=True):
+            first = stretches[0]
+            name = f"{first.device}/{first.trip}"
+            if begin == end:
+                continue  # every row was left out, and told
+            if there and joined[begin] == joined[end]:
+                near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
+                apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))
+                continue
+            own = {column: values[begin:end] for column, values in signals.items()}
+            yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
+        yield from told(self.lane.name, apart)
+
+
+def trip_bytes(trip: TripPlace) -> int:
+    """Text of a trip in both tables."""
+    return sum(one.end - one.begin for stretches in trip for one in stretches)
+
+
+def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
+    """Columns of a `Recording` from the cells of rows; those without a partner have no speed.
+
+    Numbers of 1e9 or more in size count as missing.
+    """
+    left, right = measured(lane["LaneDistanceLeft"]), measured(lane["LaneDistanceRight"])
+    placeholder = (left == PLACEHOLDER[0]) & (right == PLACEHOLDER[1])
+    quality = np.isin(lane["LaneQualityLeft"], USABLE_QUALITY) & np.isin(lane["LaneQualityRight"], USABLE_QUALITY)
+    found = match >= 0
+
+    def partner(values: FloatArray) -> FloatArray:
+        taken = np.full(match.size, np.nan)
+        taken[found] = values[match[found]]
+        return taken
+
+    can, gps = wsu["ValidCanWsu"] == 1.0, wsu["GpsValidWsu"] == 1.0
+    gps_speed = np.where(gps, measured(wsu["GpsSpeedWsu"]), np.nan)
+    speed = np.where(can & (np.abs(wsu["SpeedWsu"]) < LARGEST), wsu["SpeedWsu"] / 3.6, gps_speed)
+    signal = (wsu["TurnSngLWsu"] > 0.0).astype(np.float64) - (wsu["TurnSngRWsu"] > 0.0)  # both: a hazard light
+    return {
+        "t": lane["Time"] / 100.0,
+        "lane_offset": 0.5 * (left + right),
+        "lane_width": right - left,
+        "speed": partner(speed),
+        "valid": quality & ~placeholder & (right > left),
+        "yaw_rate": partner(np.where(can, np.radians(measured(wsu["YawRateWsu"])), np.nan)),
+        "turn_signal": np.nan_to_num(partner(signal)).astype(np.int64),
+        "heading": partner(np.where(gps, -np.radians(measured(wsu["GpsHeadingWsu"])), np.nan)),
+    }
+
+
+def nearest_rows(
+    trip: IntArray, t: FloatArray, other_trip: IntArray, other_t: FloatArray, tolerance: float
+) -> IntArray:
+    """For each row, the row of the other table of the same trip that is nearest in time.
+
+    Parameters
+    ----------
+    trip, t : (m,) int, (m,)
+        Trip and time of each row, sorted by both.
+    other_trip, other_t : (k,) int, (k,)
+        The same of the other table, sorted by both.
+    tolerance : float
+        Largest distance in time, itself included; in the unit of the times.
+
+    Returns
+    -------
+    (m,) int
+        Row of the other table; -1 where none is near. Of two that are as near the earlier one counts, of rows with one
+        time the first.
+
+    Examples
+    --------
+    >>> one = np.zeros(3, dtype=int)
+    >>> nearest_rows(one, np.array([0.0, 10.0, 20.0]), one, np.array([1.0, 2.0, 14.0]), 5.0).tolist()
+    [0, 2, -1]
+    """
+    none = np.full(t.size, -1, dtype=np.int64)
+    if t.size == 0 or other_t.size == 0:
+        return none
+    # each trip gets a span of its own on one long clock; times that are out of reach of a trip wait at its span's ends
+    first = np.concatenate([[0], np.flatnonzero(np.diff(trip)) + 1])
+    last = np.append(first[1:], t.size) - 1
+    length = t[last] - t[first] + 6.0 * tolerance + 1.0
+    place = np.concatenate([[0.0], np.cumsum(length)])
+    own = np.repeat(np.arange(first.size), last - first + 1)
+    clock = t - t[first][own] + place[own]
+    theirs = np.searchsorted(trip[first], other_trip)
+    theirs_or_last = np.minimum(theirs, first.size - 1)
+    known = trip[first][theirs_or_last] == other_trip
+    rows = np.flatnonzero(known)
+    theirs = theirs_or_last[rows]
+    away = other_t[rows] - t[first][theirs]
+    reach = 2.0 * tolerance
+    other_clock = np.clip(away, -reach, t[last][theirs] - t[first][theirs] + reach) + place[theirs]
+    if rows.size == 0:
+        return none
+    # rows with one time: the first stands for all
+    new = np.concatenate([[True], (np.diff(other_clock) > 0.0)])
+    rows, other_clock = rows[new], other_clock[new]
+    after = np.searchsorted(other_clock, clock)
+    before = np.maximum(after - 1, 0)
+    after = np.minimum(after, rows.size - 1)
+
+    def distance(candidate: IntArray) -> FloatArray:
+        # between the times themselves: the long clock has fewer digits
+        row = rows[candidate]
+        apart: FloatArray = np.where(other_trip[row] == trip, np.abs(other_t[row] - t), np.inf)
+        return apart
+
+    to_before, to_after = distance(before), distance(after)
+    chosen = np.where(to_before <= to_after, before, after)
+    return np.where(np.minimum(to_before, to_after) <= tolerance, rows[chosen], -1)
+
 
 PART_BYTES: Final = 24 << 20
 """Text of both tables that is read in one go."""

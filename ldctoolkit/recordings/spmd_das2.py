@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.source_file import SourceFile
@@ -23,8 +23,6 @@ from ldctoolkit.recordings.trips.table_header import TableLayout
 from ldctoolkit.recordings.trips.table_text import Cells
 from ldctoolkit.recordings.trips.trip_index import Stretch
 from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips
-
-FloatArray = npt.NDArray[np.float64]
 
 PART_BYTES: Final = 32 << 20
 """Text that is read in one go."""

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.recordings.recording import BoolArray, FloatArray, IntArray, Recording
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.recordings.recording import Recording
 
 __all__ = ["LARGEST", "BoolArray", "FloatArray", "IntArray", "RecordingTable", "measured", "usable_samples"]
 
@@ -83,3 +84,7 @@ class RecordingTable:
     def recording_index(self) -> IntArray:
         """Index of the recording that each sample belongs to, (m,)."""
         return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
+
+
+MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
+"""In lower case, without blanks around them."""

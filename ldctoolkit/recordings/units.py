@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ldctoolkit.recordings.table import BoolArray, FloatArray, RecordingTable
+from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.recordings.table import RecordingTable
 
 
 def unit_counts(

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import LdcError
-from ldctoolkit.review.sampled_loop import FloatArray
 from ldctoolkit.vehicle import Plant
 
 _WEIGHTS = ("q_y", "q_y_rate", "q_psi", "q_psi_rate")

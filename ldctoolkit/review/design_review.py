@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, LdcError, plain
 from ldctoolkit.gains import GainValue
@@ -20,7 +21,6 @@ from ldctoolkit.review.limits import Situation, limit_findings
 from ldctoolkit.review.loop_checks import loop_findings
 from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
 from ldctoolkit.review.notes import bend_notes, bound_notes, law_findings, plant_notes
-from ldctoolkit.review.sampled_loop import FloatArray
 from ldctoolkit.vehicle import BicycleModel
 
 SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))

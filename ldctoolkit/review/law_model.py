@@ -18,13 +18,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step
 from ldctoolkit.review.guard import guarded
 from ldctoolkit.vehicle import Plant
-
-FloatArray = npt.NDArray[np.float64]
 
 PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""

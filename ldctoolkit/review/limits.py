@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.plant_options import Actuator
 from ldctoolkit.review.findings import Finding
-from ldctoolkit.review.sampled_loop import FloatArray
 
 _NO_HORIZON = 1.0
 """Time [s] within which a law without a horizon should have its limits back."""

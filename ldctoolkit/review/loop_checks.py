@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.review.findings import Finding, Severity, Thresholds
 from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers
-from ldctoolkit.review.sampled_loop import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

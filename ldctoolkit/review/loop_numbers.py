@@ -8,12 +8,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.conditioning import hessian_condition
 from ldctoolkit.review.law_model import LinearView, first_answers
 from ldctoolkit.review.margins import bandwidth, margins, poles
-from ldctoolkit.review.sampled_loop import Camera, FloatArray, Loop, System, controller_side, sampled_vehicle
+from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
 from ldctoolkit.vehicle import BicycleModel, Plant
 
 BEND_ERROR = 0.05

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.review.sampled_loop import FloatArray, System
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.review.sampled_loop import System
 
 _STABLE: Final = 1.0 - 1e-6
 """Largest |z| of a pole that counts as stable: the vehicle's two integrators come out as 1 only to 1e-8."""

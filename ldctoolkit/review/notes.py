@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.findings import Finding
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView
 from ldctoolkit.review.limits import limit_of
 from ldctoolkit.review.loop_numbers import BEND_ERROR, LoopNumbers
-from ldctoolkit.review.sampled_loop import FloatArray
 
 _NONLINEAR = 0.05
 """Relative difference of the answers to small and larger pulses from which it is told."""

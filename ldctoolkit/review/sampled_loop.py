@@ -14,11 +14,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.plant_options import Actuator
 from ldctoolkit.review.law_model import LawModel
 from ldctoolkit.vehicle.discretization import expm
 
-FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 _ENTRIES = 4_000_000

@@ -3,9 +3,8 @@
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
 from ldctoolkit.scenario_model.fit import fit_scenario_model
 from ldctoolkit.scenario_model.given import Given, conditions
-from ldctoolkit.scenario_model.library import bundled_models, load_model
 from ldctoolkit.scenario_model.merged import merged_provenance, read_all_departures
-from ldctoolkit.scenario_model.model import ScenarioModel
+from ldctoolkit.scenario_model.model import ScenarioModel, bundled_models, load_model
 from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
 from ldctoolkit.scenario_model.source_summary import SourceSummary, summarize
 

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import ModelError, nearest
-
-FloatArray = npt.NDArray[np.float64]
 
 _WHOLE_DIGITS: Final = 18
 """Longest whole number of a file: it must fit a float and 64 bits."""

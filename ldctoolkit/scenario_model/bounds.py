@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture.bounds import auto_bounds
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.parts import LEAST_LOWER, PHYSICAL_BOUNDS
 
-FloatArray = npt.NDArray[np.float64]
 End = float | None | Literal["auto"]
 Bounds = Literal["auto", "physical"] | Mapping[str, tuple[End, End] | Literal["auto", "physical"]]
 """For all parameters one word, or per parameter a word or (lower, upper); None is open."""

@@ -1,31 +1,35 @@
-"""Fit a scenario model to departures."""
+"""Fit a scenario model to departures: the events of a side made ready, and how many components they carry."""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT, RIGHT, Departures
-from ldctoolkit.errors import InputError
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.mixture import Selection, select_components
+from ldctoolkit.mixture.bounded_events import InsideBounds, inside_bounds
 from ldctoolkit.mixture.checks import check_number, check_weights
-from ldctoolkit.mixture.events import Events
+from ldctoolkit.mixture.events import Events, profile_of
 from ldctoolkit.recordings import Criteria
-from ldctoolkit.scenario_model.bounds import Bounds, wanted_bounds
-from ldctoolkit.scenario_model.card import ModelProvenance, software_versions
-from ldctoolkit.scenario_model.fit_side import Progress, carried_components, fit_side
+from ldctoolkit.scenario_model.bounds import Bounds, Box, box_of, wanted_bounds
+from ldctoolkit.scenario_model.card import ModelProvenance, SideSummary, software_versions
 from ldctoolkit.scenario_model.model import ScenarioModel
+from ldctoolkit.scenario_model.parts import SideModel, check_usable
 from ldctoolkit.scenario_model.settings import (
     SideSettings,
+    check_transform,
     component_numbers,
     fit_settings,
     transforms,
 )
-from ldctoolkit.scenario_model.side_events import SideEvents, side_events
+from ldctoolkit.scenario_model.source_summary import summarize_events
 from ldctoolkit.version import __version__
 
 LEAST_EVENTS: Final = 30
@@ -175,3 +179,219 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
         raise InputError(f"departures: {left} left and {right} right; allowed: at least {LEAST_EVENTS} a side")
     every = Events(departures.matrix(), weight, settings.workers)
     return {label: side_events(every.take(mask), label, settings) for label, mask in rows.items()}
+
+
+Progress = Callable[[str, int, int], None]
+
+EVENTS_PER_PARAMETER: Final = 2
+"""A range of K is cut where fewer events than this would stand behind each free parameter."""
+
+_SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
+"""A complaint about one of these is none about the departures."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SideFit:
+    """A fitted side, how it was fitted, and what a user should know."""
+
+    side: SideModel
+    summary: SideSummary
+    warnings: tuple[str, ...]
+
+
+def fit_side(
+    events: SideEvents,
+    carried: tuple[tuple[int, ...], tuple[str, ...]],
+    settings: SideSettings,
+    progress: Progress | None,
+) -> SideFit:
+    """Fit the departures of one side, with the K that they carry."""
+    label, n = events.label, events.rows
+    notes = [
+        f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
+    ]
+    notes += [
+        f"{label}: {count} events had {name} exactly on a bound, moved just inside" for name, count in events.moved
+    ]
+    tried, cut = carried
+    notes += cut
+    selection, failed = _select(events, tried, settings, progress)
+    best = selection.best
+    notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
+    notes += [f"{label}: {sentence}" for sentence in best.warnings_]
+    several = len(tried) > 1
+    why = "as asked" if isinstance(settings.components, int) else "the only one of the range that the events carry"
+    summary = SideSummary(
+        events=n,
+        n_components=tuple(int(K) for K in selection.n_components),
+        bic=_curve(selection.bic),
+        log_likelihood=_curve(selection.log_likelihood),
+        converged=best.converged_,
+        moved_inside=events.moved,
+        redrawn_share=0.0,
+        n_parameters=tuple(int(p) for p in selection.n_parameters),
+        aic=_curve(selection.aic),
+        icl=_curve(selection.icl),
+        held_out=_curve(selection.held_out),
+        criterion=selection.criterion if several else "",
+        reason=selection.reason if several else f"K = {tried[0]}, {why}",
+        failed=failed,
+        passes=best.n_iter_,
+        stop_reason=best.stop_reason_,
+        weight=events.weight,
+        bounds_from=events.box.origins,
+        source_summary=summarize_events(events.events, events.names),
+    )
+    return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
+
+
+def _curve(values: FloatArray) -> tuple[float, ...]:
+    """A criterion of each K; empty where it was not computed."""
+    return tuple(values.tolist()) if np.isfinite(values).all() else ()
+
+
+def carried_components(
+    components: int | tuple[int, ...], events: SideEvents
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """The K that the events of a side carry, and what to say if these are not all.
+
+    Raises
+    ------
+    InputError
+        If they carry none of a range.
+    """
+    n, d, label = events.rows, len(events.names), events.label
+    if isinstance(components, int):
+        return (components,), ()
+    most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
+    tried = tuple(K for K in components if most >= K)
+    if not tried:
+        raise InputError(
+            f"components: {components[0]} and more; allowed: a range that begins at {most} or below, "
+            f"{n} {label} departures carry no more"
+        )
+    if len(tried) == len(components):
+        return tried, ()
+    return tried, (f"{label}: {n} events carry no more than K = {most}; larger K were not tried",)
+
+
+def _select(
+    events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None
+) -> tuple[Selection, tuple[tuple[int, str], ...]]:
+    """The fits, and the K that gave no usable one; an error where none did."""
+    label, varies = events.label, events.inside.varies
+    arguments: dict[str, Any] = settings.selection() | {
+        "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
+        "sample_weight": events.events.weight,
+        "lower": events.box.lower[varies],
+        "upper": events.box.upper[varies],
+        "transform": [settings.transform[name] for name in events.names],
+        "names": events.names,
+    }
+    failed: list[tuple[int, str]] = []
+    while True:
+        try:
+            selection = select_components(events.events.x, tried, **arguments)
+        except (InputError, ModelError) as error:
+            if str(error).partition(":")[0] in _SETTINGS:
+                raise
+            raise type(error)(f"departures ({label}): {error}") from None
+        failed += [(f.n_components, f.message) for f in selection.failures]
+        taken = int(selection.n_components[selection.chosen])
+        try:
+            check_usable(selection.best)
+        except ModelError as error:
+            tried = tuple(int(K) for K in selection.n_components if taken != K)
+            if not tried:
+                raise ModelError(f"departures ({label}): {error}") from None
+            failed.append((taken, str(error)))
+        else:
+            return selection, tuple(sorted(failed))
+
+
+@dataclasses.dataclass(frozen=True)
+class SideEvents:
+    """What the mixture of a side is fitted to.
+
+    Attributes
+    ----------
+    label : str
+        ``"left"`` or ``"right"``.
+    inside : InsideBounds
+        The parameters that vary, none on a bound.
+    box : Box
+        Of all eight parameters.
+    """
+
+    label: str
+    inside: InsideBounds
+    box: Box
+
+    @property
+    def events(self) -> Events:
+        """Rows of the parameters that vary, with their weights if any."""
+        return self.inside.events
+
+    @property
+    def rows(self) -> int:
+        """Departures, each counted once whatever its weight."""
+        return self.inside.profile.rows
+
+    @property
+    def weight(self) -> float | None:
+        """Sum of the weights, if there are any."""
+        return None if self.events.weight is None else self.inside.profile.events
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that vary."""
+        return tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(self.inside.varies))
+
+    @property
+    def constants(self) -> tuple[tuple[str, float], ...]:
+        """The others with their value."""
+        least = self.inside.profile.least
+        return tuple((PARAMETER_NAMES[j], float(least[j])) for j in np.flatnonzero(~self.inside.varies))
+
+    @property
+    def moved(self) -> tuple[tuple[str, int], ...]:
+        """Events that lay on a bound, per parameter."""
+        moved = self.inside.moved
+        return tuple((PARAMETER_NAMES[j], int(moved[j])) for j in np.flatnonzero(moved))
+
+
+def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:
+    """Look at the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside.
+
+    Raises
+    ------
+    InputError
+        For a value that is not finite or outside its bounds (naming parameter, event and count), equal events, or a
+        transform that the box does not allow.
+    """
+    x = events.x
+    for j in range(x.shape[1]):
+        _check(x, j, np.isfinite(x[:, j]), "finite numbers", label)
+    box = box_of(settings.bounds, x)
+    for j, (low, high) in enumerate(zip(box.lower, box.upper, strict=True)):
+        _check(x, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
+    for name in ("T", "v_mean"):  # as in a departures table
+        j = PARAMETER_NAMES.index(name)
+        _check(x, j, x[:, j] > 0.0, "above 0", label)
+    check_transform(settings.transform, box.lower, box.upper)
+    with np.errstate(over="ignore", invalid="ignore"):
+        profile = profile_of(events)
+    inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES, profile=profile)
+    if not inside.varies.any():
+        raise InputError(f"departures ({label}): all {profile.rows} events are equal; there is nothing to fit")
+    return SideEvents(label, inside, box)
+
+
+def _check(x: FloatArray, j: int, good: npt.NDArray[np.bool_], allowed: str, label: str) -> None:
+    """Refuse a column with a bad value: the first of them and how many there are."""
+    if not good.all():
+        event = int(np.argmin(good))
+        raise InputError(
+            f"departures ({label}): {PARAMETER_NAMES[j]} = {float(x[event, j])!r} in event {event}; allowed: {allowed} "
+            f"({int((~good).sum())} of {good.size} events)"
+        )

@@ -7,10 +7,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ldctoolkit.departures import Departures
+from ldctoolkit.departures import Departures, joined_departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Provenance, Refused, read_departures
-from ldctoolkit.recordings.joined import joined_departures
 
 
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:

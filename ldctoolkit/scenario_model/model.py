@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.resources
 import json
 import os
 from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import ModelError
+from ldctoolkit.errors import ModelError, UnknownNameError, nearest
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
 from ldctoolkit.scenario_model import json_form as form
@@ -22,9 +23,6 @@ from ldctoolkit.scenario_model.given import Condition, Given, conditions, mixtur
 from ldctoolkit.scenario_model.parts import SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
@@ -248,3 +246,57 @@ class ScenarioModel:
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:
         return cls(*form.model_from_json(form.read_json(text, file), file))
+
+
+def bundled_models() -> tuple[str, ...]:
+    """Names of the models that come with the toolkit.
+
+    Examples
+    --------
+    >>> bundled_models()
+    ('reference',)
+    """
+    folder = importlib.resources.files("ldctoolkit") / "models"
+    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".json")))
+
+
+def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
+    """A bundled model by its name, or a model file by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        ``"reference"``, or a path to a JSON file.
+
+    Returns
+    -------
+    ScenarioModel
+        The model.
+
+    Raises
+    ------
+    UnknownNameError
+        If it is neither a bundled name nor a file; the message lists the names.
+    ModelError
+        If the file is broken.
+
+    Examples
+    --------
+    >>> load_model("reference").provenance.synthetic
+    True
+    """
+    name = os.fspath(name_or_path)
+    names = bundled_models()
+    if name in names:
+        text = (importlib.resources.files("ldctoolkit") / "models" / f"{name}.json").read_text(encoding="utf-8")
+        return ScenarioModel._parse(text, f"{name}.json")
+    path = Path(name)
+    try:
+        there = path.exists() and name != ""
+    except OSError as error:  # a name too long for a file
+        raise ModelError(f"{name[:60]}...: cannot read the scenario model ({error.strerror})") from None
+    if there:
+        return ScenarioModel.load(path)
+    if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
+        raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")
+    raise UnknownNameError(f"scenario model {name!r}: neither a bundled model nor a file; {nearest(name, names)}")

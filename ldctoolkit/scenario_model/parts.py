@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
-
-FloatArray = npt.NDArray[np.float64]
 
 PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
     "T": (0.5, 10.0),  # s, the extraction criteria

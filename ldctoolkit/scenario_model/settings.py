@@ -7,15 +7,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture.checks import check_components
 from ldctoolkit.scenario_model.bounds import WantedBounds
 from ldctoolkit.scenario_model.card import FitSettings
-
-FloatArray = npt.NDArray[np.float64]
 
 TRANSFORMS: Final = ("none", "log", "logit", "auto")
 

@@ -7,12 +7,9 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.mixture.events import Events
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 TOGETHER: Final = 10
 """Departures behind every quantile at least: each is a mean over so many."""

@@ -12,10 +12,8 @@ from typing import Any, Final
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}  # strict IEEE: the same bits in every loop
 

@@ -11,10 +11,8 @@ from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 # strict IEEE: a row's numbers are the same bits whichever rows stand beside it
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "error_model": "numpy"}

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import Controller, Law, LinearLaw, RecordedPath, SteeringLaw
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.simulation.general_loop import drive_general
@@ -29,8 +29,6 @@ from ldctoolkit.simulation.runs import (
     trajectories_of,
 )
 from ldctoolkit.simulation.takeover import BOUND, Tables, Takeover, law_tables, times_of
-
-IntArray = npt.NDArray[np.int64]
 
 _TOGETHER = 2**21
 """Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""

@@ -6,8 +6,8 @@ import dataclasses
 import time
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.law_checks import check_calls, check_step, check_taken
 from ldctoolkit.simulation.kernel import data
@@ -15,9 +15,6 @@ from ldctoolkit.simulation.outcome import Run
 from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, places, run_of_state, trajectories_of
 from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Tables, Takeover
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _DROP_BELOW = 0.9
 """Share of a batch still running below which the others are dropped from it."""

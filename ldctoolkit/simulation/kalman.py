@@ -10,14 +10,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import KalmanFilter
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.speed_schedule import scheduled
-
-FloatArray = npt.NDArray[np.float64]
 
 _MEASURED = (0, 2)  # e_y and e_psi
 

@@ -7,14 +7,13 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Mismatch, Tyres
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation.random_streams import RandomStream, uniforms
 from ldctoolkit.vehicle import Convention, SteadyState, VehicleParameters
 from ldctoolkit.vehicle.bicycle import checked_speeds, error_dynamics_matrices, steady_cornering
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

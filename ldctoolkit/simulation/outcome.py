@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import metrics
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Takeover
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Window = Literal["departure", "control"]
 
 

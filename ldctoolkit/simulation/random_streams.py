@@ -10,10 +10,9 @@ import enum
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_seed
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class RandomStream(enum.IntEnum):

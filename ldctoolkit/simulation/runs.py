@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
@@ -16,8 +17,6 @@ from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run, Trajectories
 from ldctoolkit.simulation.takeover import Takeover
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Chosen = bool | npt.ArrayLike
 
 SCENARIOS_A_TASK = 1024

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.option_checks import checked_number
@@ -24,9 +25,6 @@ from ldctoolkit.simulation.random_streams import RandomStream, normals
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from ldctoolkit.vehicle import Plant, discretize
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""

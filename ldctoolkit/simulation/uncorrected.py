@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import departures as dep
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import DepartureParameters
 from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
@@ -22,9 +23,6 @@ from ldctoolkit.simulation.random_streams import RandomStream, normals
 
 if TYPE_CHECKING:
     from ldctoolkit.simulation._residual_kernels import Path
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 FEWEST_MODES: Final = 3
 """A residual has at least this many modes: fewer would leave no freedom beside what the parameters fix already."""

@@ -21,8 +21,6 @@ from ldctoolkit.testing.roads import Road, corners, straight
 from ldctoolkit.testing.runs import Commands, Walk, plant_at
 from ldctoolkit.testing.subject import Subject, arrays_in, difference, shown
 
-FloatArray = npt.NDArray[np.float64]
-
 
 def interface(subject: Subject) -> Iterator[str]:
     """`prepare` and `step` give what the interface promises, for any number of scenarios; the plant stays as it is."""

@@ -9,13 +9,11 @@ import dataclasses
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit.control import IntArray, Preview
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Preview
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
-
-FloatArray = npt.NDArray[np.float64]
 
 _FARTHEST = (BOUND, 15.0, 1.5, 3.0)
 """|e_y| [m] and |e_psi| [rad] at which the simulation ends a scenario, and rates [m/s, rad/s] beyond any real ones."""

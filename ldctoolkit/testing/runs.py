@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.control import Controller, EventStatus, IntArray, Law, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.law_checks import check_law, check_step, check_taken
 from ldctoolkit.testing.roads import Road
 from ldctoolkit.vehicle import BicycleModel, Plant
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

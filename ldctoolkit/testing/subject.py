@@ -14,8 +14,6 @@ from ldctoolkit.testing.roads import Road, bends
 from ldctoolkit.testing.runs import Commands, commands, prepared
 from ldctoolkit.testing.settings import ContractSettings
 
-FloatArray = npt.NDArray[np.float64]
-
 
 @dataclasses.dataclass(frozen=True)
 class Subject:

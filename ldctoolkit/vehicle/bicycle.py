@@ -12,12 +12,12 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.vehicle.discretization import Discretization, discretize
 from ldctoolkit.vehicle.parameters import VehicleParameters
 
 Convention = Literal["consistent", "as_printed"]
-FloatArray = npt.NDArray[np.float64]
 
 
 class SingleTrack(Protocol):

@@ -13,9 +13,8 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 # numerator coefficients of the [13/13] Pade approximant of exp and its validity radius (Higham, SIMAX 26(4), 2005)
 _PADE = (

@@ -13,11 +13,9 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, LdcError
-
-FloatArray = npt.NDArray[np.float64]
 
 SPEED_RANGE: Final = (1.0, 90.0)
 """Speeds [m/s] for which gains are scheduled."""

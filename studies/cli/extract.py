@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from studies.cli._console import Subparsers, number, output_file, positive_number, progress_bar, warn
+from ldctoolkit.errors import InputError
+from studies.cli._console import Subparsers, console, number, output_file, positive_number, progress_bar, warn
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.criteria import Criteria
     from ldctoolkit.recordings.opened import OpenedRecordings
     from ldctoolkit.recordings.preparation import Preparation
+    from ldctoolkit.recordings.recording import Problem
     from ldctoolkit.recordings.result import Extraction
+    from ldctoolkit.recordings.source_file import SourceFile
+
 
 SOME_LEFT_OUT = 3
 """Exit code where departures were written, but not all of the input could be used."""
@@ -72,8 +76,6 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.recordings.opened import open_recordings
-    from studies.cli._extract_files import refuse_input
-    from studies.cli._extract_table import print_extraction, tell_problems
     from studies.extraction import NothingReadError, parts_folder, run_extraction
     from studies.extraction.runner import MOST_SAID
 
@@ -150,3 +152,71 @@ def _preparation(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Pr
         nominal_lane_width=chosen.nominal_lane_width,
         yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
     )
+
+
+PROBLEMS_TOLD: Final = 20
+
+
+def tell_problems(problems: Sequence[Problem], *, written: bool) -> None:
+    """What could not be used: the first twenty, one line each, and how many more there are.
+
+    `written`: whether there is a departures table, which holds them.
+    """
+    for problem in problems[:PROBLEMS_TOLD]:
+        warn(str(problem))
+    if len(problems) > PROBLEMS_TOLD:
+        more = len(problems) - PROBLEMS_TOLD
+        where = "; the departures table holds them all" if written else ""
+        warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
+
+
+def print_extraction(found: Extraction) -> None:
+    """Candidates, departures by side, refused candidates by reason."""
+    from rich.table import Table
+
+    from ldctoolkit.departures import LEFT
+
+    out = console()
+    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {found.hours:.1f} h")
+    table = Table()
+    table.add_column("candidate")
+    table.add_column("count", justify="right")
+    left = int((found.departures.side == LEFT).sum())
+    table.add_row("departure, left", str(left))
+    table.add_row("departure, right", str(len(found.departures) - left), end_section=True)
+    for reason, count in found.refused.items():
+        table.add_row(f"refused: {reason.replace('_', ' ')}", str(count))
+    out.print(table)
+
+
+def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequence[SourceFile]) -> None:
+    """Refuse to write over what is read.
+
+    Parameters
+    ----------
+    option : str
+        By which the file to write was given.
+    target : Path
+        The file to write.
+    paths : sequence of Path
+        Files and folders to read, all of which exist.
+    files : sequence of SourceFile
+        What was found in them. In a folder a file counts that is one of these by its content: there the output of an
+        earlier extraction may lie as well.
+
+    Raises
+    ------
+    InputError
+        If the file to write is one of those that are read.
+    """
+    from ldctoolkit.recordings.source_file import source_file
+
+    if not target.exists():
+        return
+    for path in paths:
+        if target.samefile(path):
+            raise InputError(f"{option} {target}: is the input {path}; allowed: a file that is not read")
+        if path.is_dir() and target.resolve().is_relative_to(path.resolve()):
+            one = source_file(target)
+            if any((one.bytes, one.sha256) == (file.bytes, file.sha256) for file in files):
+                raise InputError(f"{option} {target}: is an input, in {path}; allowed: a file that is not read")

@@ -76,8 +76,7 @@ def _range(text: str) -> tuple[float, float]:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
-    from studies.cli._review_designs import reviewed_design, subjects
-    from studies.cli._review_files import to_json
+    from studies.cli._review_designs import reviewed_design, subjects, to_json
     from studies.storage.files import write_text
 
     target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")

@@ -6,11 +6,9 @@ import dataclasses
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.words.text import figure, number
-
-FloatArray = npt.NDArray[np.float64]
 
 _LARGEST_PLAIN = 1e5
 

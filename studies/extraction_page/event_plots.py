@@ -17,8 +17,6 @@ from studies.extraction_page.quantities import CURVATURE_SCALE, CURVATURE_UNIT
 from studies.extraction_page.svg_plot import Frame, picture
 from studies.report.words.text import number, shorten
 
-FloatArray = npt.NDArray[np.float64]
-
 MOST_DOTS = 80
 """Samples drawn of one departure; of more, every k-th is drawn, the first and the last among them."""
 

@@ -9,13 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.recordings.account import share_of_widths
 from studies.extraction_page.axis_ticks import Axis
 from studies.extraction_page.quantities import Quantity
 from studies.extraction_page.svg_plot import Frame, picture
 from studies.report.words.text import number, percent
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST_BINS = 40
 ENDS = 0.002

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from studies.extraction_page.axis_ticks import Axis
 from studies.extraction_page.counts import SIDES, Row
@@ -22,8 +23,6 @@ from studies.extraction_page.histograms import (
 )
 from studies.extraction_page.quantities import LANE_WIDTH, PARAMETERS, Quantity
 from studies.report.words.text import number, shorten
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST_WIDTHS = 12
 """Sources whose lane widths get a panel of their own."""

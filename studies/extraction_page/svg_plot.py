@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup, escape
 
+from ldctoolkit.arrays import FloatArray
 from studies.extraction_page.axis_ticks import Axis
 from studies.report.words.text import SYMBOL, printable, symbol_parts
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def picture(width: float, height: float, alt: str, *parts: str, kind: str = "plot") -> Markup:

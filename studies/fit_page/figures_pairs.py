@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.diagnostics import PairDensity, SideDiagnostics
 from studies.fit_page.figures import draw_marginal
 from studies.fit_page.style import MODEL, axis_label, color_map
@@ -16,8 +16,6 @@ from studies.report.look.style import figure_settings
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 LEVELS: Final = (0.9, 0.5)
 """Contours hold these shares of the model."""

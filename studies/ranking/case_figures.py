@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from studies.design import Design
@@ -18,10 +19,6 @@ from studies.ranking.release import ReleaseFigures, release_metrics
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)

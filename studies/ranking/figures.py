@@ -11,11 +11,9 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.metrics import METRICS, Metric
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 Operator = Literal["<=", "<", ">=", ">"]
 

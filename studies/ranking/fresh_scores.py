@@ -8,15 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.ranking.case_figures import DrivableCase, mean_reduction
 from studies.ranking.resampled import Interval, Resampled, critical_value, simultaneous_interval
 from studies.ranking.standard_error import half_widths
 from studies.ranking.winner import choose_winner
 from studies.results import Case, StudyResults
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 _STREAM = 1
 """Of the resamples; the search has stream 0."""

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray, IntArray
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
 from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order, missed_requirements
@@ -22,9 +22,6 @@ from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.study_file.spec import Study
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 SCORE: Final = (
     "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"

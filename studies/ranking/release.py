@@ -16,14 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
 from studies.design import Design
 from studies.ranking.masked import masked_max, masked_mean, masked_quantile
 from studies.results import CaseResults, status_among
 from studies.storage.stored_columns import StoredColumn
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Values = dict[str, FloatArray]
 
 _BLOCK_ENTRIES: Final = 500_000

@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios, Setup
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.law_errors import raised
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
 from studies.results import FAILED_STATUSES, Case, status_among
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.simulation import Takeover
 from studies.ranking.row_blocks import row_means
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from ldctoolkit import Scenarios, Setup
     from studies.ranking.ranking import Ranking
     from studies.results import StudyResults
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 PER_SIDE: Final = 50
 """Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""

@@ -10,11 +10,9 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.errors import InputError
-
-IntArray = npt.NDArray[np.int64]
 
 FIRST_ROUND: Final = 100
 """Scenarios of the first round: with fewer, tails as far out as many designs need are guesswork."""

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.simulation import Outcome, Takeover
-
-IntArray = npt.NDArray[np.int64]
 
 _DEPARTURES = 6
 

@@ -7,16 +7,14 @@ import itertools
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import Scenarios, Setup
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import FailedRun, TaskResult
-
-IntArray = npt.NDArray[np.int64]
 
 _numbers = itertools.count()
 

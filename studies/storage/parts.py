@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import EventStatus
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS
 from ldctoolkit.simulation import Window
@@ -25,8 +25,6 @@ from studies.storage.files import parse_parquet, read_bytes, stored_file
 
 if TYPE_CHECKING:
     import polars as pl
-
-FloatArray = npt.NDArray[np.float64]
 
 PATTERN = "part-*.parquet"
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, Companions
 from ldctoolkit.vehicle import Convention
@@ -19,8 +20,6 @@ from studies.storage.shared_rows import SharedRows
 from studies.storage.stored_columns import PartIndex, StoredColumn
 from studies.storage.timing import LawTime
 from studies.study_file.spec import Study
-
-IntArray = npt.NDArray[np.int64]
 
 _GROWS: Final = 1.5
 

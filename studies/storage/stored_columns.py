@@ -10,14 +10,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import StoreError
 from studies.results import RunKey, TaskResult
 from studies.storage.ahead import ahead
 from studies.storage.parts import read_column
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 
 _THREADS: Final = 2
 """That read parts; more would wait for the one that takes in what they read."""

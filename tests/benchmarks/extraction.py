@@ -165,7 +165,7 @@ def run(folder: Path, wanted: int, repeat: int) -> bool:
     size = sum(path.stat().st_size for path in folder.iterdir()) / MIB
     print(f"made {rows:,} rows of each table, {size:,.0f} MiB, in {time.perf_counter() - started:.0f} s")
 
-    from ldctoolkit.recordings.spmd.das1_part import LANE, WSU
+    from ldctoolkit.recordings.spmd_das1 import LANE, WSU
 
     key = "Device,Trip,"
     reference = [sys.executable, "-c", REFERENCE, str(folder), key + ",".join(LANE), key + ",".join(WSU)]

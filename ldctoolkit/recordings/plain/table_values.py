@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from ldctoolkit.recordings.missing_words import MISSING
 from ldctoolkit.recordings.plain.table_fault import TableFault
+from ldctoolkit.recordings.table import MISSING
 
 NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 

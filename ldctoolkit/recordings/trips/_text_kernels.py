@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 _POWERS: Final[FloatArray] = np.array([10.0**power for power in range(23)])
 _LARGEST: Final = 2**53

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.recordings.missing_words import MISSING
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.recordings.table import MISSING
 
 if TYPE_CHECKING:
     import polars as pl
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 COMPILED_FROM: Final = 1 << 20
 """Loading a compiler's library is not worth it for less."""

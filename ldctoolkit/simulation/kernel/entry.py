@@ -18,10 +18,10 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.simulation import _philox
 from ldctoolkit.simulation.kernel import (
@@ -66,8 +66,6 @@ from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature
 from ldctoolkit.simulation.kernel.sample import advance, record, rings
 from ldctoolkit.simulation.kernel.senses import lane_ahead, linear_command, see
 from ldctoolkit.vehicle import _nonlinear_compiled
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def _digest() -> int:

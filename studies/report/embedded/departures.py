@@ -10,12 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.context import Context
 from studies.report.embedded.packed import packed, script_json
-from studies.report.replay.paths import Replay
-from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick, most_departures
-
-FloatArray = npt.NDArray[np.float64]
+from studies.report.replay.paths import Replay, replay
+from studies.report.replay.picks import STATUS_WORDS, Chosen, Pick, most_departures, picked_departures
 
 RESOLUTION: Final = {"y": 1e-3, "delta": math.radians(1e-3), "a_y": 1e-3}
 """Steps of the embedded positions [m], steering angles [rad] and lateral accelerations [m/s^2]."""
@@ -184,3 +183,58 @@ def _whole(values: FloatArray, name: str) -> dict[str, str]:
     steps = np.clip(np.rint(values / RESOLUTION[name]), -(2.0**31) + 1, 2.0**31 - 1).astype(np.int64)
     small = steps.size == 0 or np.abs(steps).max() < 2**15
     return packed(steps, "i2" if small else "i4")
+
+
+_FEWEST: Final = 100
+"""Departures that further designs leave in the page."""
+
+
+def fitted_departures(context: Context, designs: tuple[Chosen, ...]) -> tuple[int, Replay, dict[str, object]]:
+    """Drive again what fits into the page: departures first, then further designs as long as a hundred departures stay.
+
+    Parameters
+    ----------
+    context : Context
+    designs : tuple of Chosen
+        Further ones last.
+
+    Returns
+    -------
+    every : int
+        Samples of the controller from one embedded sample to the next.
+    replayed : Replay
+        With the designs that are in the page.
+    data : dict
+        What the script reads.
+    """
+    kept = tuple(one for one in designs if not one.further)
+    every, picks = 1, picked_departures(context, kept, 0)
+    for grid in grids(context.report.setup.dt):
+        every, picks = grid.every, picked_departures(context, kept, grid.count)
+        if weight(context, picks, kept, every) <= BUDGET:
+            break
+    else:
+        picks = trimmed(context, picks, kept, every)
+    # further designs take the place of departures that nobody asked for or named, down to a hundred
+    for count in range(len(designs), len(kept), -1):
+        for most in COUNTS:
+            some = picked_departures(context, designs[:count], most)
+            fits = weight(context, some, designs[:count], every) <= BUDGET
+            if fits and len(some) >= min(_FEWEST, len(picks)):
+                return _driven(context, every, some, designs[:count])
+    return _driven(context, every, picks, kept)
+
+
+def _driven(
+    context: Context, every: int, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]
+) -> tuple[int, Replay, dict[str, object]]:
+    """Further designs go first where paths weigh more than they were estimated to, then departures."""
+    replayed = replay(context, picks, designs)
+    data = embedded_departures(context, replayed, every)
+    while bytes_of(data) > MOST and replayed.designs[-1].chosen.further:
+        replayed = dataclasses.replace(replayed, designs=replayed.designs[:-1])
+        data = embedded_departures(context, replayed, every)
+    while bytes_of(data) > MOST and len(replayed.picks) > max(1, len(context.report.departures)):
+        replayed = replayed.first(max(1, len(context.report.departures), int(0.8 * len(replayed.picks))))
+        data = embedded_departures(context, replayed, every)
+    return every, replayed, data

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.fit_page.figures_pairs import density_levels, smooth
 from studies.fit_page.style import COLORS, MODEL, TITLES, axis_label
 from studies.report.look.style import figure_settings
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.path import Path
-
-FloatArray = npt.NDArray[np.float64]
 
 MODEL_DASH: Final = (4.0, 2.0)
 

@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import controller_class
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.report.figures.landscape_figures import Axis, Landscape
 from studies.report.figures.sample_figure import Sample
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def values_of(design: Design) -> dict[str, GainValue]:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.gains import GainValue
 from studies.report.figures.scores import new_panel, plain_decades
 from studies.report.look.style import LineStyle, figure_settings
@@ -16,8 +16,6 @@ from studies.report.words.text import compact, number, shorten, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 _ANNOTATED_CELLS = 48
 _MARKED_POINTS = 40

@@ -7,10 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.report.figures.influence import influence
-from studies.report.figures.landscape import FloatArray, LawDesigns
+from studies.report.figures.landscape import LawDesigns
 from studies.report.figures.landscape_figures import Axis, Landscape
 from studies.report.figures.sample_figure import MOST_POINTS, Sample
 
@@ -146,3 +148,36 @@ def _is_sparse(members: LawDesigns, x: Axis, y: Axis) -> bool:
     cells = len(x.values) * len(y.values)
     filled = len({(values[x.name], values[y.name]) for values in members.values})
     return cells > _MOST_CELLS or (cells > 9 and filled < _FILLED * cells)
+
+
+_MOST_GROUPS = 8
+
+
+def influence(values: Sequence[GainValue], S: npt.NDArray[np.float64]) -> float:
+    """Part of the variance of S between groups of designs with the same, or nearly the same, value.
+
+    Parameters
+    ----------
+    values : sequence of m values
+        Of one quantity, one a design.
+    S : (m,) [m s]
+
+    Returns
+    -------
+    float
+        From 0 to 1: the correlation ratio, with numbers in up to eight groups of about the same size.
+
+    Examples
+    --------
+    >>> influence([0.1, 0.1, 0.2, 0.2], np.array([1.0, 1.0, 2.0, 2.0]))
+    1.0
+    """
+    found, group = np.unique([str(v) for v in values], return_inverse=True)
+    if len(found) > _MOST_GROUPS and not any(isinstance(v, str | bool) for v in values):
+        numbers = np.array([float(v) for v in values])
+        inner = np.quantile(numbers, np.linspace(0.0, 1.0, _MOST_GROUPS + 1)[1:-1])
+        group = np.searchsorted(inner, numbers, side="left")
+    size = np.bincount(group)
+    mean = np.bincount(group, weights=S)[size > 0] / size[size > 0]
+    between = float(np.average((mean - S.mean()) ** 2, weights=size[size > 0]))
+    return min(between / float(S.var()), 1.0) if S.var() > 0 else 0.0

@@ -7,13 +7,10 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.ranking.standard_error import error_parts, lengths
 from studies.report.figures.scores import interleaved
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 SIZES: Final = tuple(m * 10**k for k in range(1, 8) for m in (1, 2, 5))[1:]
 """Numbers of scenarios that are looked at: 20, 50, 100, ..."""

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.figures.scores import new_panel, plain_decades, plain_log, wrap
 from studies.report.look.style import PANEL, LineStyle, figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 _FURTHEST = 100
 """The axis goes to so many times the scenarios that there are, at most."""

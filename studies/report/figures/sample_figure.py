@@ -6,8 +6,8 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.report.figures.landscape_figures import Axis, tick_labels
 from studies.report.figures.scores import new_panel, plain_decades
 from studies.report.look.style import figure_settings
@@ -15,9 +15,6 @@ from studies.report.words.text import number, shorten
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 MOST_POINTS = 400
 """Points of one figure; of more designs the best half of it, and others at even steps of the rank."""

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from studies.report.figures.scores import new_panel
 from studies.report.look.style import figure_settings
 from studies.report.words.text import number, shorten
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST_BARS = 8
 """Quantities in one figure."""

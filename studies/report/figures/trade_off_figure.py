@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import Better
 from studies.ranking.pareto import pareto_front
 from studies.report.figures.scores import new_panel
@@ -16,8 +17,6 @@ from studies.report.look.style import LineStyle, figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,10 +6,7 @@ import dataclasses
 import math
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 Origin = Literal["table", "summary", "none"]
 """Where the source departures are known from: a departures table, the model's file, or not at all."""

@@ -7,14 +7,12 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import Departures
 from ldctoolkit.scenario_model import SideSummary, SourceSummary, summarize
 from ldctoolkit.scenario_model.given import Condition
 from studies.report.model_match.parts import Origin
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST: Final = 30
 """Departures that a comparison needs, as a fit does."""

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Controller, EventStatus
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
@@ -15,9 +16,6 @@ from studies.report.replay.asked import asked_departures, asked_designs
 from studies.report.tables.row import Row, is_baseline
 from studies.report.tables.worst_departures import NAMED, worst_first
 from studies.results import FAILED_STATUSES
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 SIDE_NAMES = {LEFT: "Left", RIGHT: "Right"}
 MOST_LAWS = 8

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from studies.report.context import MOST_CURVES, Context
 from studies.report.figures.curves import score_curves
-from studies.report.figures.finalists_figure import Finalist, finalists_figure
+from studies.report.figures.law_intervals import Finalist, finalists_figure
 from studies.report.figures.precision import measured_errors
 from studies.report.figures.precision_figure import WidthCurve, precision_figure
 from studies.report.figures.scores import Curve, convergence_figure, interleaved

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from ldctoolkit import EventStatus
 from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
-from studies.report.embedded.fitting import fitted_departures
+from studies.report.embedded.departures import fitted_departures
 from studies.report.figures.examples import examples
 from studies.report.figures.path_figures import Example, path_figure, path_limits
 from studies.report.look.style import RECORDED, LineStyle

@@ -8,8 +8,7 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
 from studies.report.context import Context
 from studies.report.figures.curves import score_curves
-from studies.report.figures.limit_curves import axle_curves, comfort_curves, depth_curves
-from studies.report.figures.limit_figure import limit_figure
+from studies.report.figures.limit_figure import axle_curves, comfort_curves, depth_curves, limit_figure
 from studies.report.figures.scores import distribution_figure, sides_figure, sides_limit
 from studies.report.rendering import render
 from studies.report.replay.picks import SIDE_NAMES

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import controller_class
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.review import Thresholds
 from studies.report.context import Context
 from studies.report.figures.robustness_figures import Line, Scale, bump_figure, margin_figure
@@ -29,8 +30,6 @@ from studies.report.words.robustness import (
 )
 from studies.report.words.text import number, printable
 from studies.robustness.robustness import CONFIDENCE, Robustness
-
-FloatArray = npt.NDArray[np.float64]
 
 _GAIN_TOP: Final = 30.0
 _PHASE_TOP: Final = 90.0

@@ -6,13 +6,10 @@ import math
 import statistics
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.ranking.standard_error import spread_is_known
 from studies.report.tables.row import Interval
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 def ratio_interval(S: FloatArray, S_0: FloatArray, side: IntArray, confidence: float = 0.95) -> Interval:

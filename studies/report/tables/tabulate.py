@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import controller_class
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import share_deeper
 from studies.design import Design
 from studies.ranking.case_figures import DrivableCase
@@ -24,8 +24,6 @@ from studies.results import CaseResults, StudyResults
 
 if TYPE_CHECKING:
     from studies.ranking.ranking import Ranking
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def case_table(results: StudyResults, position: int, ranking: Ranking) -> CaseTable:

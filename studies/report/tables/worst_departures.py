@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Scenarios
+from ldctoolkit.arrays import BoolArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES
-
-BoolArray = npt.NDArray[np.bool_]
 
 WORST: Final = 0.05
 """Share of the departures that counts as worst."""

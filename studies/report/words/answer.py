@@ -1,13 +1,19 @@
-"""The answer of the report in sentences: what won, by how much, how sure, and among how many."""
+"""The answer of the report in sentences: what won, by how much, how sure, at what cost, among how many."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections import Counter
 from collections.abc import Iterator
+from typing import Final
 
+import numpy as np
 from markupsafe import Markup
 
+from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
+from ldctoolkit.vehicle.parameters import GRAVITY
 from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
 from studies.report.figures.landscape import on_the_edge
@@ -16,13 +22,11 @@ from studies.report.tables.case_table import CaseTable
 from studies.report.tables.reduction import ratio_interval
 from studies.report.tables.row import Interval, Row, is_baseline
 from studies.report.tables.tabulate import tried
-from studies.report.words.cost import beyond_grip, cost
 from studies.report.words.metric_text import metric_name, requirement_text
-from studies.report.words.other_plants import on_other_plants
 from studies.report.words.prose import between, between_differences, between_percent, design_text, rank_text
-from studies.report.words.race import race_sentences
-from studies.report.words.requirements import missed_requirements, price_of_requirements, requirements_text
-from studies.report.words.text import difference_text, number, percent, plural, symbols
+from studies.report.words.text import compact, difference_text, number, percent, plural, symbols
+from studies.results import Race
+from studies.robustness.robustness import Robustness
 
 _NAMED = 3
 
@@ -319,3 +323,175 @@ def _pareto(table: CaseTable) -> Markup:
         "it" if count == 1 else "them",
         " The winner is not on it." if table.winner is not None and not table.winner.pareto else "",
     )
+
+
+_GRIP: Final = 0.9
+"""Of the acceleration of gravity: what tyres give on a good road."""
+
+
+def cost(context: Context) -> Markup:
+    """One sentence; empty for a design that never took over.
+
+    Parameters
+    ----------
+    context : Context
+    """
+    figures, best, table = context.ranking.release, context.primary.best, context.primary
+    comfortable = float(figures.comfortable[best.place])
+    if math.isnan(comfortable):
+        return Markup("")
+    said = symbols(
+        f"What it costs{' where designs were chosen' if best.fresh else ''}: peak a_y up to "
+        f"{number(float(figures.a_y_peak_max[best.place]), 1)}\u00a0m/s\u00b2, steering rate up to "
+        f"{number(math.degrees(float(figures.delta_rate_peak_max[best.place])), 1)}\u00a0\u00b0/s, "
+        f"{percent(comfortable)} of interventions within the comfort limits of ISO 11270, and needless interventions "
+        f"in {percent(float(figures.needless[best.place]))} of all departures (not deeper than "
+        f"{compact(table.D_y)}\u00a0m without control)."
+    )
+    return said + Markup(" <a href='#limits'>What a release asks for</a>.")
+
+
+def beyond_grip(context: Context) -> Markup:
+    """A warning where tyres that never saturate gave more than tyres can; else empty.
+
+    Parameters
+    ----------
+    context : Context
+    """
+    largest = float(context.ranking.release.a_y_peak_max[context.primary.best.place])
+    if not (context.report.setup.options.tyres.ideal and largest > _GRIP * GRAVITY):
+        return Markup("")
+    shown = number(largest, 1)
+    return symbols(
+        f"A peak a_y of {shown}\u00a0m/s\u00b2 is not to be had on a road: the plant\u2019s tyres do not saturate."
+    )
+
+
+def race_sentences(report: ReportInput, table: CaseTable) -> Iterator[Markup]:
+    """How many designs were given up, and which laws with them; none without a race."""
+    race = table.race
+    if race is None:
+        return
+    if not race.dropped:
+        yield Markup("The study was a race, which gave up no design.")
+        return
+    steps = ", ".join(f"{alive:,} after {size:,}" for size, alive in zip(race.rounds, race.alive, strict=True))
+    said = Markup(
+        "The study was a race: {} of {} were given up before all departures were run, each once it was separable from "
+        "the best by mean S in the primary case. Designs left by number of departures: {}. That took {} of the runs. "
+        "Designs that were given up are in no figure and no table here, whatever their other figures would have been."
+    )
+    yield said.format(
+        f"{len(race.dropped):,}", plural(table.tried, "design"), steps,
+        percent(race.runs / race.full_runs if race.full_runs else 1.0),
+    )  # fmt: skip
+    left = {design.law for design in report.results.designs}
+    gone = dict.fromkeys(one.design.law for one in race.dropped if one.design.law not in left)
+    if gone:
+        titles = ", ".join(controller_class(law).title for law in gone)
+        yield Markup("No design is left of: {}.").format(symbols(titles))
+    if PAPER_LAW in gone:
+        yield _best_of_the_papers_law(race)
+
+
+def _best_of_the_papers_law(race: Race) -> Markup:
+    """What was known of the design of the law that stayed longest, when it was given up."""
+    of_law = [one for one in race.dropped if one.design.law == PAPER_LAW]
+    best = min(of_law, key=lambda one: (-one.round, one.difference))
+    said = Markup(
+        "Of the paper\u2019s law {} stayed longest: when it was given up, its mean S on {} was {} m·s, {} m·s above "
+        "that of the best design then."
+    )
+    gap = difference_text(best.difference, 3).removeprefix("+")
+    return said.format(symbols(best.design.label), plural(best.scenarios, "departure"), number(best.S), gap)
+
+
+def requirements_text(table: CaseTable, joint: str = " and ") -> Markup:
+    """All requirements with their units."""
+    return symbols(joint.join(requirement_text(text) for text in table.require))
+
+
+def missed_requirements(table: CaseTable) -> Markup:
+    """How many designs miss which requirement; empty where none does."""
+    missed = Counter(text for row in table.rows for text in row.unmet)
+    if not missed:
+        return Markup("")
+    listed = ", ".join(f"{requirement_text(text)} ({count:,})" for text, count in missed.items())
+    out = len(table.rows) - table.ranked
+    said = Markup("{} of {} {} a requirement and {} not ranked: {}. Requirements are checked on the estimates.")
+    return said.format(
+        f"{out:,}", plural(len(table.rows), "design"), "misses" if out == 1 else "miss", "is" if out == 1 else "are",
+        symbols(listed),
+    )  # fmt: skip
+
+
+def price_of_requirements(table: CaseTable) -> Markup:
+    """Which designs with a lower mean S they keep out, or that all designs meet them; empty where neither is so."""
+    if not table.require:
+        return Markup("")
+    if all(not row.unmet for row in table.rows):
+        of = plural(len(table.rows), "design")
+        each = f"The {of} meets" if len(table.rows) == 1 else f"All {of} meet"
+        return Markup("{} the requirements ({}).").format(each, requirements_text(table, ", "))
+    better = [row for row in table.rows if not row.rank and row.S.value < table.best.S.value]
+    if not table.ranked or not better:
+        return Markup("")
+    said = Markup("Of the designs that miss a requirement {} a lower mean S than {}, the lowest {} m·s: {}.")
+    return said.format(
+        f"{len(better):,} {'has' if len(better) == 1 else 'have'}", table.best_name, number(better[0].S.value),
+        design_text(better[0]),
+    )  # fmt: skip
+
+
+_STUDY, _TOGETHER, _IDEAL = "study", "together", "ideal"
+_SEVERAL: Final = (_STUDY, _TOGETHER, _IDEAL)
+"""Plants that are not one option away from the study's own."""
+
+
+def on_other_plants(context: Context) -> Markup:
+    """Worst single option for the winner: its change and rank there, and whether it fails; empty where none was driven.
+
+    Parameters
+    ----------
+    context : Context
+    """
+    found = context.report.robustness
+    if found is None or not found.n or found.designs[:1] != (context.primary.best.design.id,):
+        return Markup("")
+    single = [k for k, name in enumerate(found.plants) if name not in _SEVERAL and np.isfinite(found.change[k, 0])]
+    if not single:
+        return Markup("")
+    worst = max(single, key=lambda k: float(found.change[k, 0]))
+    change, own = float(found.change[worst, 0]), float(found.S[0, 0])
+    if change <= 0.0:
+        hurts = f"On other plants, one option at a time, none of {len(single)} makes its mean S worse"
+    else:
+        share = f" ({percent(change / own)} of its S)" if own > 0.0 else ""
+        interval = _interval(found, worst)
+        rank, among = int(found.rank[worst, 0]), int(np.count_nonzero(found.rank[worst]))
+        place = f"; it has rank {rank} of {among} there" if rank and among > 1 else ""
+        hurts = (
+            f"On other plants, one option at a time, \u201c{found.titles[worst]}\u201d hurts it most: "
+            f"{difference_text(change, 3)} m\u00b7s{share}{interval}{place}"
+        )
+    said = Markup("{}. Of {} it fails {} (<a href='#robustness'>robustness</a>).")
+    return said.format(hurts, plural(found.n, "departure"), _failures(found, worst))
+
+
+def _interval(found: Robustness, k: int) -> str:
+    low, high = float(found.low[k, 0]), float(found.high[k, 0])
+    known = np.isfinite(low) and np.isfinite(high)
+    return f", interval {difference_text(low, 3)} to {difference_text(high, 3)}" if known else ", interval not known"
+
+
+def _failures(found: Robustness, worst: int) -> str:
+    """Whether it fails there, and with many options at once."""
+    there = int(found.failures[worst, 0])
+    words = f"in {there:,} there" if there else "in none there"
+    if _TOGETHER not in found.plants:
+        return words
+    k = found.plants.index(_TOGETHER)
+    if not np.isfinite(found.S[k, 0]):
+        return f"{words}, and its law does not run on \u201c{found.titles[k]}\u201d"
+    many = int(found.failures[k, 0])
+    return f"{words}, and in {f'{many:,}' if many else 'none'} on \u201c{found.titles[k]}\u201d"

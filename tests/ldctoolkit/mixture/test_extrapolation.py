@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture._extrapolation import Point, leap
+from ldctoolkit.mixture._em import Point, leap
 
 LOWER, UPPER = np.array([0.0, -np.inf]), np.array([np.inf, 3.0])
 POINTS = 1021

@@ -12,8 +12,8 @@ from scipy.stats import truncnorm
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture, select_components
 from ldctoolkit.mixture._parallel import in_processes
-from ldctoolkit.mixture._rule import Rule, choose
 from ldctoolkit.mixture.events import Events
+from ldctoolkit.mixture.selection import Rule, choose
 
 INF = np.inf
 QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}

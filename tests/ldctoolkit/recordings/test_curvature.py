@@ -6,7 +6,7 @@ import numpy as np
 
 from helpers.recordings import drive
 from ldctoolkit.recordings import extract_departures
-from ldctoolkit.recordings.curvature import SPEED_FLOOR, curvature_from_yaw_rate
+from ldctoolkit.recordings.find_departures import SPEED_FLOOR, curvature_from_yaw_rate
 
 
 def estimate(yaw_rate, speed, usable=None, first=None, half_width=5):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.recordings import Preparation, Recording, extract_departures
-from ldctoolkit.recordings.yaw_from_heading import FILLED
+from ldctoolkit.recordings.preparation import FILLED
 
 N = 6000
 T = np.arange(N) * 0.1

@@ -12,7 +12,7 @@ import pytest
 
 from helpers.recordings import drive
 from ldctoolkit.departure_columns import ExtraColumn, joined_columns
-from ldctoolkit.departures import Departures
+from ldctoolkit.departures import Departures, joined_departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
     Label,
@@ -25,7 +25,6 @@ from ldctoolkit.recordings import (
     write_departures,
 )
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
-from ldctoolkit.recordings.joined import joined_departures
 
 
 def extract(*items: Recording | Problem, **preparation: Any) -> Any:

@@ -21,8 +21,7 @@ from ldctoolkit.recordings import (
     read_recordings,
     write_departures,
 )
-from ldctoolkit.recordings.preparation import prepare
-from ldctoolkit.recordings.yaw_from_heading import NONE
+from ldctoolkit.recordings.preparation import NONE, prepare
 
 
 def scale_of(found: Any) -> list[float]:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from helpers.examples import examples
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings import Recording
-from ldctoolkit.recordings.resample import resample
+from ldctoolkit.recordings.preparation import resample
 
 SETTINGS = examples(80)
 EPS = 1e-6

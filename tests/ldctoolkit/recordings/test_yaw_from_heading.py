@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ldctoolkit.recordings import Preparation, Recording, extract_departures
-from ldctoolkit.recordings.yaw_from_heading import FILLED, NONE, with_yaw_rate
+from ldctoolkit.recordings.preparation import FILLED, NONE, with_yaw_rate
 
 N = 300
 T = np.arange(N) * 0.1

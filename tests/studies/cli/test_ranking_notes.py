@@ -11,9 +11,7 @@ from rich.console import Console
 from ldctoolkit import Scenarios
 from ldctoolkit.metrics import Companions
 from studies import Case, CaseResults, Design, Ranking, StudyResults
-from studies.cli._ranking_notes import ranking_notes
-from studies.cli._ranking_table import ranking_table
-from studies.cli._results import print_rankings
+from studies.cli._results import print_rankings, ranking_notes, ranking_table
 
 
 def results(S: np.ndarray, first: int = 0) -> StudyResults:

@@ -20,8 +20,8 @@ from ldctoolkit.recordings.extract_part import extract_items
 from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
-from studies.extraction.part_file import part_bytes, read_part
 from studies.extraction.part_work import Unread
+from studies.extraction.work_folder import part_bytes, read_part
 
 
 @pytest.fixture(scope="session")

@@ -36,9 +36,15 @@ from ldctoolkit.scenario_model import load_model
 from studies import Case, Design, Study, StudyResults
 from studies.ranking.bootstrap import bootstrap_means
 from studies.results import Dropped, FailedDesign, Race
-from studies.sensitivity.sensitivity import BlockSensitivity, gain_value, sensitivity
+from studies.sensitivity.sensitivity import (
+    BlockSensitivity,
+    factorial_shares,
+    gain_value,
+    rbd_fast_indices,
+    saltelli_indices,
+    sensitivity,
+)
 from studies.sensitivity.sensitivity_csv import COLUMNS, write_sensitivity
-from studies.sensitivity.sobol_indices import factorial_shares, rbd_fast_indices, saltelli_indices
 from studies.sensitivity.winner_profile import Profile, winner_profile
 
 ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)

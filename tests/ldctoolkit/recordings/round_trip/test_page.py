@@ -7,7 +7,7 @@ from pathlib import Path
 
 from helpers import round_trip as making
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.recordings.curvature import HALF_WINDOW
+from ldctoolkit.recordings.find_departures import HALF_WINDOW
 
 PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
 

@@ -14,8 +14,7 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.part_result import PartResult, joined_results
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.spmd.das1_part import ALONE, Das1Part
-from ldctoolkit.recordings.spmd_das1 import READER, SpmdDas1
+from ldctoolkit.recordings.spmd_das1 import ALONE, READER, Das1Part, SpmdDas1
 
 
 def extracted(source: FoundParts[Das1Part]) -> PartResult:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.spmd.nearest_rows import nearest_rows
+from ldctoolkit.recordings.spmd_das1 import nearest_rows
 
 Rows = list[tuple[int, float]]
 

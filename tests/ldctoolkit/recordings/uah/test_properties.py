@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from helpers.examples import examples
 from ldctoolkit.recordings.rising_times import rising_rows
-from ldctoolkit.recordings.uah.text import Column, read_number_text
+from ldctoolkit.recordings.uah.tables import Column, read_number_text
 
 COLUMNS = (Column(0, "time"), Column(1, "offset"), Column(3, "lane width"))
 TOKENS = st.sampled_from(

@@ -12,8 +12,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, load_model, summarize
-from studies.report.model_match.match import match, within_bounds
-from studies.report.model_match.rank_chance import rank_limits
+from studies.report.model_match.match import match, rank_limits, within_bounds
 
 
 def table(scenarios: Scenarios, **changed: np.ndarray) -> Departures:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from studies.report.model_match.rank_chance import rank_limits
+from studies.report.model_match.match import rank_limits
 
 
 def ranks(x: np.ndarray) -> np.ndarray:

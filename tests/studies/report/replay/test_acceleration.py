@@ -12,7 +12,7 @@ from helpers.reports import invented_scenarios
 from ldctoolkit import Controller, Setup
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.simulation import Takeover, drive
-from studies.report.replay.acceleration import path_acceleration
+from studies.report.replay.paths import path_acceleration
 
 PLANTS = {
     "ideal": PlantOptions(),

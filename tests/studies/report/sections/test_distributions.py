@@ -10,8 +10,14 @@ from controllers import LQR
 from helpers.reports import PRIMARY, invented_scenarios, report_input, run, said_in
 from studies.design import Design
 from studies.report.context import Context
-from studies.report.figures.limit_curves import axle_curves, comfort_curves, depth_curves
-from studies.report.figures.limit_figure import LimitCurve, axis_ends, limit_figure
+from studies.report.figures.limit_figure import (
+    LimitCurve,
+    axis_ends,
+    axle_curves,
+    comfort_curves,
+    depth_curves,
+    limit_figure,
+)
 from studies.report.inputs import ReportInput
 from studies.report.look.style import RECORDED
 from studies.report.sections import distributions

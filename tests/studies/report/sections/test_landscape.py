@@ -11,16 +11,14 @@ import pytest
 from controllers import LQR, NoControl, PreviewProportional
 from helpers.reports import PRIMARY, invented_scenarios, report_input, run, said_in, section_of
 from studies.design import Design
-from studies.report.figures.influence import influence
 from studies.report.figures.landscape import is_full_grid
 from studies.report.figures.landscape_figures import Landscape
-from studies.report.figures.landscape_panels import MOST_PANELS, PANELS_OF_A_LAW, landscape_panels
+from studies.report.figures.landscape_panels import MOST_PANELS, PANELS_OF_A_LAW, influence, landscape_panels
 from studies.report.figures.sample_figure import MOST_POINTS, Sample, shown_points
 from studies.report.inputs import ReportInput
 from studies.report.sections import landscape
 from studies.report.words.sensitivity import sensitivity_sentence
-from studies.sensitivity.sensitivity import BlockSensitivity
-from studies.sensitivity.sobol_indices import Indices
+from studies.sensitivity.sensitivity import BlockSensitivity, Indices
 
 
 def sampled(count: int, seed: int = 0) -> tuple[Design, ...]:
