@@ -1,4 +1,4 @@
-"""Models and departures for the fit page's tests."""
+"""Models and departures for tests of fits and of their pages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ldctoolkit.departures import PARAMETER_NAMES, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model import ModelProvenance, ScenarioModel, SideModel, SideSummary
 
@@ -41,6 +41,29 @@ def make_departures(model: ScenarioModel, n: int = 400, seed: int = 1) -> Depart
     zero = np.zeros(2 * n, dtype=np.int64)
     columns = {name: getattr(drawn, name) for name in ("side", *PARAMETER_NAMES)}
     return Departures(**columns, recording=zero.astype(str), start_time=1.0 * zero, samples=zero)
+
+
+def varied_departures(n: int = 200, seed: int = 0, **changed: object) -> Departures:
+    """n departures a side, drawn; a column can be replaced."""
+    rng = np.random.default_rng(seed)
+    m = 2 * n
+    columns = {
+        "T": np.clip(np.exp(rng.normal(0.7, 0.5, m)), 0.51, 9.9),
+        "d_y": rng.gamma(3.0, 0.07, m),
+        "sigma_y": rng.gamma(3.0, 0.02, m),
+        "v_mean": rng.normal(25.0, 4.0, m),
+        "a_mean": rng.normal(0.0, 0.3, m),
+        "sigma_v": rng.gamma(4.0, 0.01, m),
+        "c_0": rng.normal(0.0, 1e-3, m),
+        "dc": rng.normal(0.0, 5e-4, m),
+    } | changed
+    return Departures(
+        side=np.repeat([LEFT, RIGHT], n),
+        **{name: np.broadcast_to(np.asarray(columns[name], dtype=float), m).copy() for name in PARAMETER_NAMES},
+        recording=np.full(m, "r"),
+        start_time=np.zeros(m),
+        samples=np.full(m, 20),
+    )
 
 
 def skewed(departures: Departures) -> Departures:

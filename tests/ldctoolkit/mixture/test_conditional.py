@@ -85,9 +85,9 @@ def test_density_integrates_to_one(transform):
         transform=transform,
     )
     given = {0: (0.3, 1.1), 1: (0.2, None)}
-    (x, hx), (y, hy) = midpoints(0.3, 1.1, 400), midpoints(0.2, 60.0 if transform else 6.0, 6000)
+    (x, hx), (y, hy) = midpoints(0.3, 1.1, 100), midpoints(0.2, 60.0 if transform else 6.0, 1500)
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    # midpoint rule, cells of 0.002 by 0.01 at most: measured 1e-6
+    # midpoint rule, cells of 0.008 by 0.04 at most: measured 2e-5
     assert abs(np.exp(model.log_prob(grid, given=given)).sum() * hx * hy - 1.0) < 1e-4
     # Bayes: the joint density over the condition's probability
     gap = model.log_prob(grid[::1000], given=given) - model.score_samples(grid[::1000])
@@ -165,23 +165,6 @@ def test_a_condition_as_rare_as_1e_50_is_met():
     assert ks_2samp(x[:, 0], law.rvs(20_000, random_state=2)).pvalue > 1e-4
     # x_1 given x_0 is normal about 0.6 x_0
     assert ks_2samp((x[:, 1] - 0.6 * x[:, 0]) / 0.8, norm.rvs(size=20_000, random_state=3)).pvalue > 1e-4
-
-
-def test_mirrored_conditions_give_mirrored_distributions():
-    model = three_columns()
-    flip = np.array([-1.0, -1.0, 1.0])
-    mirrored = BoundedGaussianMixture.from_parameters(
-        model.weights_,
-        model.means_ * flip,
-        model.covariances_ * np.outer(flip, flip),
-        lower=[-INF, -1.0, -INF],
-        upper=[0.0, 0.0, INF],
-        names=NAMES,
-    )
-    x = model.sample(100, 2, given={"T": (0.5, 2.0), "d_y": 0.3})[0]
-    one = model.log_prob(x, given={"T": (0.5, 2.0), "d_y": 0.3})
-    two = mirrored.log_prob(x * flip, given={"T": (-2.0, -0.5), "d_y": -0.3})
-    np.testing.assert_allclose(one, two, rtol=1e-6)
 
 
 def test_conditional_events_do_not_depend_on_how_many_are_drawn():

@@ -28,15 +28,6 @@ def test_open_mixtures_have_scikit_learns_criteria():
     np.testing.assert_allclose(ours.bic(X), theirs.bic(X), rtol=1e-12)
 
 
-@pytest.mark.parametrize("criterion", ["aic", "bic"])
-def test_a_row_of_weight_three_counts_as_three(criterion):
-    model = two_components(lower=[-0.5, 0.0])
-    X = model.sample(50, 3)[0]
-    weight = np.arange(50) % 4
-    one = getattr(model, criterion)(X, sample_weight=weight)
-    np.testing.assert_allclose(one, getattr(model, criterion)(np.repeat(X, weight, axis=0)), rtol=1e-12)
-
-
 def test_bad_weights_and_no_rows():
     model = two_components()
     with pytest.raises(InputError, match="sample_weight: shape"):

@@ -77,25 +77,6 @@ def test_threads_change_no_bit():
         assert_same_bits(BoundedGaussianMixture(2, n_jobs=jobs, **FEW | {"max_iter": 8}).fit(X), one)
 
 
-@pytest.mark.parametrize("kind", ["fortran", "view", "reversed", "list", "read-only"])
-def test_the_layout_of_the_rows_changes_no_bit(kind):
-    X = events()
-    given = {
-        "fortran": np.asfortranarray(X),
-        "view": np.repeat(np.repeat(X, 2, axis=0), 3, axis=1)[::2, ::3],
-        "reversed": X[::-1].copy()[::-1],
-        "list": X.tolist(),
-        "read-only": X.copy(),
-    }[kind]
-    if kind == "read-only":
-        given.setflags(write=False)
-    one = BoundedGaussianMixture(2, **FEW).fit(X)
-    two = BoundedGaussianMixture(2, **FEW).fit(given)
-    # sums over columns of another layout may be taken in another order
-    assert_equal_fits(one, two, 1e-9)
-    np.testing.assert_allclose(two.score_samples(given), one.score_samples(X), rtol=1e-9)
-
-
 def test_single_precision_is_widened():
     X = events().astype(np.float32)
     X = X[X[:, 0] > 0.0]
@@ -127,12 +108,6 @@ def test_whole_weights_are_repeated_rows(step):
     np.testing.assert_allclose(by_weight.lower_bound_, by_rows.lower_bound_, rtol=1e-11)
     assert_equal_fits(by_weight, by_rows, 1e-7)
     np.testing.assert_allclose(by_weight.score(X, sample_weight=weight), by_rows.score(np.repeat(X, weight, axis=0)))
-
-
-def test_rows_without_weight_are_absent():
-    X = events(600)
-    weight = (np.arange(600) % 3 > 0).astype(float)
-    assert_equal_fits(started().fit(X, sample_weight=weight), started().fit(X[weight > 0]), 1e-7)
 
 
 def test_rows_without_weight_are_absent_from_the_starts_too():
@@ -204,6 +179,16 @@ def test_progress_is_told_on_stderr_and_only_when_wanted(capsys):
     assert sum(line.startswith("K = 2: pass ") for line in lines) == told.n_iter_
     assert f"pass {told.n_iter_}: {told.lower_bound_:.8f} nats an event" in lines[-1]
     assert_same_bits(told, silent)
+
+
+def test_the_best_start_is_continued(capsys):
+    X = np.random.default_rng(3).gamma(1.5, size=(400, 2))
+    few = {"n_init": 4, "short_iter": 5, "max_iter": 2, "split_merge": False, "verbose": 1}
+    model = BoundedGaussianMixture(4, lower=0.0, random_state=0, **few).fit(X)
+    ends = [float(line.split()[-4]) for line in capsys.readouterr().err.splitlines() if " of 4: " in line]
+    # the long run, of another prior's target, begins 0.006 above the end of its start: less than these lie apart
+    assert ends[2] == max(ends) > ends[0] + 0.015
+    assert model.lower_bounds_[0] > max(ends)
 
 
 @pytest.mark.parametrize("K", [1, pytest.param(2, marks=pytest.mark.slow)])

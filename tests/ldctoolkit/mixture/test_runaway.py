@@ -228,11 +228,6 @@ def test_broken_data_and_the_moves_between_short_and_final_run(kind):
     check_sound(fitted(X, K, lower=lower, upper=upper, split_merge=True), X)
 
 
-def test_a_constant_column_is_named():
-    with pytest.raises(InputError, match="column 'b' is constant"):
-        fitted(np.column_stack([base()[:, 0], np.ones(500)]), 2, names=("a", "b"))
-
-
 @examples(15)
 @given(
     seed=st.integers(0, 2**16),

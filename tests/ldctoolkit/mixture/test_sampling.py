@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, TruncatedNormal
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 
 INF = np.inf
 LOWER = np.array([0.0, 0.0, -1.0, -INF, 0.0, -INF, -INF, -2.0])
@@ -44,22 +44,6 @@ def test_events_have_the_shares_and_moments(n):
             products = gap * gap[:, j : j + 1]
             error = products.std(axis=0) / np.sqrt(m)
             assert np.all(np.abs(products.mean(axis=0) - t.covariance[k, j]) < 4.0 * error), (k, j)
-
-
-def test_nearly_all_tilted_proposals_are_kept_at_1e_208():
-    """P = 1e-208: five correlated variables about eleven deviations outside."""
-    d = 5
-    Sigma = np.full((d, d), 0.3) + 0.7 * np.eye(d)
-    distance = np.sqrt(2.0 * 208 * np.log(10.0) * (1.0 + 0.3 * (d - 1)) / d) - 0.3
-    t = TruncatedNormal([np.full(d, -distance)], [Sigma], np.zeros(d), np.full(d, INF))
-    assert -490.0 < t.log_probability[0] < -470.0
-    sampler = t.sampler(0)
-    assert not sampler.plain
-    kept = sampler._tilted(10_000, np.random.default_rng(0)).shape[1] / 10_000
-    assert kept > 0.9
-    # P/exp(psi at the saddle point) is the share that should be kept: within five standard errors
-    expected = np.exp(t.log_probability[0] - t.box.log_peak[0])
-    assert abs(kept - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / 10_000) + 1e-4
 
 
 def test_events_do_not_depend_on_how_many_are_drawn():

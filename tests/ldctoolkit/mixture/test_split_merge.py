@@ -82,7 +82,8 @@ def shortfall(model: BoundedGaussianMixture, true: BoundedGaussianMixture, X: np
     return best.score(X) - model.score(X)
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0, 1, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 0, 1, 3])
 def test_moves_lead_out_of_local_optima(seed: int) -> None:
     """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does.
 

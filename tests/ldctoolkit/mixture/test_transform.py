@@ -79,25 +79,6 @@ def test_values_on_and_outside_a_bound():
     assert model.score_samples([[0.0, 0.5], [1.0, 1.0], [-1.0, 0.5], [1.0, 2.0]]).tolist() == [-INF] * 4
 
 
-def test_nothing_is_copied_where_nothing_is_mapped():
-    t = Transform.of(None, np.array([0.0]), np.array([INF]))
-    x = np.array([[1.0]])
-    assert t.identity
-    assert t.forward(x) is x
-    assert t.inverse(x) is x
-    assert t.log_slope(x).tolist() == [0.0]
-
-
-def test_the_input_is_not_changed():
-    t = Transform.of("auto", np.array([0.0, -INF]), np.array([INF, INF]))
-    x = np.array([[2.0, -3.0]])
-    y = t.forward(x)
-    t.inverse(y)
-    np.testing.assert_allclose(y, [[np.log(2.0), -3.0]])
-    assert x.tolist() == [[2.0, -3.0]]
-    assert (t.kinds, [side.tolist() for side in t.box()]) == (("log", "none"), [[-INF, -INF], [INF, INF]])
-
-
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [

@@ -11,7 +11,6 @@ from scipy.stats import truncnorm
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture._separation import _GENERATORS, generator, lattice
 from ldctoolkit.mixture._univariate import Restricted, log_mass
 
 INF = np.inf
@@ -62,32 +61,6 @@ def test_quantile_inverts_the_mass(a, width, u):
         share = np.exp(log_mass(A, z) - total)
         # z itself is rounded: the share moves by (density at z) x (spacing of z), worst in tails at |z| = 30
         np.testing.assert_allclose(share, U, rtol=1e-6, atol=1e-9)
-
-
-def test_generators_are_what_the_search_finds():
-    assert generator(1021, 10) == _GENERATORS[1021]
-    assert generator(16381, 8) == _GENERATORS[16381][:8]
-    assert len(set(_GENERATORS[4093])) == 10
-    for dimension in (1, 5, 8):
-        grid = lattice(1021, dimension)
-        np.testing.assert_allclose(grid.weight.sum(), 1.0, rtol=1e-12)
-        assert grid.u.min() > 0.0
-        assert grid.v.min() > 0.0
-        np.testing.assert_allclose(grid.u + grid.v, 1.0, rtol=1e-15)
-
-
-def test_diagonal_covariance_is_the_closed_form():
-    mu = np.array([[0.5, -4.0, 2.0, 0.0], [0.0, 1.0, -8.0, 3.0]])
-    sd = np.array([1.0, 2.0, 0.5, 3.0])
-    lower, upper = np.array([0.0, 0.0, -INF, -1.0]), np.array([INF, 1.0, 1.0, 2.0])
-    t = TruncatedNormal(mu, np.repeat(np.diag(sd**2)[None], 2, axis=0), lower, upper)
-    for k in range(2):
-        a, b = (lower - mu[k]) / sd, (upper - mu[k]) / sd
-        np.testing.assert_allclose(t.log_probability[k], sum(_reference_mass(*ab) for ab in zip(a, b, strict=True)))
-        # lattice of 4,093 points in four dimensions: measured 1e-8 and better
-        np.testing.assert_allclose(t.mean[k], truncnorm.mean(a, b, loc=mu[k], scale=sd), rtol=1e-6, atol=1e-6)
-        expected = np.diag(truncnorm.var(a, b, loc=mu[k], scale=sd))
-        np.testing.assert_allclose(t.covariance[k], expected, rtol=1e-5, atol=1e-5)
 
 
 def test_orthant_of_the_equicorrelated_normal():

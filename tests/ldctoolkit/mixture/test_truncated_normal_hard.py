@@ -13,7 +13,6 @@ from scipy.optimize import minimize, minimize_scalar
 
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture.truncated_normal import moment_points
 
 INF = np.inf
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(80)
@@ -181,14 +180,6 @@ def test_five_bounded_of_eight_equal_the_factor_integral(seed):
         check(f"seed {seed}", mu, covariance_of(loadings), lower, upper, expected, points)
 
 
-def test_more_points_where_more_dimensions_are_bounded():
-    assert [moment_points(p) for p in (1, 6, 7, 8)] == [4093, 4093, 16381, 16381]
-    d = 7
-    box = np.zeros((1, d)), [covariance_of(equal(d, 0.5))], np.zeros(d), np.full(d, INF)
-    t, few = TruncatedNormal(*box), TruncatedNormal(*box, points=4093)
-    assert (t.whitened.points.shape[2], few.whitened.points.shape[2]) == (16381, 4093)
-
-
 FAR = (-40.0, -300.0, -14142.0, -3e5)  # the last but one: ln P = -1e8
 
 
@@ -258,13 +249,6 @@ def test_tiny_and_huge_boxes(width, far):
     if width >= 1e3 and far > 0.0:
         assert t.log_probability[0] == pytest.approx(0.0, abs=1e-12)
         np.testing.assert_allclose(t.covariance[0], Sigma, atol=1e-5)
-
-
-def test_beyond_the_arithmetic_is_an_error_and_not_a_wrong_sample():
-    t = TruncatedNormal([[-1e8]], [[[1.0]]], [0.0], [INF])
-    assert np.isfinite(t.log_probability).all()
-    with pytest.raises(ModelError, match=r"component 0: .*no proposal reaches it"):
-        t.sample(1, 0)
 
 
 def test_a_tilt_that_was_not_found_is_an_error(monkeypatch):

@@ -17,7 +17,7 @@ from helpers.examples import examples
 from helpers.recordings import drive
 from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.departures import LEFT
-from ldctoolkit.recordings import Account, Criteria, Label, PartResult, Preparation, Recording
+from ldctoolkit.recordings import Account, Criteria, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.account import WIDTH_BINS, share_of_widths
 from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.recordings.extract import extract_departures, merge_results
@@ -178,6 +178,7 @@ def test_numbers_are_whole():
 def test_nothing_at_all():
     found = extract_departures([])
     assert (found.accounts, found.hours, found.recordings, found.candidates) == ((), 0.0, 0, 0)
+    assert (len(found.departures), found.refused, found.warnings) == (0, Refused(), ())
     assert merge_results([PartResult()], Criteria(), Preparation()).accounts == ()
 
 

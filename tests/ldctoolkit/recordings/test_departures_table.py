@@ -14,9 +14,6 @@ from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
-    Criteria,
-    Provenance,
-    Refused,
     extract_departures,
     open_recordings,
     read_departures,
@@ -70,13 +67,6 @@ def test_what_the_file_holds(found, written, tmp_path):
     assert content["sources"][0]["name"] == "drive.csv"
     assert str(tmp_path) not in json.dumps(content)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "drive.csv"]
-
-
-def test_no_departures_is_a_table_too(found, tmp_path):
-    write_departures(tmp_path / "none.parquet", found.departures.take(slice(0, 0)), Provenance())
-    departures, provenance = read_departures(tmp_path / "none.parquet")
-    assert len(departures) == 0
-    assert provenance == Provenance(criteria=Criteria(), refused=Refused())
 
 
 @pytest.mark.parametrize(

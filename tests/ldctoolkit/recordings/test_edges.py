@@ -135,10 +135,10 @@ def test_numbers_that_are_no_measurement(columns, expected):
         (Criteria, "min_speed", (0.0,), (-0.01, np.inf)),
         (Criteria, "max_gap", (1e-3, None), (0.0, np.inf, np.nan)),
         (Criteria, "max_jump", (1e-3,), (0.0, np.nan)),
-        (Preparation, "step", (0.01, 1.0, None), (0.0099, 1.01)),
-        (Preparation, "max_gap", (1e-3, 10.0), (0.0, 10.01)),
+        (Preparation, "step", (0.01, 1.0, None), (0.0099, 1.01, np.nan)),
+        (Preparation, "max_gap", (1e-3, 10.0), (0.0, 10.01, np.inf)),
         (Preparation, "nominal_lane_width", (2.0, 6.0, None), (1.99, 6.01)),
-        (Preparation, "yaw_rate_factor", (-1.0, 1e-3), (0.0, np.nan)),
+        (Preparation, "yaw_rate_factor", (-1.0, 1e-3), (0.0, np.nan, np.inf)),
     ],
 )
 def test_the_ends_of_what_is_allowed(kind, name, good, bad):

@@ -9,7 +9,7 @@ import pytest
 
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.recordings import Extraction, Recording, Refused, extract_departures, open_recordings
+from ldctoolkit.recordings import Extraction, Recording, extract_departures, open_recordings
 
 
 def extract(*recordings: Recording, **criteria: Any) -> Extraction:
@@ -58,36 +58,6 @@ def test_regressions_equal_numpy_on_the_recorded_samples():
     np.testing.assert_allclose([d.c_0[0], d.dc[0]], [c_0, slope * d.T[0]], rtol=1e-9, atol=1e-18)
     a_mean = np.polyfit(tau, speed[inside], 1)[0]
     np.testing.assert_allclose(d.a_mean[0], a_mean, rtol=1e-9)
-
-
-def test_crossings_are_interpolated_linearly():
-    # y rises 0.2 m from -0.05 m and falls 0.1 m to -0.07 m: crossings a quarter and 30 % into their steps
-    y = np.full(100, -0.4)
-    y[39:47] = [-0.05, 0.15, 0.2, 0.2, 0.2, 0.1, 0.03, -0.07]
-    curvature = np.linspace(0.0, 1e-3, 100)
-    d = extract(drive(lane_offset=0.9 + y, curvature=curvature), min_duration=0.1).departures
-    np.testing.assert_allclose(d.start_time, 3.925, rtol=1e-12)
-    np.testing.assert_allclose(d.T, 4.53 - 3.925, rtol=1e-12)
-    assert d.samples.tolist() == [6]
-
-
-def test_samples_on_the_line_are_inside():
-    width = 0.5  # exact in binary, as is everything below
-    y = np.full(100, -0.25)
-    y[40:47] = [0.0, 0.125, 0.25, 0.25, 0.25, 0.125, 0.0]
-    table = drive(t=np.arange(100) * 0.125, lane_offset=width + y, lane_width=3.0)
-    d = extract(table, vehicle_width=2.0).departures
-    assert d.samples.tolist() == [5]
-    assert d.start_time.tolist() == [5.0]
-    assert d.T.tolist() == [0.75]
-
-
-def test_two_departures_parted_by_one_sample_inside():
-    y = np.full(100, -0.2)
-    y[20:29] = 0.2
-    y[24] = -0.1
-    found = extract(drive(lane_offset=0.9 + y), min_duration=0.3)
-    assert len(found.departures) == 2
 
 
 def with_value(values: Any, rows: Any, value: Any) -> np.ndarray:
@@ -152,47 +122,9 @@ def test_hard_braking_is_a_departure_all_the_same(a):
     np.testing.assert_allclose(found.departures.a_mean, [a], rtol=1e-9)
 
 
-@pytest.mark.parametrize("rows", [slice(None, 50), slice(50, None)])
-def test_cut_by_the_recordings_end(rows):
-    found = extract(drive(t=T[rows], lane_offset=OFFSET[rows]))
-    assert reasons(found) == {"cut_by_end": 1}
-
-
-def test_nothing_joins_across_recordings():
-    # the departure's two halves stand next to each other, but in two recordings
-    found = extract(drive().take(slice(None, 50)), drive("b").take(slice(50, None)))
-    assert reasons(found) == {"cut_by_end": 2}
-    assert found.recordings == 2
-
-
-@pytest.mark.parametrize("labelled", [True, False])
-def test_a_lane_change_is_one_candidate(labelled):
-    # out of the lane to the left, into the next one from the right
-    offset = 0.5 + 0.4 * (T - 3.0)
-    new = offset > 1.8
-    found = extract(drive(lane_offset=np.where(new, offset - 3.6, offset), lane=new.astype(int) if labelled else None))
-    assert reasons(found) == {"lane_change": 1}
-
-
 def test_a_signal_the_other_way_or_after_is_no_reason():
     assert len(extract(drive(turn_signal=-1)).departures) == 1
     assert len(extract(drive(turn_signal=with_value(0, slice(60, None), 1))).departures) == 1
-
-
-def test_flicker_of_valid_is_one_candidate():
-    found = extract(drive(valid=with_value(1, [43, 46, 47, 51, 55], 0)))
-    assert reasons(found) == {"invalid": 1}
-    assert found.provenance.invalid_samples == 5
-    # 99 steps, less those that touch an unusable sample: 2 for each of the four holes and 1 more for the wide one
-    assert found.hours * 3600.0 == pytest.approx(9.0)
-
-
-def test_slow_sampling_widens_the_gap_limit():
-    t = np.arange(100) * 0.5
-    y = np.clip(0.3 * (1.0 - ((t - 20.0) / 2.9) ** 2), -0.4, None)
-    found = extract(drive(t=t, lane_offset=0.9 + y))
-    assert len(found.departures) == 1
-    assert found.departures.T[0] == pytest.approx(5.8, abs=0.05)
 
 
 def test_without_curvature_it_is_zero_and_says_so():
@@ -208,11 +140,6 @@ def test_without_curvature_it_is_zero_and_says_so():
 def test_a_table_without_usable_samples():
     found = extract(drive(valid=0))
     assert (found.candidates, found.hours, found.provenance.invalid_samples) == (0, 0.0, 100)
-
-
-def test_no_tables_at_all():
-    found = extract_departures([])
-    assert (len(found.departures), found.refused, found.hours, found.warnings) == (0, Refused(), 0.0, ())
 
 
 def test_real_recordings(ngsim_recordings):

@@ -65,31 +65,6 @@ def test_a_jump_of_the_offset_by_a_lane_width(side, step, start):
 
 @both_sides
 @any_step
-@pytest.mark.parametrize("share", [0.6, 1.4])
-def test_a_jump_of_another_size_is_only_a_jump(side, step, share):
-    way = crossing(side, reach=0.55 * WIDTH)
-    offset = way - side * share * WIDTH * (np.abs(way) > 0.5 * WIDTH)
-    found = extract(drive(way, offset), step)
-    assert told(found) == {"jump": one_of(side)}
-
-
-@both_sides
-@any_step
-@pytest.mark.parametrize(("reach", "changed"), [(0.66, False), (0.74, True), (1.0, True)])
-def test_a_tracker_that_keeps_the_old_lane(side, step, reach, changed):
-    """Out and back without any jump: beyond 0.7 widths most of the vehicle is in the next lane."""
-    way = crossing(side, reach=reach * WIDTH) - crossing(side, start=15.0, reach=reach * WIDTH)
-    found = extract(drive(way, way), step)
-    if changed:
-        assert told(found) == {"lane_change": one_of(side)}
-        assert len(found.departures) == 0
-    else:
-        assert told(found) == {}
-        assert found.departures.side.tolist() == [side]
-
-
-@both_sides
-@any_step
 def test_the_reason_outranks_how_long_it_took(side, step):
     """An old lane kept for longer than a departure may last, and a turn signal on: still a lane change."""
     way = crossing(side) - crossing(side, start=24.0)

@@ -1,4 +1,4 @@
-"""Sources in parts: what a part that fails leaves, opening, and a reader of somebody else's."""
+"""Sources in parts: what a part that fails leaves, paths, and a reader of somebody else's."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import pickle
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from helpers.recordings import OFFSET, T, assert_same, drive
-from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
+from helpers.recordings import OFFSET, T, drive
+from ldctoolkit.errors import InputError, RecordingError, UnknownNameError
 from ldctoolkit.recordings import (
     Criteria,
     Preparation,
@@ -25,10 +25,8 @@ from ldctoolkit.recordings import (
     RecordingPart,
     RecordingReader,
     RecordingSource,
-    SourceFile,
     extract_departures,
     extract_part,
-    merge_results,
     open_recordings,
     reader_names,
     recording_reader,
@@ -54,43 +52,6 @@ class Part:
             yield Problem("made.txt", "line 3", "odd") if name == "?" else drive(name, source="made")
 
 
-@dataclasses.dataclass(frozen=True)
-class Source:
-    parts: tuple[Part, ...]
-    files: tuple[SourceFile, ...] = (SourceFile("made.txt", 1, "0" * 64),)
-    problems: tuple[Problem, ...] = (Problem("readme.md", "", "is no recording"),)
-
-
-class Reader:
-    name = "made"
-    title = "made here"
-    vehicle_width = 1.8
-    step: float | None = 0.1
-
-    def recognise(self, paths: Sequence[Path]) -> str:
-        return "made" if all(path.suffix == ".made" for path in paths) else ""
-
-    def open(self, paths: Sequence[Path]) -> Source:
-        return Source(tuple(Part(path.name, tuple(path.read_text().split())) for path in paths))
-
-
-@pytest.fixture
-def made(monkeypatch):
-    """The reader is installed beside the others."""
-
-    class Point:
-        value = "made:READER"
-
-        def load(self) -> Any:
-            return Reader()
-
-    points = readers._installed() | {"made": Point()}
-    readers.recording_reader.cache_clear()
-    monkeypatch.setattr(readers, "_installed", lambda: points)
-    yield
-    readers.recording_reader.cache_clear()
-
-
 def test_a_part_that_fails_keeps_what_it_gave():
     result = extract_part(Part("0-made.txt", ("a", "?", "b", "!", "c")), Criteria(1.8), Preparation(0.1))
     assert result.departures.recording.tolist() == ["a", "b"]
@@ -105,41 +66,6 @@ def test_a_part_that_fails_keeps_what_it_gave():
     assert (nothing.departures.n, nothing.accounts, len(nothing.problems)) == (0, (), 1)
 
 
-def test_opening_finds_the_reader(made, tmp_path):
-    paths = []
-    for i, names in enumerate(("a b", "? c !", "d")):
-        paths.append(tmp_path / f"{i}.made")
-        paths[-1].write_text(names)
-    opened = open_recordings(paths)
-    assert (opened.reader.name, opened.found) == ("made", "made")
-    found = extract_departures(opened)
-    assert found.departures.recording.tolist() == ["a", "b", "c", "d"]
-    assert [problem.file for problem in found.problems] == ["readme.md", "made.txt", "1.made"]
-    provenance = found.provenance
-    assert (provenance.reader, provenance.criteria.vehicle_width) == ("made", 1.8)
-    assert provenance.preparation == Preparation(0.1)
-    assert provenance.sources == (SourceFile("made.txt", 1, "0" * 64),)
-    # the user's word counts more than the reader's
-    other = extract_departures(opened, vehicle_width=1.7, preparation=Preparation(0.2))
-    assert (other.provenance.criteria.vehicle_width, other.provenance.preparation.step) == (1.7, 0.2)
-
-
-def test_parts_one_by_one_are_the_whole(made, tmp_path):
-    """Read anywhere, in any order, also after a trip to another process."""
-    for i in range(5):
-        (tmp_path / f"{i}.made").write_text(" ".join(f"r{i}{k}" for k in range(i + 1)) + " ?" * (i % 2))
-    opened = open_recordings(sorted(tmp_path.iterdir()), format="made")
-    criteria, preparation = Criteria(1.8), Preparation(0.1)
-    parts = [pickle.loads(pickle.dumps(part)) for part in opened.source.parts]
-    results = {part.key: extract_part(part, criteria, preparation) for part in parts[::-1]}
-    ordered = [results[part.key] for part in opened.source.parts]
-    merged = merge_results(ordered, criteria, preparation, reader="made")
-    whole = extract_departures(opened)
-    assert_same(merged, whole)
-    assert merged.problems == whole.problems[1:]  # those of the source itself come first
-    assert len({part.key for part in opened.source.parts}) == 5
-
-
 def test_paths_that_cannot_be_opened(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("a,b\n1,2\n")
@@ -147,46 +73,12 @@ def test_paths_that_cannot_be_opened(tmp_path):
         open_recordings([])
     with pytest.raises(RecordingError, match=r"x\.csv: given twice"):
         open_recordings([path, tmp_path / "." / "x.csv"])
-    with pytest.raises(RecordingError, match=r"x\.csv: no reader knows such files; allowed: .*table"):
-        open_recordings(path)
     with pytest.raises(RecordingError, match="nowhere: does not exist"):
         open_recordings("nowhere")
     with pytest.raises(RecordingError, match=r"cannot be read|does not exist"):
         open_recordings("x\0y")
     with pytest.raises(UnknownNameError, match=r"format 'tabel': no such reader; did you mean 'table'\?"):
         open_recordings(path, format="tabel")
-
-
-def test_a_reader_that_fails_is_named(made, monkeypatch, tmp_path):
-    path = tmp_path / "x.made"
-    path.write_text("a")
-
-    def failing(error: Exception):
-        def open(self: Reader, paths: Sequence[Path]) -> Source:
-            raise error
-
-        return open
-
-    for error, words in ((KeyError("x"), "KeyError: 'x'"), (OSError(5, "no disk"), r"OSError: \[Errno 5\] no disk")):
-        monkeypatch.setattr(Reader, "open", failing(error))
-        with pytest.raises(LdcError, match=f"^format 'made': open fails with {words}$"):
-            open_recordings(path)
-    monkeypatch.setattr(Reader, "open", failing(RecordingError("x.made: nothing in it")))
-    with pytest.raises(RecordingError, match=r"^x\.made: nothing in it$"):
-        open_recordings(path)
-    monkeypatch.setattr(Reader, "open", lambda self, paths: None)
-    with pytest.raises(LdcError, match=r"^format 'made': open fails with AttributeError: "):
-        open_recordings(path)
-
-
-def test_two_parts_with_the_same_key(made, monkeypatch, tmp_path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "x.made").write_text(folder)
-    with pytest.raises(
-        LdcError, match=r"^format 'made': 2 parts have the key 'x\.made'; allowed: a key for each part$"
-    ):
-        open_recordings([tmp_path / "a" / "x.made", tmp_path / "b" / "x.made"])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Scale, yaw rate and common step of recordings; what a stream, tables and opened files have in common."""
+"""Scale, yaw rate and common step of recordings."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.recordings import OFFSET, T, assert_same, drive, frame_of
+from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import (
-    Label,
     Preparation,
     Recording,
     extract_departures,
-    open_recordings,
     read_departures,
-    read_recordings,
     write_departures,
 )
 from ldctoolkit.recordings.preparation import NONE, prepare
@@ -106,23 +103,6 @@ def test_the_yaw_rate_factor():
     assert prepare(measured, Preparation(yaw_rate_factor=-1.0)) == measured
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"step": 0.001}, "step: 0.001; allowed: 0.01 to 1 s, or None"),
-        ({"step": math.nan}, "step: nan"),
-        ({"max_gap": 0.0}, "max_gap: 0.0; allowed: more than 0, at most 10 s"),
-        ({"max_gap": math.inf}, "max_gap: inf"),
-        ({"nominal_lane_width": 350.0}, "nominal_lane_width: 350.0; allowed: 2 to 6 m, or None"),
-        ({"yaw_rate_factor": 0.0}, "yaw_rate_factor: 0.0; allowed: finite, not 0"),
-        ({"yaw_rate_factor": math.inf}, "yaw_rate_factor: inf"),
-    ],
-)
-def test_values_that_are_refused(changes, message):
-    with pytest.raises(InputError, match=message):
-        Preparation(**changes)
-
-
 def test_absurd_numbers_do_no_harm():
     """Not even a floating point warning, which the tests turn into errors."""
     offset, width = OFFSET.copy(), np.full(100, 3.6)
@@ -135,31 +115,6 @@ def test_absurd_numbers_do_no_harm():
             found = extract_departures([one], preparation=preparation)
             assert np.isfinite(found.departures.matrix()).all()
             assert found.warnings[-1] == f"{NONE}: 1 of 1 recordings"
-
-
-def test_a_stream_and_files_are_the_same(tmp_path):
-    pair = [drive(turn_signal=0), drive("b", turn_signal=0, lane_offset=-OFFSET, curvature=1e-3)]
-    frame = frame_of(pair)
-    frame.write_csv(tmp_path / "d.csv")
-    frame.write_parquet(tmp_path / "e.parquet")
-    whole = extract_departures(pair, vehicle_width=1.8)
-    assert len(whole.departures) == 2
-    for given in (
-        iter(pair),
-        read_recordings(tmp_path / "d.csv"),
-        open_recordings(tmp_path / "d.csv"),
-        open_recordings([tmp_path / "e.parquet"], format="table"),
-    ):
-        found = extract_departures(given, vehicle_width=1.8)
-        assert_same(whole, found)
-        assert found.problems == ()
-
-
-def test_recordings_with_other_columns_keep_their_places():
-    third = drive("c", lane=None, labels=(Label("driver", "D1"),))
-    found = extract_departures([drive("b"), third, drive("a")], vehicle_width=1.8)
-    assert found.departures.recording.tolist() == ["b", "c", "a"]
-    assert {column.name: column.values.tolist() for column in found.departures.extra} == {"driver": ["", "D1", ""]}
 
 
 def test_the_gap_of_the_criteria_rules_resampled_recordings():

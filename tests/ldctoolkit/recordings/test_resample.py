@@ -166,63 +166,6 @@ def test_samples_at_the_multiples_keep_their_bits(origin):
     np.testing.assert_array_equal(again.t, result.t)
 
 
-def test_thirty_hertz_with_jitter():
-    """Near the signal sampled at the multiples; single wild values are gone, whichever sample they are in."""
-    rng = np.random.default_rng(2)
-    t = np.sort(np.arange(3000) / 30.0 + rng.uniform(-0.008, 0.008, 3000))
-    t[0] = 0.0
-    offset = 0.3 * np.sin(0.8 * t)
-    wild = np.arange(15, 2990, 30)
-    noisy = offset.copy()
-    noisy[wild] += rng.choice([-5.0, 5.0], wild.size)
-    result = resample(recording(t, lane_offset=noisy, lane_width=np.full(3000, 3.5), speed=20.0 + t), 0.1)
-    assert result.valid.all()
-    np.testing.assert_allclose(np.diff(result.t), 0.1, rtol=1e-9)
-    # three samples a window: the median is one 1/30 s off at most, or the mean of two
-    np.testing.assert_allclose(result.lane_offset, 0.3 * np.sin(0.8 * result.t), atol=0.3 * 0.8 * 0.045)
-    np.testing.assert_allclose(result.speed, 20.0 + result.t, atol=0.045)
-
-
-@pytest.mark.parametrize(("gap", "bridged"), [(0.2, True), (0.25, True), (0.26, False), (0.4, False), (9.0, False)])
-def test_nothing_across_a_gap(gap, bridged):
-    """Of what the source has nothing; and of samples that it has, but calls invalid."""
-    t = np.concatenate([np.arange(11) / 20.0, 0.5 + gap + np.arange(11) / 20.0])
-    result = resample(recording(t), 0.1)
-    inside = (result.t > 0.55 + 1e-9) & (result.t < 0.45 + gap - 1e-9)
-    assert inside.any() == bridged
-    assert result.valid.all()
-    t = np.arange(400) / 20.0
-    valid = (t < 0.5 + 1e-9) | (t > 0.5 + gap - 1e-9)
-    result = resample(recording(t, valid=valid), 0.1)
-    inside = (result.t > 0.55 + 1e-9) & (result.t < 0.45 + gap - 1e-9)
-    assert inside.any()
-    assert result.valid[inside].all() == bridged
-    assert np.isnan(result.lane_offset[~result.valid]).all()
-
-
-@pytest.mark.parametrize("rate", [20.0, 25.0, 30.0, 50.0])
-@pytest.mark.parametrize("phase", np.linspace(0.0, 1.0, 7).tolist())
-def test_a_jump_stays_a_jump(rate, phase):
-    """No value half-way, which would hide a jump of 1 m and make one of a lane width look like another thing."""
-    t = np.arange(200) / rate
-    for height in (1.0, 3.5):
-        offset = np.where(t > 2.0 + phase / rate - 1e-9, height, 0.0)
-        result = resample(recording(t, lane_offset=offset), 0.1)
-        assert set(result.lane_offset.tolist()) == {0.0, height}
-        # nor across a short hole
-        hole = np.abs(t - 2.0) > 0.08
-        result = resample(recording(t, lane_offset=offset).take(hole), 0.1)
-        assert set(result.lane_offset.tolist()) == {0.0, height}
-
-
-def test_lanes_do_not_mix():
-    t = np.array([0.0, 0.06, 0.08, 0.13, 0.14])
-    lane = np.array([7, 7, 7, 9, 9])
-    result = resample(recording(t, lane_offset=np.array([0.1, 0.2, 0.3, -0.4, -0.5]), lane=lane), 0.1)
-    assert result.lane.tolist() == [7, 7]
-    np.testing.assert_allclose(result.lane_offset, [0.1, 0.25])
-
-
 def test_one_sample_and_none():
     one = recording([5.0], lane_offset=np.array([0.4]))
     result = resample(one, 0.1)

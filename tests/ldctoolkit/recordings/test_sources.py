@@ -22,9 +22,6 @@ from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import RecordingPart, RecordingSource
 
 OWN = ("spmd-das1", "spmd-das2", "table", "uah-driveset")
-WIDTHS = {"spmd-das1": (1.82, 0.1), "spmd-das2": (1.82, 0.1), "table": (1.9, None), "uah-driveset": (1.8, 0.1)}
-
-
 INSTALLED = importlib.metadata.entry_points
 
 
@@ -128,6 +125,41 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
     install(flat=lambda: Careless)
     with pytest.raises(LdcError, match="'flat': recognise fails with ZeroDivisionError"):
         sources.recognised_by([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (KeyError("x"), "^format 'flat': open fails with KeyError: 'x'$"),
+        (OSError(5, "no disk"), r"^format 'flat': open fails with OSError: \[Errno 5\] no disk$"),
+        (RecordingError("x.flat: nothing in it"), r"^x\.flat: nothing in it$"),
+        (None, "^format 'flat': open fails with AttributeError: "),
+    ],
+)
+def test_a_reader_that_opens_nothing_is_named(
+    install: Callable[..., None], tmp_path: Path, error: Exception | None, words: str
+) -> None:
+    class Failing(FlatReader):
+        def open(self, paths: Sequence[Path]) -> Any:
+            if error is not None:
+                raise error
+
+    install(flat=lambda: Failing)
+    (tmp_path / "x.flat").touch()
+    with pytest.raises(LdcError, match=words):
+        open_recordings(tmp_path / "x.flat")
+
+
+def test_two_parts_with_the_same_key(install: Callable[..., None], tmp_path: Path) -> None:
+    install(flat=FlatReader)
+    paths = [tmp_path / folder / "x.flat" for folder in "ab"]
+    for path in paths:
+        path.parent.mkdir()
+        path.touch()
+    with pytest.raises(
+        LdcError, match=r"^format 'flat': 2 parts have the key 'x\.flat'; allowed: a key for each part$"
+    ):
+        open_recordings(paths)
 
 
 TABLES = {

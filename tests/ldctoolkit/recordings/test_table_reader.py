@@ -179,14 +179,6 @@ def test_bytes_that_are_not_utf_8(save: Save) -> None:
     assert str(problems[0]).startswith("drive.csv, line 5: the text is not UTF-8")
 
 
-def test_a_recording_in_pieces_keeps_the_first(save: Save) -> None:
-    recordings, problems = read(save(HEADER + A + B + "a,0.2,0.1,3.6,25\n" + C))
-    assert [(name, one.samples) for name, one in recordings.items()] == [("a", 2), ("b", 2), ("c", 2)]
-    [problem] = problems
-    assert problem.place == "line 6"
-    assert "separate pieces, the first from line 2" in problem.what
-
-
 def test_a_parquet_row_at_fault(save: Save) -> None:
     frame = pl.read_csv((HEADER + A + B + C).encode()).with_columns(valid=pl.Series([1, 1, 1, 7, 1, 1]))
     recordings, problems = read(save(frame, "drive.parquet"))
@@ -214,15 +206,6 @@ def test_lines_are_counted_past_blank_and_faulty_ones(save: Save) -> None:
     two = save((HEADER + C + "c,1,2,3,4,5\n\n" + A).replace("\n", "\r\n"), "two.csv")
     _, problems = read(one, two)
     assert str(problems[0]) == "two.csv, line 6: recording 'a' is also in one.csv, line 7; these rows are left out"
-
-
-def test_the_same_file_twice(save: Save) -> None:
-    one, two = save(HEADER + A, "one.csv"), save(HEADER + A, "two.csv")
-    recordings, problems = read(one, two, one)
-    assert list(recordings) == ["a"]
-    assert [(problem.file, problem.what.split(",")[0]) for problem in problems] == [
-        ("two.csv", "holds the same as one.csv"),
-    ]
 
 
 REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {

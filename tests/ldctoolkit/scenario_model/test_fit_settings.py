@@ -94,6 +94,7 @@ def test_zeros_with_automatic_bounds_are_moved_inside_and_counted(departures):
         ({"d_y": 2.0}, r"bounds\['d_y'\]: 2\.0; allowed"),
         ({"d_y": None}, r"bounds\['d_y'\]: None; allowed"),
         ({"d_y": (2.0, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
+        ({"d_y": (-1.0, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
         ({"d_y": (np.nan, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
         ({"c_0": (0.0, 0.0)}, r"bounds\['c_0'\]: .*allowed: -inf <= lower < upper"),
         ({"T": (0.5, 1.0)}, r"departures \(left\): T = .* in event \d+; allowed: 0\.5 to 1 \(\d+ of 40 events\)"),
@@ -253,6 +254,8 @@ def test_a_K_that_cannot_be_sampled_gives_way_to_another(departures, monkeypatch
     assert model.left.weights_.size == 2
     assert model.provenance.left.failed == ((1, "component 0 cannot be sampled"),)
     assert "right: K = 1 could not be fitted (component 0 cannot be sampled)" in model.provenance.warnings
+    with pytest.raises(ModelError, match=r"departures \(left\): component 0 cannot be sampled"):
+        fit_scenario_model(departures(60), components=1)
 
 
 @pytest.mark.slow

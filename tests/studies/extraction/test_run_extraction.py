@@ -166,15 +166,10 @@ def test_what_a_killed_run_had_not_finished_writing_is_removed(made: Made, tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*stays, "d.parquet", "notes"])
 
 
-def test_one_part_needs_no_folder(made: Made, tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [("interrupted",), ("interrupted", "good")])
+def test_nothing_is_left_where_no_part_was_finished(made: Made, tmp_path: Path, how: tuple[str, ...]) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run_extraction(made("interrupted"), workers=1, output=tmp_path / "d.parquet")
-    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
-
-
-def test_nothing_is_left_where_no_part_was_finished(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_extraction(made("interrupted", "good"), workers=1, output=tmp_path / "d.parquet")
+        run_extraction(made(*how), workers=1, output=tmp_path / "d.parquet")
     assert [path.name for path in tmp_path.iterdir()] == ["notes"]
 
 
@@ -274,22 +269,6 @@ def test_one_run_at_a_time(made: Made, tmp_path: Path) -> None:
     with locked(folder), pytest.raises(StoreError, match="another run is writing into this folder"):
         run_extraction(made("good", "good", "good"), workers=1, output=tmp_path / "d.parquet")
     assert sorted(folder.iterdir()) == before
-
-
-def test_a_table_that_cannot_be_written_loses_no_part(
-    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: Any) -> None:
-        raise LdcError("no space left")
-
-    source = made("good", "good")
-    with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.runner.write_departures", full)
-        with pytest.raises(LdcError, match="no space left"):
-            run_extraction(source, workers=1, output=tmp_path / "d.parquet")
-    run_extraction(source, workers=1, output=tmp_path / "d.parquet")
-    assert times(source) == [1, 1]
-    assert not (tmp_path / "d.parquet.parts").exists()
 
 
 class Mortal:
@@ -394,3 +373,4 @@ def test_finished_parts_need_no_workers(made: Made, tmp_path: Path, monkeypatch:
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
     assert run_extraction(source, workers=1, output=tmp_path / "d.parquet").recordings == 6
     assert times(source) == [1, 1]
+    assert not (tmp_path / "d.parquet.parts").exists()

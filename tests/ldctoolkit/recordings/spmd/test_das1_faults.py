@@ -113,13 +113,6 @@ def test_a_line_that_cannot_be_used(tables: tuple[Path, Path], text: bytes, word
         np.testing.assert_array_equal(one.speed, clean[name].speed[keep])
 
 
-def test_a_fault_in_the_other_table(tables: tuple[Path, Path]) -> None:
-    edit(tables[1], put(171, b"7,2,490,broken"))
-    recordings, problems = read(*tables)
-    assert problems == ["DataWsu.csv, line 171: 4 cells; the header has 27 columns; the line is left out"]
-    assert np.flatnonzero(np.isnan(recordings["7/2"].speed)).tolist() == [49]
-
-
 def test_lines_are_right_behind_blank_and_faulty_lines(tables: tuple[Path, Path]) -> None:
     def change(lines: list[bytes]) -> None:
         lines[200] = b"7,2,1990,far,1.5,0,3,3"
@@ -139,15 +132,6 @@ def test_a_file_that_ends_inside_a_line(tables: tuple[Path, Path]) -> None:
         assert problems[-1] == words
     recordings, _ = read(*tables)
     assert samples(recordings) == [ROWS, ROWS, ROWS - 1]
-
-
-def test_a_file_that_ends_inside_the_key(tables: tuple[Path, Path]) -> None:
-    tables[0].write_bytes(b"\r\n".join(tables[0].read_bytes().split(b"\r\n")[:-2]) + b"\r\n7,")
-    recordings, problems = read(*tables)
-    assert samples(recordings) == [ROWS, ROWS, ROWS - 1]
-    assert problems == [
-        "DataLane.csv, line 361: it begins with '7,'; allowed: numbers of device and trip; the line is left out"
-    ]
 
 
 @pytest.mark.parametrize(

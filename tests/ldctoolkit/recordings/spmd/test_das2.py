@@ -78,19 +78,6 @@ def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
     assert np.isnan(recordings["10/1417715"].speed).all()
 
 
-FOUND = {
-    "one-day": "1 of HV_Primary",
-    "two-month": "1 of HV_Primary without a header",
-    ".": "1 of HV_Primary, 1 of HV_Primary without a header",
-}
-
-
-@pytest.mark.parametrize("folder", FOUND)
-def test_the_sample_folders_are_recognised(sample: Path, folder: str) -> None:
-    assert SpmdDas2().recognise([sample / folder]) == FOUND[folder]
-    assert len(SpmdDas2().open([sample / folder]).files) == (2 if folder == "." else 1)
-
-
 def test_other_tables_are_not_recognised(sample: Path, tmp_path: Path) -> None:
     others = [one for one in sorted(sample.rglob("*.csv")) if "HV_Primary" not in one.name]
     assert others
@@ -175,24 +162,6 @@ def test_speed_signals_and_heading(write: Write) -> None:
     assert one.turn_signal[:4].tolist() == [0, 1, -1, 0]
     assert one.heading is not None
     assert np.isnan(one.heading).sum() == 9
-
-
-def test_parts_do_not_change_recordings(write: Write) -> None:
-    path = write([line for trip in range(1, 8) for line in lines_of(trip, rows=9 * trip)])
-    whole, _ = read(path)
-    trips = [part.bytes for part in SpmdDas2(part_bytes=1).open([path]).parts]
-    assert len(trips) == 7
-    for part_bytes in (1, 5000, 20000):
-        parts = SpmdDas2(part_bytes=part_bytes).open([path]).parts
-        assert len({part.key for part in parts}) == len(parts) > 1
-        assert sum(part.bytes for part in parts) == sum(trips)
-        # what bounds the memory: a part ends with the trip that fills it
-        assert max(part.bytes for part in parts) < part_bytes + max(trips)
-        split, _ = read(path, part_bytes=part_bytes)
-        assert list(split) == list(whole)
-        for name, one in whole.items():
-            for column in Recording.COLUMNS:
-                np.testing.assert_array_equal(getattr(split[name], column), getattr(one, column))
 
 
 def check(problems: list[Problem], place: str, words: str) -> None:

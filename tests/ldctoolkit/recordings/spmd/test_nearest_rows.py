@@ -39,17 +39,6 @@ def test_the_join_is_that_of_all_pairs(left: Rows, right: Rows, tolerance: float
     assert nearest_rows(*columns(left), *columns(right), tolerance).tolist() == by_hand(left, right, tolerance)
 
 
-def test_a_tie_takes_the_earlier_row_and_of_equal_times_the_first() -> None:
-    left, right = [(0, 10.0), (0, 20.0)], [(0, 5.0), (0, 15.0), (0, 15.0), (0, 19.0), (0, 19.0)]
-    assert nearest_rows(*columns(left), *columns(right), 5.0).tolist() == [0, 3]
-
-
-def test_trips_do_not_mix_however_close_their_times() -> None:
-    left = [(0, 0.0), (0, 10.0), (2, 0.0), (2, 10.0)]
-    right = [(1, 0.0), (1, 10.0), (2, 10.0), (3, 0.0)]
-    assert nearest_rows(*columns(left), *columns(right), 5.0).tolist() == [-1, -1, -1, 2]
-
-
 def test_long_drives_keep_their_digits() -> None:
     t = np.tile(np.arange(0.0, 8.64e6, 80.0), 3)
     trip = np.repeat(np.arange(3), t.size // 3)

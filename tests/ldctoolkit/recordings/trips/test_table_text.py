@@ -8,7 +8,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.trips._text_kernels import plain_numbers
 from ldctoolkit.recordings.trips.table_text import COMPILED_FROM, read_cells
 
 COLUMNS = ("a", "b", "c", "d")
@@ -118,26 +117,11 @@ PLAIN = st.one_of(
 @given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
 def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
     text = "".join(f"7,{one},x y,{other}{end}" for one, other in rows).encode()
-    bytes_ = np.frombuffer(text, dtype=np.uint8)
-    numbers = plain_numbers(bytes_, [1, 3], 4, len(rows))
-    expected = np.array([[float(cell or "nan") for cell in row] for row in rows]).T
-    if numbers is not None:
-        np.testing.assert_array_equal(numbers, expected)
-        np.testing.assert_array_equal(np.signbit(numbers), np.signbit(expected))
-    digits = [sum(char.isdigit() for char in cell.lower().split("e")[0]) for row in rows for cell in row]
-    if max(digits) <= 15 and not any("e" in cell.lower() for row in rows for cell in row):
-        assert numbers is not None  # nothing ordinary is turned down
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["1,2", "1,2,3,4", "1,,x", "1,,.", "1,,-", "1,,e0", "1,,1e", "1,,1e+", "1,,+1", "1,, 1", "1,,1 ", "", "1,,1e23"],
-)
-def test_what_the_compiled_parser_leaves_to_others(text: str) -> None:
-    for whole in (f"1,2,3\n{text}\n", f"{text}\n1,2,3\n", f"1,2,3\n{text}\n1,2,3"):
-        bytes_ = np.frombuffer(whole.encode(), dtype=np.uint8)
-        assert plain_numbers(bytes_, [2], 3, whole.rstrip("\n").count("\n") + 1) is None
-    assert plain_numbers(np.frombuffer(b"1,2,3\n1,2,3\n", dtype=np.uint8), [2], 3, 1) is None
+    found = read_cells(text, COLUMNS, ("b", "d"), compiled_from=0)
+    for name, cells in zip("bd", zip(*rows, strict=True), strict=True):
+        expected = np.array([float(cell or "nan") for cell in cells])
+        np.testing.assert_array_equal(found[name], expected)
+        np.testing.assert_array_equal(np.signbit(found[name]), np.signbit(expected))
 
 
 @pytest.mark.parametrize("compiled_from", [0, COMPILED_FROM])

@@ -15,8 +15,6 @@ from ldctoolkit.recordings.uah_driveset import READER
 
 CRITERIA = Criteria(vehicle_width=1.8)
 STEP = Preparation(step=READER.step)
-AGGRESSIVE = "20151111134545-25km-D2-AGGRESSIVE-MOTORWAY"
-DROWSY = "20151111135612-13km-D1-DROWSY2-SECONDARY"
 
 
 def extract(*paths, preparation=STEP):
@@ -53,11 +51,6 @@ def test_departures_come_back(made, planted, truth, tmp_path):
     bends = np.sign(truth["curvature"](np.array([one.start for one in planted])))
     assert {(one.side, bend) for one, bend in zip(planted, bends, strict=True)} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
     assert {np.sign(value) for value in result.departures.dc} == {1.0, -1.0}
-
-
-def test_noise(made, planted, truth, tmp_path):
-    made(noise=0.01).write(tmp_path)
-    check(extract(tmp_path).departures, planted, truth)
 
 
 @pytest.mark.parametrize("width", [2.5, 3.6])
@@ -125,44 +118,6 @@ def test_a_gap_inside_a_departure(made, planted, truth, tmp_path):
     check(result.departures, (*planted[:2], *planted[3:]), truth)
     (account,) = result.accounts
     assert account.refused.sum() == account.refused[0, REASONS.index("gap")] == 1
-
-
-def test_an_undetected_lane_inside_a_departure(made, planted, truth, tmp_path):
-    trip = made()
-    middle = planted[2].start + 0.5 * planted[2].T
-    trip.lane[np.abs(trip.lane[:, 0] - middle) < 0.2, 4] = 1.0
-    trip.write(tmp_path)
-    check(extract(tmp_path).departures, (*planted[:2], *planted[3:]), truth)
-
-
-def test_groups(made, planted, tmp_path):
-    made(seed=1).write(tmp_path)
-    made(seed=2).write(tmp_path, DROWSY)
-    made(seed=3).write(tmp_path, AGGRESSIVE, "D2")
-    parts = READER.open([tmp_path]).parts
-    found = {}
-    for part in parts:
-        departures = extract_part(part, CRITERIA, STEP).departures
-        columns = {column.name: set(column.values) for column in departures.extra}
-        found[part.key] = {name: columns[name] for name in ("source", "driver", "behaviour", "road")}
-        assert departures.n == len(planted)
-        assert set(departures.recording) == {part.key}
-    assert found == {
-        DROWSY: {"source": {"D1"}, "driver": {"D1"}, "behaviour": {"DROWSY"}, "road": {"SECONDARY"}},
-        AGGRESSIVE: {"source": {"D2"}, "driver": {"D2"}, "behaviour": {"AGGRESSIVE"}, "road": {"MOTORWAY"}},
-        "20151110175712-16km-D1-NORMAL1-SECONDARY": {
-            "source": {"D1"}, "driver": {"D1"}, "behaviour": {"NORMAL"}, "road": {"SECONDARY"},
-        },
-    }  # fmt: skip
-
-
-def test_the_sign_agrees_with_the_course(made, tmp_path):
-    """What the check of signs sees: the heading turns as the yaw rate says."""
-    made().write(tmp_path)
-    windows, hh, hr, rr = extract(tmp_path).evidence.turns
-    assert windows > 100
-    assert hr / np.sqrt(hh * rr) > 0.95
-    assert hr / hh == pytest.approx(1.0, abs=0.05)
 
 
 def test_nothing_else_counts(made, planted, truth, tmp_path):
