@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -381,17 +379,3 @@ def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatc
     (again,) = compile_module.compiled((function,), "damaged")
     assert again is not function
     assert float(again(3)) == 6.0
-
-
-@pytest.mark.slow
-def test_importing_and_preparing_compile_nothing(tmp_path: Path) -> None:
-    code = (
-        "import sys\n"
-        "from controllers.nonlinear_mpc import NonlinearMPC\n"
-        "NonlinearMPC()\n"
-        "print('casadi' in sys.modules, 'daqp' in sys.modules)\n"
-    )
-    environment = {"LDC_NMPC_CACHE": str(tmp_path / "cache"), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.split() == ["False", "False"]
-    assert not (tmp_path / "cache").exists()
