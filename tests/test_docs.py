@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from helpers.docs import ROOT, blocks, run_python
-from ldctoolkit import Scenarios, SteeringLaw, controller_class, register, registry, simulate
+from ldctoolkit import Scenarios, controller_class, register, registry, simulate
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
+from ldctoolkit.testing import contract_faults
 from studies import Study
 
 
@@ -96,7 +97,8 @@ def test_the_guides_controllers_run(guide: types.ModuleType, name: str) -> None:
     try:
         assert controller_class(register(type(design)).name) is type(design)
     finally:
-        registry._registered.pop(design.name, None)
+        registry.forget(design.name)
+    assert contract_faults(design, checks=["batch", "take"]) == ()
 
 
 def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleType) -> None:
@@ -104,31 +106,3 @@ def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleTyp
     general = simulate(guide.LimitedOffset(K_i=0.0, delta_max=1.0), SCENARIOS)
     np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)  # same sums, another order
     assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()
-
-
-def test_the_guides_law_is_cut_down_without_a_change(guide: types.ModuleType) -> None:
-    """Two short departures end long before the third; the law's own `take` then drops them."""
-    scenarios = Scenarios.from_arrays(T=[1.0, 1.2, 6.0], d_y=0.5, v_mean=[25.0, 18.0, 22.0], c_0=[1e-3, 0.0, -1e-3])
-    taken = []
-
-    class Whole(guide.LimitedOffsetLaw):
-        take = SteeringLaw.take
-
-    class Counted(guide.LimitedOffsetLaw):
-        def take(self, rows, state):
-            taken.append(rows.tolist())
-            return super().take(rows, state)
-
-    def run(law: type) -> object:
-        class Design(guide.LimitedOffset):
-            def prepare(self, plant):
-                made = super().prepare(plant)
-                return law(made.design, made.dt, made.steady)
-
-        return simulate(dataclasses.dataclass(frozen=True)(Design)(), scenarios)
-
-    whole, cut = run(Whole), run(Counted)
-    assert taken == [[0, 1], [0]]  # the longest stands first
-    np.testing.assert_array_equal(whole.S, cut.S)
-    for name in COMPANION_UNITS:
-        np.testing.assert_array_equal(getattr(whole.companions, name), getattr(cut.companions, name))

@@ -16,6 +16,7 @@ from controllers.barrier_filter import BarrierFilter
 from controllers.lqi import LQI
 from controllers.preview_lqr import PreviewLQR
 from helpers.grids import some
+from helpers.laws import Unsighted, known
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -27,9 +28,6 @@ from ldctoolkit import (
     Scenarios,
     SteeringLaw,
     gain,
-    option,
-    register,
-    registry,
     simulate,
 )
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
@@ -94,14 +92,8 @@ class LeavesAlone(Controller):
 
 
 @dataclasses.dataclass(frozen=True)
-class OneForAllLaw(SteeringLaw):
+class OneForAllLaw(Unsighted):
     """One number where n are due."""
-
-    @property
-    def preview_times(self) -> np.ndarray:
-        return np.zeros(0)
-
-    def init(self, n: int) -> None: ...
 
     def step(self, t: Any, x: Any, preview: Preview, delta_prev: Any, state: Any) -> Any:
         return np.float64(0.01), state, np.zeros(t.size, dtype=np.int8)
@@ -120,12 +112,8 @@ class OneForAll(Controller):
 
 @pytest.fixture(autouse=True)
 def third_parties() -> Iterator[None]:
-    laws = (Drifting, LeavesAlone, OneForAll, EveryWeight)
-    for law in laws:
-        register(law)
-    yield
-    for law in laws:
-        registry._registered.pop(law.name)
+    with known(Drifting, LeavesAlone, OneForAll, EveryWeight):
+        yield
 
 
 def situations(n: int, seed: int, size: float = 1.0) -> tuple[Plant, np.ndarray, np.ndarray, np.ndarray]:
@@ -438,18 +426,3 @@ def test_a_study_file_may_set_and_sweep_the_law_inside() -> None:
     block["gains"]["inner"] = 3  # type: ignore[index]
     with pytest.raises(StudyError, match=r"design\[0\]\.gains\.inner.* 3; allowed: text"):
         Study.from_dict({"name": "small", "design": [block]})
-
-
-@pytest.mark.parametrize(
-    ("annotation", "default", "message"),
-    [
-        ("str", 5.0, r"default of D\.word: 5\.0; allowed: text"),
-        ("float", "any", r"D\.word: an option on a field of type float; allowed: str"),
-    ],
-)
-def test_an_option_of_any_text_that_contradicts_itself(annotation: str, default: Any, message: str) -> None:
-    fields = [("word", annotation, option(default, choices=None, description=""))]
-    base = {"name": "d", "title": "D", "prepare": lambda self, plant: RecordedPath()}
-    D = dataclasses.make_dataclass("D", fields, bases=(Controller,), namespace=base, frozen=True)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=message):
-        D()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +19,7 @@ import controllers._nmpc_compile as compile_module
 import controllers._nmpc_solver as solver_module
 from controllers import LinearMPC
 from controllers._nmpc_model import SHAPE, SIZE, sample, steady_cornering
-from controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCLaw, NonlinearMPCState
+from controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCState
 from controllers.riccati import regulator
 from helpers.grids import grid
 from helpers.tools import tool
@@ -231,15 +229,6 @@ def test_small_angles_give_the_linear_mpc() -> None:
     assert worst[1] < worst[0] / 50  # 100 by theory for the difference over the size
 
 
-def test_mirrored_input_gives_the_mirrored_command() -> None:
-    """With every soft limit; every operation is odd or even in what is mirrored."""
-    design = NonlinearMPC(horizon=HORIZON, mu=0.3, a_y_max=2.0, jerk_max=20.0, e_y_max=0.5)
-    plant, x, preview, prev = situations(8, HORIZON, seed=6)
-    one, _, _ = first(design, plant, x, preview, prev)
-    other, _, _ = first(design, plant, -x, Preview(-preview.yaw_rate, -preview.heading), -prev)
-    np.testing.assert_allclose(other, -one, rtol=0, atol=1e-12)
-
-
 def test_slippery_plans_stay_on_the_tyres() -> None:
     """At friction 0.3 no command goes far beyond the peak of the tyres' force.
 
@@ -260,21 +249,6 @@ def test_slippery_plans_stay_on_the_tyres() -> None:
     assert far.sum() > 3
     assert (np.abs(theirs[far]) > 1.5 * peak).all()
     assert (np.abs(ours[far]) <= 1.2 * peak).all()  # the force there is within 1 % of the peak's
-
-
-@pytest.mark.slow
-def test_on_a_slippery_road_it_keeps_departures_that_the_linear_mpc_loses() -> None:
-    """Plant and law at friction 0.3; the linear MPC with the same weights diverges in some of these departures."""
-    rng = np.random.default_rng(0)
-    scenarios = Scenarios.from_arrays(
-        T=rng.uniform(2, 5, 8), d_y=rng.uniform(0.5, 1.0, 8), v_mean=rng.uniform(20, 33, 8)
-    )
-    options = PlantOptions(tyres=Tyres(model="magic_formula", mu=0.3, shape=SHAPE))
-    ours = simulate(NonlinearMPC(mu=0.3, r_delta=10.0), scenarios, y_s=0.1, options=options)
-    theirs = simulate(LinearMPC(r_delta=10.0), scenarios, y_s=0.1, options=options)
-    assert (ours.status == EventStatus.OK).all()
-    assert (theirs.status == EventStatus.DIVERGED).sum() >= 2
-    assert ours.S.mean() < 0.7 * theirs.S.mean()
 
 
 def test_the_soft_limit_of_lateral_acceleration_binds() -> None:
@@ -359,33 +333,6 @@ def test_states_that_no_vehicle_has_give_finite_commands() -> None:
     assert (status == EventStatus.OK).all()
 
 
-def run_steps(law: NonlinearMPCLaw, x: np.ndarray, preview: Preview, prev: np.ndarray, cuts: list[Any]) -> Any:
-    """Three steps on the same input; between them only some scenarios go on."""
-    state, rows, found = law.init(prev.size), np.arange(prev.size), []
-    for cut in cuts:
-        seen = Preview(preview.yaw_rate[rows], preview.heading[rows])
-        delta, state, _ = law.step(np.zeros(rows.size), x[rows], seen, prev[rows], state)
-        found.append((rows, delta))
-        law, state = law.take(np.array(cut), state)
-        rows = rows[cut]
-    return found
-
-
-def test_neighbours_order_and_cuts_change_no_bit() -> None:
-    plant, x, preview, prev = situations(9, HORIZON, seed=8)
-    law = NonlinearMPC(horizon=HORIZON, a_y_max=3.0).prepare(plant)
-    whole = run_steps(law, x, preview, prev, [list(range(9))] * 3)
-    cut = run_steps(law, x, preview, prev, [[0, 2, 3, 5, 8], [1, 4], [0]])
-    for (_, all_of_them), (rows, some) in zip(whole, cut, strict=True):
-        np.testing.assert_array_equal(some, all_of_them[rows])
-    back = np.arange(8, -1, -1)
-    turned, _ = law.take(back, law.init(9))
-    reverse = run_steps(
-        turned, x[back], Preview(preview.yaw_rate[back], preview.heading[back]), prev[back], [[*range(9)]]
-    )
-    np.testing.assert_array_equal(reverse[0][1][back], whole[0][1])
-
-
 def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     plant, x, preview, prev = situations(6, HORIZON, seed=1)
     designs = NonlinearMPC(horizon=HORIZON), NonlinearMPC(horizon=HORIZON, a_y_max=2.0, jerk_max=20.0)
@@ -432,17 +379,3 @@ def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatc
     (again,) = compile_module.compiled((function,), "damaged")
     assert again is not function
     assert float(again(3)) == 6.0
-
-
-@pytest.mark.slow
-def test_importing_and_preparing_compile_nothing(tmp_path: Path) -> None:
-    code = (
-        "import sys\n"
-        "from controllers.nonlinear_mpc import NonlinearMPC\n"
-        "NonlinearMPC()\n"
-        "print('casadi' in sys.modules, 'daqp' in sys.modules)\n"
-    )
-    environment = {"LDC_NMPC_CACHE": str(tmp_path / "cache"), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.split() == ["False", "False"]
-    assert not (tmp_path / "cache").exists()

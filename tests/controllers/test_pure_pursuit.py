@@ -110,16 +110,6 @@ def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
             assert paths.delta[i, k] == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_scenario_does_not_notice_a_slow_neighbour() -> None:
-    """The slow one needs many more lookahead times."""
-    alone, both = PurePursuit().prepare(plant_at(30.0)), PurePursuit().prepare(plant_at(30.0, 2.0))
-    assert both.preview_times.size > 3 * alone.preview_times.size
-    x = np.array([[0.7, 0.1, 0.02, 0.0]] * 2)
-    r, slope = np.array([0.03, 0.01]), np.array([0.013, 0.0])
-    one = command(alone, x[:1], clothoid(alone, r[:1], slope[:1]))
-    np.testing.assert_array_equal(command(both, x, clothoid(both, r, slope))[:1], one)
-
-
 @pytest.mark.parametrize("dt", [0.05, 0.1])
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     v = np.linspace(10, 40, 31)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option, register, registry
+from helpers.laws import Unsighted, known
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, gain, option
 from studies import Study, run_study
 
 
@@ -45,14 +46,7 @@ class Boom(Controller):
 
 
 @dataclasses.dataclass(frozen=True)
-class FailingLaw(SteeringLaw):
-    @property
-    def preview_times(self) -> Any:
-        return np.zeros(0)
-
-    def init(self, n: int) -> None:
-        return None
-
+class FailingLaw(Unsighted):
     def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
         status = np.where(np.arange(t.size) % 2 == 0, EventStatus.SOLVER_FAILED, EventStatus.OK).astype(np.int8)
         return np.zeros(t.size), state, status
@@ -70,11 +64,8 @@ class Failing(Controller):
 @pytest.fixture
 def laws() -> Iterator[None]:
     """Laws that are known during one test only."""
-    for law in (Toy, Boom, Failing):
-        register(law)
-    yield
-    for law in (Toy, Boom, Failing):
-        registry._registered.pop(law.name, None)
+    with known(Toy, Boom, Failing):
+        yield
 
 
 def small_study(**parts: Any) -> Study:

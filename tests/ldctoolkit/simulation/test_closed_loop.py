@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
-import control
 import numpy as np
 import pytest
-import scipy.linalg
 from scipy.interpolate import CubicHermiteSpline
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers import reference_loop as reference
 from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios
-from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Scenarios, simulate
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import BOUND
 
@@ -87,28 +84,6 @@ def test_a_departure_shorter_than_the_step() -> None:
     path = reference.Path.of(scenarios, 0)
     law = preview_proportional(-0.005, -0.2, 2.0)
     assert out.S[0] == pytest.approx(reference.drive(path, law, y_s=0.2, dt=2.0).S, abs=1e-9)
-
-
-def test_lqr_of_right_departures_equals_the_reference() -> None:
-    """Right departures driven as such: negative offsets, the lane's own curvature, gains from control.dlqr."""
-    scenarios = dataclasses.replace(make_scenarios(6, seed=5), side=-np.ones(6, dtype=np.int64)).take([0, 2, 5])
-    out = simulate(LQR(), scenarios, y_s=0.05)
-    assert out.triggered.all()
-    for i in range(3):
-        v = scenarios.v_mean[i] + scenarios.a_mean[i] * (out.t_s[i] - scenarios.T[i] / 2)
-        A, B, _ = reference.Vehicle().matrices(v)
-        M = np.zeros((5, 5))
-        M[:4, :4], M[:4, 4] = A, B
-        phi = scipy.linalg.expm(0.05 * M)
-        K, _, _ = control.dlqr(phi[:4, :4], phi[:4, 4:], np.diag([1.0, 0, 1.0, 0]), np.array([[100.0]]))
-        ss = BicycleModel().steady_state([v])
-
-        def law(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, K: Any = K[0], ss: Any = ss) -> float:
-            r = yaw_rate(0.0)
-            return float(ss.delta[0] * r - K @ (x - np.array([0, 0, ss.e_psi[0] * r, 0])))
-
-        expected = reference.drive(reference.Path.of(scenarios, i), law, y_s=0.05)
-        assert out.S[i] == pytest.approx(expected.S, abs=1e-8)
 
 
 ALL_LAWS: list[Controller] = [NoControl(), PreviewProportional(), LQR(), LinearMPC(horizon=4)]

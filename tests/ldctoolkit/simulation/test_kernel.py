@@ -9,10 +9,9 @@ import pytest
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers import closed_loop
-from helpers import reference_loop as reference
 from helpers.closed_loop import METRICS, Constant, Stepped, assert_same_rows, make_scenarios, with_residuals
 from helpers.grids import grid
-from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, Scenarios, simulate
+from ldctoolkit import Controller, EventStatus, Scenarios, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
@@ -80,35 +79,6 @@ def test_dropping_ended_scenarios_changes_no_bit() -> None:
             for drops in (False, True)
         )
         assert_same_rows(dropped, kept)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ["swings", "swings far", "late", "memory", "integral"])
-def test_side_by_side_equals_the_reference(law: str) -> None:
-    """Companions too, with swings, crossings back inside and depths that only come after T."""
-    design = CLOSED[law]
-    scenarios = make_scenarios(30, seed=21).take(np.arange(0, 30, 4))
-    out = simulate(design, scenarios, y_s=0.05, settle=1.2)
-    whole = np.flatnonzero(out.status == EventStatus.OK)
-    assert whole.size >= 5
-    for i in whole:
-        made = design.prepare(Plant.build(BicycleModel(), [20.0], 0.05))
-        assert isinstance(made, LinearLaw)
-
-        seen = [0.0]  # integral of e_y at the samples
-
-        def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, made=made, seen=seen) -> float:  # type: ignore[no-untyped-def]
-            z, f_i = seen[0], 0.0 if made.f_i is None else made.f_i[0]
-            seen[0] += 0.05 * x[0]
-            ahead = sum(g * heading(s) for s, g in zip(made.preview_times, made.G_heading[0], strict=True))
-            return float(made.F[0] @ x + made.f_u[0] * before + f_i * z + ahead)
-
-        expected = reference.drive(reference.Path.of(scenarios, i), formula, y_s=0.05, settle=1.2)
-        assert out.S[i] == pytest.approx(expected.S, abs=1e-9)
-        for name, value in expected.companions.items():
-            # depths come from a cubic through the samples
-            tolerance = 1e-4 if name in ("deepest", "dtle", "overshoot") else 1e-8
-            assert getattr(out.companions, name)[i] == pytest.approx(value, abs=tolerance), name
 
 
 # the same bits

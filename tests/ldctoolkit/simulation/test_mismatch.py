@@ -63,21 +63,6 @@ def test_a_factor_does_not_depend_on_other_ranges() -> None:
     np.testing.assert_array_equal(alone.C_ar, true_vehicles(NOMINAL, RANGES, TYRES, MANY, seed=3).C_ar)
 
 
-def test_seeds_numbers_and_order() -> None:
-    few = MANY.take(slice(200))
-    true = true_vehicles(NOMINAL, RANGES, TYRES, few, seed=3)
-    again = true_vehicles(NOMINAL, RANGES, TYRES, few, seed=3)
-    other = true_vehicles(NOMINAL, RANGES, TYRES, few, seed=4)
-    order = np.random.default_rng(0).permutation(200)[:120]
-    shuffled = true_vehicles(NOMINAL, RANGES, TYRES, few.take(order), seed=3)
-    for name in NAMES:
-        values = getattr(true, name)
-        np.testing.assert_array_equal(getattr(again, name), values)
-        np.testing.assert_array_equal(getattr(shuffled, name), values[order])
-        assert not np.any(getattr(other, name) == values)
-        assert abs(np.corrcoef(getattr(other, name), values)[0, 1]) < 4 / np.sqrt(200)
-
-
 @pytest.mark.parametrize("convention", ["consistent", "as_printed"])
 def test_matrices_and_steady_cornering_equal_one_model_each(convention: Convention) -> None:
     few = MANY.take(slice(40))

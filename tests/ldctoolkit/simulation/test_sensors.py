@@ -289,21 +289,6 @@ def test_the_seed_decides_every_draw(case: str, stepped: bool) -> None:
     assert (first.S != other.S)[first.triggered & other.triggered].all()
 
 
-@pytest.mark.parametrize(
-    ("case", "stepped"),
-    grid(ALONE, [False, True], ("residual of v", False), ("everything", False), ("everything", True)),
-)
-def test_draws_do_not_depend_on_order_company_or_threads(case: str, stepped: bool) -> None:
-    """A scenario's number goes with it through `take`."""
-    scenarios = various(60)
-    whole = drawn(stepped, scenarios, ALONE[case], 3, threads=2)
-    assert_same_rows(drawn(stepped, scenarios, ALONE[case], 3, threads=1), whole)
-    order = np.random.default_rng(0).permutation(scenarios.n)
-    assert_same_rows(drawn(stepped, scenarios.take(order), ALONE[case], 3), whole, order)
-    for rows in (np.array([17]), np.arange(31, 60)):
-        assert_same_rows(drawn(stepped, scenarios.take(rows), ALONE[case], 3), whole, rows)
-
-
 @pytest.mark.parametrize("case", ["mismatch", "everything"])
 def test_both_loops_draw_the_same(case: str) -> None:
     linear, general = (drawn(stepped, various(60), ALONE[case], 3) for stepped in (False, True))

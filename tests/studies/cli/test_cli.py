@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import json
 import logging
 import os
@@ -56,32 +55,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-BAD_RECORDINGS = {
-    "missing column": (b"recording,t,lane_offset,speed\na,0,0,25\n", "lane_width"),
-    "empty": (b"", "r.csv"),
-    "binary": (bytes(range(256)), "r.csv"),
-}
-
-
-@pytest.mark.parametrize("kind", BAD_RECORDINGS)
-def test_bad_recordings(kind: str, tmp_path: Path) -> None:
-    content, word = BAD_RECORDINGS[kind]
-    (tmp_path / "r.csv").write_bytes(content)
-    assert word in bad("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
-
-
-def test_broken_gzip(tmp_path: Path) -> None:
-    """A file that is none ends the command; of one that is cut short the begin is used, and the cut is told."""
-    (tmp_path / "r.csv.gz").write_bytes(b"plain text")
-    assert "r.csv.gz" in bad("extract", "r.csv.gz", "-o", "d.parquet", cwd=tmp_path)
-    content = gzip.compress(recordings(5).encode())
-    (tmp_path / "r.csv.gz").write_bytes(content[: len(content) // 2])
-    done = ldc("extract", "r.csv.gz", "-o", "d.parquet", cwd=tmp_path)
-    assert done.returncode == 3, done.stderr
-    assert re.search(r"r\.csv\.gz: broken gzip after line \d+", done.stderr)
-    assert (tmp_path / "d.parquet").exists()
-
-
 def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> None:
     """A NaN invalidates its sample and is told; it never reaches the departures table."""
     text = recordings(40).splitlines(keepends=True)
@@ -89,15 +62,6 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
     (tmp_path / "r.csv").write_text("".join(text))
     out = good("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
     assert re.search(r"refused: invalid +│ +1 ", out)
-
-
-def test_wrong_units_are_warned_about(tmp_path: Path) -> None:
-    rows = [line.split(",") for line in recordings(40).splitlines()[1:]]
-    km_h = HEADER + "".join(f"{r},{t},{y},{w},{float(v) * 1000:.1f}\n" for r, t, y, w, v in rows)
-    (tmp_path / "r.csv").write_text(km_h)
-    done = ldc("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
-    assert re.search(r"ldc: (warning|error): .*speed", done.stderr)
-    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -134,37 +98,6 @@ def test_wrong_units_are_warned_about(tmp_path: Path) -> None:
 )
 def test_wrong_arguments_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
     assert message in bad(*arguments, cwd=folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("sedd = 1\n" + STUDY, "s.toml: sedd: no such key; did you mean 'seed'?"),
-        (STUDY + "[design.gains]\nK_y = 0.5\n", "design[1].gains.K_y: 0.5; allowed: a number from -1 to 0 rad/m"),
-        (STUDY + "[design.gains]\nK_yy = -0.5\n", "design[1].gains.K_yy: no such gain; did you mean 'K_y'?"),
-        ("name = ", "not a TOML file"),
-    ],
-)
-def test_a_wrong_study_gets_one_message(change: str, message: str, folder: Path) -> None:
-    (folder / "s.toml").write_text(change)
-    assert message in bad("run", "s.toml", "-o", "o", cwd=folder)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "{", "[]", "{}", '{"format": "x"}', "\x00"], ids=["empty", "cut", "list", "bare", "other", "nul"]
-)
-def test_a_broken_model_gets_one_message(content: str, folder: Path) -> None:
-    (folder / "m.json").write_text(content)
-    assert "m.json" in bad("run", "s.toml", "--model", "m.json", "-o", "o", cwd=folder)
-    assert "m.json" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
-
-
-def test_a_model_with_a_number_that_is_not_one(folder: Path) -> None:
-    load_model("reference").save(folder / "m.json")
-    model = json.loads((folder / "m.json").read_text(encoding="utf-8"))
-    model["sides"]["left"]["weights"][0] = None
-    (folder / "m.json").write_text(json.dumps(model))
-    assert "weights" in bad("sample", "m.json", "-n", "3", "-o", "x.csv", cwd=folder)
 
 
 def test_what_is_there_stays_when_a_command_fails(folder: Path) -> None:

@@ -8,28 +8,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ldctoolkit import Scenarios
+from helpers.results import results_of
 from ldctoolkit.metrics import Companions
-from studies import Case, CaseResults, Design, Ranking, StudyResults
-from studies.cli._results import print_rankings, ranking_notes, ranking_table
+from studies import Design, Ranking, StudyResults
+from studies.cli._results import ranking_notes, ranking_table
 
 
 def results(S: np.ndarray, first: int = 0) -> StudyResults:
-    d, n = S.shape
-    companions = Companions(**{f.name: np.full((d, n), 1 + i, np.float32)
-                               for i, f in enumerate(dataclasses.fields(Companions))})  # fmt: skip
-    case = CaseResults(
-        case=Case("departure", "consistent"),
-        S=S,
-        S_uncorrected=S + 1.0,
-        status=np.zeros((d, n), dtype=np.int8),
-        companions=companions,
-        failed_solves=np.zeros((d, n), dtype=np.int32),
-        law_time=np.zeros(d),
-    )
-    designs = tuple(Design.from_gains("lqr" if i else "none", 0.1 + 0.1 * i, {}) for i in range(first, first + d))
-    side = np.where(np.arange(n) < n // 2, 1, -1)
-    return StudyResults(designs, Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side), (case,))
+    designs = [Design.from_gains("lqr" if i else "none", 0.1 + 0.1 * i, {}) for i in range(first, first + len(S))]
+    metrics = {field.name: np.asarray(1.0 + k) for k, field in enumerate(dataclasses.fields(Companions))}
+    return results_of(S, designs, uncorrected=S + 1.0, metrics=metrics)
 
 
 @pytest.fixture
@@ -131,26 +119,3 @@ def test_nobody_ranked_is_printed_too(study: StudyResults) -> None:
     ranking = Ranking.of(study, study.cases[0], require=("S <= 0.001",), bootstrap=500)
     assert list(ranking_notes(ranking)) == ["Not ranked: 4 of 4 designs, which miss S <= 0.001 (4)"]
     assert "4 designs by mean S" in printed(ranking)
-
-
-@pytest.mark.parametrize(
-    ("failing", "warning"),
-    [
-        (19, None),
-        (20, "Warning: Commands that were not finite, or came from a law's fallback: Linear MPC, y_s=0.1 m in 20 of "
-             "200 interventions."),
-    ],
-)  # fmt: skip
-def test_a_tenth_of_interventions_with_a_failed_command_is_told(
-    failing: int, warning: str | None, study: StudyResults, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of a law that declares a solver: a fallback now and then is no news."""
-    (case,) = study.cases
-    failed_solves = np.zeros_like(case.failed_solves)
-    failed_solves[1, :failing] = 3
-    case = dataclasses.replace(case, failed_solves=failed_solves)
-    designs = (study.designs[0], Design.from_gains("linear_mpc", 0.1, {}), *study.designs[2:])
-    ranking = Ranking.of(dataclasses.replace(study, designs=designs, cases=(case,)), case, bootstrap=100)
-    print_rankings([ranking], top=4)
-    told = [line for line in capsys.readouterr().out.splitlines() if "Commands" in line]
-    assert told == ([] if warning is None else [warning])

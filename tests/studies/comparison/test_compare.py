@@ -225,20 +225,6 @@ def test_verdicts_at_the_tolerance_of_a_solver() -> None:
     assert found.verdict == (Verdict.UNTOLD, Verdict.UNTOLD)
 
 
-def test_a_few_changed_scenarios_tell_nothing_of_the_mean(scores: np.ndarray) -> None:
-    new = scores.copy()
-    new[0, 17] += 3.0
-    new[1] += 0.1 * np.random.default_rng(3).normal(size=400)
-    comparison = compare(finished(scores, source="old"), finished(new))
-    S = comparison.cases[0].S
-    assert verdicts(comparison) == ["cannot be told", "cannot be told", "same", "same"]
-    assert np.isnan(S.low[0])
-    assert np.isnan(S.high[0])
-    assert np.isfinite(S.low[1])
-    assert (S.changed[0], S.largest_at[0]) == (1, 17)
-    assert S.largest[0] == pytest.approx(3.0)
-
-
 def test_a_constant_shift_needs_no_interval(scores: np.ndarray) -> None:
     new = scores + np.array([0.1, 0.0, 0.0, 0.0])[:, None]
     new[1] += 0.1 * np.random.default_rng(3).normal(size=400)

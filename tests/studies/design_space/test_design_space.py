@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 from SALib.sample import sobol
 from scipy.stats import qmc
 
-from helpers.examples import examples
 from ldctoolkit import Controller, Plant, gain, register, registry
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study
@@ -133,28 +132,6 @@ def test_saltelli_points_are_salibs_own() -> None:
     wanted = sobol.sample(cube, 16, calc_second_order=False, seed=3)
     np.testing.assert_array_equal(unit_points(settings, 3), wanted)
     assert settings.points(3) == 16 * 5 == len(wanted)
-
-
-@examples(40)
-@given(st.integers(1, 40), st.integers(0, 2**63 - 1))
-def test_a_latin_hypercube_meets_every_part_of_every_dimension_once(count: int, seed: int) -> None:
-    found = block(
-        y_s={"from": 0.1, "to": 0.3},
-        gains={"K": {"from": -0.01, "to": -1.0, "scale": "log"}},
-        sample={"method": "latin_hypercube", "count": count, "seed": seed},
-    ).designs()
-    places = np.array(
-        [((d.y_s - 0.1) / 0.2, math.log(gains(d)["K"] / -0.01) / math.log(100)) for d in found]  # back to the unit cube
-    )
-    # twelve digits may move a point that lies at the border of a part; then it is nearer than this to the border
-    border = np.abs(places * count - np.round(places * count)) < 1e-8 * count
-    parts = np.where(border, -1, np.floor(places * count)).astype(int)
-    for column in parts.T:
-        inside = column[column >= 0]
-        assert len(set(inside)) == len(inside)
-    assert places.shape == (count, 2)
-    assert places.min() >= -1e-9
-    assert places.max() <= 1 + 1e-9
 
 
 @given(st.floats(0, 1), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.sampled_from([1.0, -1.0]))
@@ -288,15 +265,6 @@ def test_the_space_of_a_table_is_one_for_each_law() -> None:
     assert mpc.size is None
 
 
-@given(
-    st.lists(st.floats(0, 1), min_size=1, max_size=4, unique=True),
-    st.lists(st.integers(1, 50), min_size=1, max_size=4, unique=True),
-)
-def test_the_size_of_a_grid_is_told_without_making_it(y_s: list[float], N: list[int]) -> None:
-    found = block(law=["toy", "none"], y_s=y_s, gains={"N": N})
-    assert found.size == len(found.designs()) == len(y_s) * (len(N) + 1)
-
-
 def test_a_range_without_count_needs_a_sample_or_a_search() -> None:
     with pytest.raises(Exception, match="missing; allowed without it") as caught:
         check_blocks([DesignBlock(law="none"), DesignBlock.model_validate({"law": "toy"} | CONTINUOUS)], searched=False)
@@ -397,7 +365,7 @@ def other_law() -> Iterator[None]:
 
     register(Other)
     yield
-    registry._registered.pop("other")
+    registry.forget("other")
 
 
 @pytest.mark.usefixtures("other_law")

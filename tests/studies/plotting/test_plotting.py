@@ -168,12 +168,6 @@ def test_departure(ax: matplotlib.axes.Axes) -> None:
         plot_departure(simulate(LQR(), scenarios, y_s=0.1, trajectories=[0]), 1)
 
 
-def test_a_beginning_names_the_nearest_figure(ranking: Ranking, ax: matplotlib.axes.Axes) -> None:
-    for name, near in (("ay", "a_y_peak_mean"), ("jerk", "jerk_peak_mean"), ("a_y_peak_p59", "a_y_peak_p95")):
-        with pytest.raises(UnknownNameError, match=f"did you mean '{near}'"):
-            plot_trade_off(ranking, name, ax=ax)
-
-
 def test_laws_look_as_in_the_report(ranking: Ranking, results: StudyResults, ax: matplotlib.axes.Axes) -> None:
     """Styles go by the ranking's order of laws, and laws have their titles."""
     laws = list(dict.fromkeys(design.law for design in ranking.designs))

@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from helpers.races import race
-from ldctoolkit import EventStatus, load_model
 from ldctoolkit.errors import InputError
-from ldctoolkit.simulation import Takeover, drive_many
-from studies import Study
 from studies.racing.race import Decision, race_round
 from studies.running.pieces import prefix_rows, schedule
 from studies.study_file.ready import load_study
@@ -303,29 +300,3 @@ def test_the_sweep_of_the_catalog_is_a_race_of_more_than_500_designs() -> None:
     assert len(study.designs) >= 500
     assert sum(design.law in LINEAR for design in study.designs) >= 500
     assert len({design.law for design in study.designs}) >= 10
-
-
-def full_table(study: Study, laws: set[str], seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """S of the study's designs with these laws on all scenarios, failures at least as bad as without control."""
-    wanted = study.scenarios
-    scenarios = load_model(wanted.model).sample(wanted.left, wanted.right, seed=seed)
-    designs = sorted((d for d in study.designs if d.law in laws), key=lambda d: d.y_s)
-    rows = []
-    for y_s, group in itertools.groupby(designs, key=lambda d: d.y_s):
-        over = Takeover.build(scenarios, study.setup(), y_s=y_s)
-        for run in drive_many([design.controller() for design in group], over, score_only=True, threads=1):
-            outcome = run.outcome("departure")
-            driven = np.isin(outcome.status, (EventStatus.OK, EventStatus.NEVER_TRIGGERED))
-            rows.append(np.where(driven, outcome.S, np.maximum(outcome.S, outcome.S_uncorrected)))
-    return np.array(rows), scenarios.side
-
-
-@pytest.mark.slow
-def test_races_of_the_catalogs_linear_laws() -> None:
-    study = load_study("zoo-sweep")
-    for seed in range(101, 105):
-        scores, side = full_table(study, LINEAR, seed)
-        assert len(scores) >= 500
-        kept, share = race(scores, side, seed=seed, samples=2000)
-        assert kept[scores.mean(axis=1).argmin()]
-        assert share <= 0.2

@@ -119,13 +119,6 @@ def test_one_side_only_has_no_figure_for_the_other() -> None:
     assert (ranking.S_left == 1.0).all()
 
 
-def test_nothing_to_reduce_is_a_reduction_of_zero() -> None:
-    results = results_of(np.zeros((1, 4)), left=2)
-    case = results.cases[0]
-    still = dataclasses.replace(case, S_uncorrected=np.zeros((1, 4)))
-    assert Ranking.of(results, still).reduction.tolist() == [0.0]
-
-
 def test_failures_count_in_means_and_are_told() -> None:
     results = results_of(np.array([[1.0, 40.0], [2.0, 2.0]]), left=1)
     case = results.cases[0]

@@ -123,4 +123,7 @@ def test_failed_commands_are_told_from_a_tenth_on(law: str, n: int, warned: int)
     case.failed_solves[0, [0, n, n + 1]] = 3
     found = list(warnings_of(case, [design]))
     assert len(found) == warned
-    assert all(f"{design.label} in 1 of {n} interventions" in text for text in found)
+    start = "Commands that were not finite, " + (
+        "or came from a law's fallback" if law == "linear_mpc" else "of laws that declare no solver to fall back from"
+    )
+    assert found == [f"{start}: {design.label} in 1 of {n} interventions."] * warned

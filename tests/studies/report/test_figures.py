@@ -13,18 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from controllers import LQR, LinearMPC, NoControl
+from controllers import LQR, NoControl
 from helpers.examples import examples
 from helpers.pages import Page
-from helpers.reports import invented_scenarios, report_input, run
-from ldctoolkit.departures import lateral
 from studies.design import Design
-from studies.report.context import Context
-from studies.report.figures.examples import examples as examples_of
 from studies.report.figures.landscape import color_range, on_the_edge, swept_axes
 from studies.report.figures.landscape_figures import Landscape, heat_map
 from studies.report.figures.landscape_panels import landscape_panels
-from studies.report.figures.path_figures import path_figure
 from studies.report.figures.scores import (
     Curve,
     distribution_figure,
@@ -34,10 +29,8 @@ from studies.report.figures.scores import (
 )
 from studies.report.look.style import RECORDED, law_styles
 from studies.report.look.svg import inline_svg
-from studies.report.replay.paths import replay
-from studies.report.replay.picks import choose, chosen_designs, picked_departures
+from studies.report.replay.picks import choose
 from studies.report.words.text import compact, number, percent, printable, shorten, signed, symbols, unit_text
-from studies.results import Case
 
 RNG = np.random.default_rng(0)
 STYLE = law_styles(["a"])["a"]
@@ -91,35 +84,6 @@ def panels_of(designs: tuple[Design, ...], S: np.ndarray, winner: int) -> list[L
     return sorted((one for one in shown if isinstance(one, Landscape)), key=lambda one: one.y.name if one.y else "")
 
 
-def test_landscape_takes_the_least_over_the_rest() -> None:
-    designs = grid()
-    S = RNG.uniform(1.0, 2.0, len(designs))
-    S[7] = 0.5
-    panels = panels_of(designs, S, 7)
-    assert [(p.x.label, p.y.label if p.y else None) for p in panels] == [
-        ("y_s [m]", "q_y [1/m²]"),
-        ("y_s [m]", "r_delta [1/rad²]"),
-    ]
-    for panel in panels:
-        assert panel.y is not None
-        assert panel.x.values == (0.05, 0.1, 0.2)
-        for (row, column), value in np.ndenumerate(panel.S):
-            members = [
-                S[i]
-                for i, d in enumerate(designs)
-                if d.y_s == panel.x.values[column] and dict(d.gains).get(panel.y.name) == panel.y.values[row]
-            ]
-            assert value == min(members)
-        assert panel.S[panel.best] == 0.5
-        assert panel.winner
-
-
-def test_landscape_of_one_quantity_is_its_profile() -> None:
-    (one,) = panels_of(tuple(Design.of(LQR(), y) for y in (0.3, 0.1)), np.array([2.0, 1.0]), 1)
-    assert (one.y, one.x.values, one.S.tolist(), one.best) == (None, (0.1, 0.3), [[1.0, 2.0]], (0, 0))
-    assert panels_of((Design.of(LQR(), 0.1),), np.array([1.0]), 0) == []
-
-
 def test_edge_of_the_sweep_is_named() -> None:
     designs = grid()
     lowest = next(i for i, d in enumerate(designs) if d.y_s == 0.05 and dict(d.gains).get("q_y") == 10.0)
@@ -152,31 +116,6 @@ def test_examples_are_the_least_median_and_greatest(values: list[float]) -> None
     assert reduction[rows].min() == reduction.min()
     assert reduction[rows].max() == reduction.max()
     assert np.quantile(reduction, 0.5, method="inverted_cdf") in reduction[rows]
-
-
-def test_replayed_paths_start_at_the_trigger_and_score_as_stored() -> None:
-    scenarios = invented_scenarios(20, 20, seed=5)
-    designs = (Design.of(LQR(), 0.1), Design.of(LinearMPC(), 0.15), Design.of(NoControl(), 0.1))
-    results = run(designs, scenarios, [Case("departure", "consistent")])
-    context = Context.of(report_input(results))
-    chosen = chosen_designs(context)
-    replayed = replay(context, picked_departures(context, chosen, 0), chosen)
-    assert replayed.mismatch < 1e-12  # the same arithmetic on the same departure
-    found = examples_of(context, replayed)
-    assert [e.side for e in found] == ["Left"] * 3 + ["Right"] * 3
-    for example in found:
-        one = scenarios.take([example.row])
-        assert example.y == pytest.approx(lateral(one, example.t), abs=1e-15)
-        assert len(example.paths) == 2  # no control is the recorded path
-        for path, y_s in zip(example.paths, [one.row.design.y_s for one in chosen], strict=True):
-            if path.t.size:
-                # y_s is the trigger; the start state is y(t_s)
-                assert path.y[0] == pytest.approx(y_s, abs=1e-9)
-                assert path.t[-1] == pytest.approx(float(one.T[0]) + 3.0, abs=1e-9)  # the settling horizon
-                assert path.delta.shape == path.t.shape
-                assert np.isfinite(path.delta).all()
-        figure = path_figure(example)
-        assert {"Edge beyond line y [m]", "Steering δ [°]", "Time since the crossing t [s]"} <= labels(figure)
 
 
 def test_styles_differ_even_without_colour() -> None:

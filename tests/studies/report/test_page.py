@@ -22,29 +22,11 @@ from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.report import ReportInput, write_report
 from studies.report.words.text import number
-from studies.results import Case, StudyResults, per_scenario
+from studies.results import Case, FailedDesign, StudyResults
 
 
 def ranking_tables(page: Page) -> list[list[list[str]]]:
     return page.headed("Rank", "Gains")
-
-
-def test_ranking_tables_are_in_the_order_of_the_ranking(report: ReportInput, page: Page) -> None:
-    tables = ranking_tables(page)
-    assert len(tables) == len(report.rankings)
-    for table, ranking in zip(tables, report.rankings, strict=True):
-        assert len(table) == 1 + len(ranking)
-        for k, row in enumerate(table[1:]):
-            design = ranking.designs[k]
-            assert row[0] == str(ranking.rank[k])
-            assert design.law in row[1]
-            assert ("winner" in row[1]) == (k == ranking.winner)
-            assert ("set of best" in row[1]) == (k != ranking.winner and bool(ranking.set_of_best[k]))
-            assert row[2] == ("–" if design.law == "none" else f"{design.y_s:g}")
-            assert row[4].startswith(number(ranking.S[k]))
-            assert (row[8] == "–") == (k == 0)
-            assert (row[9] == "–") == (k == ranking.baseline)
-            assert (row[10] == "–") == (design.law == "none")
 
 
 def test_answer_names_winner_baseline_and_rival(report: ReportInput, results: StudyResults, page: Page) -> None:
@@ -121,6 +103,9 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, pa
     ]  # fmt: skip
     for name, (wanted, _) in zip(found, (*every, *of_interventions), strict=True):
         assert name.startswith(wanted)
+    ends = ("Euro NCAP LSS, EU 2021/646", "ISO 11270", "limit 3", "limit 5")
+    assert [name.endswith(ends) for name in found] == [any(end in name for end in ends) for name in found]
+    assert sum(name.endswith(ends) for name in found) == 4
 
 
 def test_times_of_laws_with_steps_are_shown() -> None:
@@ -189,7 +174,8 @@ def test_figures_are_labelled(page: Page) -> None:
     assert page.counts["figcaption"] == page.counts["figure"] >= 5
     assert 'scope="col"' in page.html
     assert page.counts["caption"] == len(page.filled())
-    assert "Score S [m·s]" in page.drawn  # text in figures stays text
+    for label in ("Score S [m·s]", "Edge beyond line y [m]", "Steering δ [°]", "Time since the crossing t [s]"):
+        assert label in page.drawn  # text in figures stays text
 
 
 def test_settings_notes_and_warnings_are_shown(report: ReportInput, page: Page) -> None:
@@ -227,8 +213,12 @@ def test_every_string_of_a_user_is_escaped() -> None:
     given |= dict.fromkeys(("settings", "versions"), ((evil, evil),)) | dict.fromkeys(
         ("model_notes", "warnings"), (evil,)
     )
-    page = drawn_page(report_input(run(designs, invented_scenarios(8, 8), [PRIMARY]), **given))
+    results = run(designs, invented_scenarios(8, 8), [PRIMARY])
+    results = dataclasses.replace(results, failed=(FailedDesign(Design.of(LQR(), 0.3), "<script>alert(3)</script>"),))
+    page = drawn_page(report_input(results, **given))
     assert "alert(1)</script>" not in page.html
+    assert "alert(3)</script>" not in page.html
+    assert "<script>alert(3)</script>" in page.all_words
     assert page.counts["img"] == 0
     assert "<b>bold" not in page.html.replace("\\u003c", "<").partition('id="ldc-data"')[0]
     assert "{{ 7*7 }}" in page.text["settings"]  # as it was written, not worked out
@@ -382,23 +372,6 @@ def test_control_window_and_printed_convention() -> None:
 def test_replay_with_another_vehicle_is_told(results: StudyResults) -> None:
     page = page_of(report_input(results, setup=Setup(vehicle=VehicleParameters(m=1800.0))))
     assert "differ from the stored ones" in page.words("departures")
-
-
-@pytest.mark.slow
-def test_many_designs_stay_small(report: ReportInput, results: StudyResults) -> None:
-    copies, case = 10, results.cases[0]
-    designs = tuple(dataclasses.replace(d, y_s=d.y_s + 1e-3 * k) for k in range(copies) for d in results.designs)
-    tiled = {
-        name: np.tile(getattr(case, name), (copies, 1)) for name in ("S", "S_uncorrected", "status", "failed_solves")
-    }
-    companions = per_scenario(case.companions, lambda a: np.tile(a, (copies, 1)))
-    case = dataclasses.replace(case, **tiled, companions=companions, law_time=np.tile(case.law_time, copies))
-    many = dataclasses.replace(results, designs=designs, cases=(case,))
-    rankings = (Ranking.of(many, case, bootstrap=100),)
-    page = drawn_page(dataclasses.replace(report, results=many, rankings=rankings))
-    assert 100 <= len(ranking_tables(page)[0]) - 1 < len(designs)  # the rest stands in the script's data
-    assert f"{len(designs):,}" in page.words("ranking")
-    assert len(page.html.encode()) < 1_500_000
 
 
 def test_refuses_what_cannot_be_reported(report: ReportInput, results: StudyResults, tmp_path: Path) -> None:

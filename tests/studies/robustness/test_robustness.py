@@ -117,23 +117,6 @@ def test_a_design_that_other_plants_destroy_is_found(task: RobustnessTask, found
     assert found.rank[together, hard] > found.rank[0, hard]
 
 
-def test_intervals_are_those_of_the_paired_t_test() -> None:
-    rng = np.random.default_rng(0)
-    old = rng.gamma(2.0, 1.0, (3, 60))
-    new = old + rng.normal(0.1, 0.3, (3, 60))
-    one_side = paired_means(old, new, np.ones(60, dtype=np.int64), 0.9)
-    for k in range(3):
-        low, high = stats.ttest_rel(new[k], old[k]).confidence_interval(0.9)
-        assert (one_side.low[k], one_side.high[k]) == pytest.approx((low, high), rel=1e-9)
-    # two sides of their own level: the difference between them is no chance
-    side = np.repeat([1, -1], [20, 40])
-    shifted = new + np.where(side == 1, 5.0, 0.0)
-    both = paired_means(old, shifted, side, 0.9)
-    change = shifted - old
-    error = np.sqrt(sum((side == s).sum() * change[:, side == s].var(axis=1, ddof=1) for s in (1, -1))) / 60
-    assert both.high - both.difference == pytest.approx(stats.t.ppf(0.95, 58) * error, rel=1e-9)
-
-
 def test_ranks_are_shared_up_to_a_solvers_tolerance() -> None:
     S, contends = np.array([1.0, 1.0 + 4e-7, 1.0 + 2e-6, 0.5, np.nan]), np.array([True, True, True, False, True])
     assert ranks(S, contends).tolist() == [1, 1, 3, 0, 0]

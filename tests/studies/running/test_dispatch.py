@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ldctoolkit import Controller, EventStatus, Plant, SteeringLaw, gain, register, registry
+from helpers.laws import Unsighted, known
+from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
 from studies import Study, read_results, run_study, runner
 from studies.running.executors import Ended
@@ -21,14 +22,7 @@ from studies.running.tasks import Task
 MakeStudy = Callable[..., Study]
 
 
-class Stepped(SteeringLaw):
-    @property
-    def preview_times(self) -> Any:
-        return np.zeros(0)
-
-    def init(self, n: int) -> None:
-        return None
-
+class Stepped(Unsighted):
     def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: Any) -> Any:
         return -0.02 * x[:, 0], state, np.zeros(t.size, dtype=np.int8)
 
@@ -53,9 +47,8 @@ FAST = [np.inf]
 @pytest.fixture(autouse=True)
 def small() -> Iterator[None]:
     FAST[0] = np.inf
-    register(Small)
-    yield
-    registry.forget("small")
+    with known(Small):
+        yield
 
 
 class Deadly:

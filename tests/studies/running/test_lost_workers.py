@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ldctoolkit import Controller, EventStatus, Plant, Scenarios, SteeringLaw, gain, option, register, registry
+from helpers.laws import Unsighted, known
+from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
 from studies import Study, StudyResults, read_results, run_study
 from studies.runner import study_model
 
@@ -24,17 +25,10 @@ FAULTY: list[float] = []
 
 
 @dataclasses.dataclass(frozen=True)
-class FaultLaw(SteeringLaw):
+class FaultLaw(Unsighted):
     how: str
     speeds: Any
     marker: str
-
-    @property
-    def preview_times(self) -> Any:
-        return np.zeros(0)
-
-    def init(self, n: int) -> None:
-        return None
 
     def take(self, rows: Any, state: Any) -> Any:
         return dataclasses.replace(self, speeds=self.speeds[rows]), state
@@ -68,9 +62,8 @@ class Fault(Controller):
 @pytest.fixture(autouse=True)
 def fault() -> Iterator[None]:
     FAULTY.clear()
-    register(Fault)
-    yield
-    registry.forget("fault")
+    with known(Fault):
+        yield
 
 
 def scenarios(study: Study) -> Scenarios:

@@ -190,12 +190,6 @@ def test_every_law_has_random_numbers_of_its_own() -> None:
     assert len({design.y_s for design in asked}) == 6
 
 
-def test_tables_without_a_choice_run_once_too() -> None:
-    search = Search(make([{"law": "none"}, {"law": "none"}, {"law": "toy"}], trials=50, batch=1))
-    batches = drive(search, lambda design: (design.y_s,))
-    assert [[design.law for design in batch] for batch in batches] == [["none"], ["toy"]]
-
-
 def test_a_space_whose_conditions_merge_designs_comes_to_its_end() -> None:
     block = [{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}]
     search = Search(make(block, trials=50, batch=2))

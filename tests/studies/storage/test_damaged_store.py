@@ -136,7 +136,11 @@ def test_every_flipped_byte_and_every_cut_is_found(finished: Path, data: st.Data
 
 
 def test_only_what_is_bad_is_computed_anew(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any]
+    make_study: MakeStudy,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stored_rows: Callable[..., Any],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     from studies.running import campaign
     from studies.running.simulate_designs import Simulator
@@ -154,6 +158,7 @@ def test_only_what_is_bad_is_computed_anew(
     monkeypatch.setattr(Simulator, "run", lambda self, task: (ran.append(task.runs), run(self, task))[1])
     run_study(make_study(), directory=tmp_path, workers=1)
     assert ran == [12, 12]
+    assert all(f"{part.name}: broken" in caplog.text for part in (parts[3], parts[8]))
     assert stored_rows(tmp_path).equals(before)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import dataclasses
+import itertools
 import json
 import re
 import struct
@@ -67,6 +68,9 @@ def test_numbers_are_those_of_ranking_csv(report: ReportInput, tmp_path: Path, m
         if one["name"] in ("triggered", "needless"):
             wanted = [np.nan if line["law"] == "none" else number for line, number in zip(lines, wanted, strict=True)]
         same(expanded(one["values"], len(lines)), np.array(wanted))
+    for name, end in itertools.product(("S", "difference", "baseline_difference"), ("low", "high")):
+        stored = [float(line[f"{name}_{end}_m_s"] or "nan") for line in lines]
+        same(expanded(data["ends"][name][end], len(lines)), stored)
     laws = [data["laws"][int(k)] for k in numbers(data["law"])]
     assert [law["name"] for law in laws] == [line["law"] for line in lines]
     thresholds = [data["y_s"]["texts"][int(k)] for k in numbers(data["y_s"]["index"])]
