@@ -231,7 +231,7 @@ def test_a_failed_K_of_a_range_is_a_warning(departures):
     """Half of the events are the same: without a prior a second component shrinks onto them."""
     d = departures(60)
     for name in ("T", "d_y", "v_mean"):
-        getattr(d, name)[np.arange(120) % 60 < 30] = getattr(d, name)[0]
+        getattr(d, name)[np.arange(120) % 60 < 40] = getattr(d, name)[0]
     model = fit_scenario_model(d, components=[1, 2], prior_strength=0.0, n_init=2)
     assert model.provenance.left.n_components == (1,)
     ((K, message),) = model.provenance.left.failed

@@ -45,7 +45,7 @@ def test_every_module_that_decides_numbers_is_reached(copied: Path) -> None:
 
 def test_a_module_in_another_room_is_another(copied: Path) -> None:
     before = _program(copied)
-    (copied / "recordings" / "uah" / "text.py").rename(copied / "recordings" / "plain" / "text.py")
+    (copied / "recordings" / "uah" / "tables.py").rename(copied / "recordings" / "plain" / "tables.py")
     assert _program(copied) != before
 
 
