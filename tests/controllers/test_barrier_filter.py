@@ -204,15 +204,15 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
     """
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
-    scenarios = departures(300, seed=2)
-    out = simulate(design, scenarios, settle=4.0, trajectories=True)
-    alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=4.0)
+    scenarios = departures(500, seed=2)
+    out = simulate(design, scenarios, settle=8.0, trajectories=True)
+    alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
     paths = out.trajectories
     assert paths is not None
     e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
     psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
     feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
-    assert feasible.size > 20
+    assert feasible.size > 30
     # T, where a sample ends early, is in the paths but no sample
     k = np.rint((paths.t - paths.t[:, :1]) / DT)
     at_sample = np.abs((paths.t - paths.t[:, :1]) / DT - k) < 1e-6
@@ -222,7 +222,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     deepest = np.maximum(out.companions.deepest + edge, out.companions.overshoot + edge)[rows]
     assert deepest.max() <= design.e_y_max + beyond
     unfiltered = (alone.companions.deepest + edge)[rows]
-    assert (unfiltered > design.e_y_max + 0.05).sum() > 3
+    assert (unfiltered > design.e_y_max + 0.05).sum() > 5
 
 
 def test_outside_the_corridor_it_comes_back_exponentially() -> None:

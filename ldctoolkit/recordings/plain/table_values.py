@@ -61,7 +61,7 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
                 raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: numbers")
             columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
             continue
-        if values.dtype.is_nested() or values.dtype == pl.Binary:
+        if values.dtype.is_nested() or values.dtype in (pl.Binary, pl.Duration):
             raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: text or numbers")
         words = values.cast(pl.String).str.strip_chars()
         lower = words.str.to_lowercase()

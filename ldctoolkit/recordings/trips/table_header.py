@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -118,7 +119,7 @@ def check_columns(
         raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
     for name in required:
         if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {nearest(name, columns[:64])}")
+            raise RecordingError(f"column {name!r} is missing; {textwrap.shorten(nearest(name, columns[:64]), 400)}")
     for name in (*required, *optional):
         if lower.count(name.lower()) > 1:
             raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")

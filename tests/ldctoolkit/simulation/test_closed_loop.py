@@ -65,7 +65,7 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
 )
 def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: float, K_y: float, K_psi: float) -> None:
     """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do."""
-    scenarios = Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
+    scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
     out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
     assert out.trajectories is not None

@@ -16,7 +16,7 @@ from ldctoolkit.recordings.opened import open_recordings
 from studies.extraction import run_extraction
 
 FILES = 40
-KILLS = 12
+KILLS = 8
 
 LONG = 600
 """Seconds that a whole extraction may take, on a machine that does other things as well and has to compile first."""
