@@ -284,10 +284,7 @@ def test_what_is_wrong_with_a_text(save: Save, name: str, block_bytes: int) -> N
     [
         (pl.col("t").cast(pl.Date), "column 't' is of type Date; allowed: numbers"),
         (pl.concat_list("t").alias("lane"), "column 'lane' is of type List(Float64); allowed: text or numbers"),
-        (
-            pl.duration(seconds="t").alias("lane"),
-            "column 'lane' is of type Duration(",
-        ),
+        (pl.duration(seconds="t").alias("lane"), "column 'lane' is of type Duration("),
         (pl.lit(None, pl.String).alias("recording"), "row 1: column 'recording' holds None; allowed: an identifier"),
         (pl.lit(1.0).alias("t"), "row 2: column 't', recording 'a': t = 1.0 s is repeated"),
         (pl.lit("x").alias("speed"), "row 1: column 'speed' holds 'x'; allowed: numbers (3 rows in all)"),
