@@ -96,6 +96,7 @@ y_s = 0.1
 """
 
 
+@pytest.mark.slow
 def test_planted_departures_to_a_report(tmp_path: Path) -> None:
     kept = plant_recording(tmp_path / "trip.csv")
     found = good("extract", "trip.csv", "-o", "d.parquet", cwd=tmp_path)

@@ -197,6 +197,7 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     assert re.search(r"\d+ of 303 designs are not complete \(\d+ % of", bad("rank", "o", cwd=folder))
 
 
+@pytest.mark.slow
 def test_the_report_names_the_vehicle_and_a_width_that_contradicts_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

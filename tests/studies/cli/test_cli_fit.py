@@ -238,6 +238,7 @@ law = "none"
 """
 
 
+@pytest.mark.slow
 def test_a_study_of_some_departures_only(tmp_path: Path) -> None:
     """The condition reaches the scenarios, the report and what decides whether a folder is resumed."""
     (tmp_path / "s.toml").write_text(STUDY)

@@ -120,6 +120,7 @@ def test_the_number_of_speeds_counts_without_their_range(tmp_path: Path) -> None
     assert found["loop"]["v_m_s"] == [10.0, 20.0, 30.0, 40.0]
 
 
+@pytest.mark.slow
 def test_every_convention_of_a_study_is_reviewed(folder: Path) -> None:
     both = STUDY.replace("[[design]]", '[simulation]\nconvention = ["consistent", "as_printed"]\n[[design]]', 1)
     (folder / "both.toml").write_text(both, encoding="utf-8")

@@ -283,6 +283,7 @@ def test_sources_with_the_fewest_hours_are_gathered() -> None:
     assert [rows[0][0], rows[-3][0], rows[-2][0], rows[-1][0]] == ["D12", "D70", "11 more", "All"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sources", [pytest.param(50, marks=pytest.mark.slow), 400])
 def test_many_sources_stay_light(sources: int) -> None:
     """At 50 samples a second, so that drawings are as heavy as they get; the rest is gathered in one row."""
@@ -354,6 +355,7 @@ def test_text_of_others_is_text() -> None:
     assert "<script>alert(1)" in page.all_words
 
 
+@pytest.mark.slow
 def test_endless_text_does_not_make_an_endless_page() -> None:
     long = "x" * 100_000
     one = make_extraction(

@@ -163,6 +163,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_and_told() -> None:
     assert "Their scores equal the stored ones." in page.words("departures")
 
 
+@pytest.mark.slow
 def test_same_input_gives_the_same_bytes(report: ReportInput, page: Page, tmp_path: Path) -> None:
     assert write_report(report, str(tmp_path / "a.html")).read_bytes() == page.html.encode()
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]

@@ -243,6 +243,7 @@ def study_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["run", str(study_file), "-o", str(out), "--workers", "1", "--no-robustness", "--no-figures"]) == 3
@@ -347,6 +348,7 @@ def test_strange_exceptions_are_named_too(
     assert re.fullmatch(said, results.failed[0].reason), results.failed[0].reason
 
 
+@pytest.mark.slow
 def test_words_of_a_law_are_no_markup(
     study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

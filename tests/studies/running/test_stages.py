@@ -111,6 +111,7 @@ RACE = {
 }
 
 
+@pytest.mark.slow
 def test_the_race_of_other_designs_is_not_believed(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,6 +90,7 @@ def test_the_models_summary_stands_for_the_departures(model: ScenarioModel, gene
         assert one.reference_rank == other.reference_rank
 
 
+@pytest.mark.slow
 def test_other_driving_is_beyond_chance(model: ScenarioModel, generated: Scenarios) -> None:
     faster = table(model.sample(800, 800, seed=6))
     faster = dataclasses.replace(faster, v_mean=faster.v_mean + 4.0)
@@ -134,6 +135,7 @@ def test_draws_within_the_bounds_by_drawing(model: ScenarioModel) -> None:
     assert within_bounds(half) == pytest.approx(kept / 40_000, abs=0.01)
 
 
+@pytest.mark.slow
 def test_conditions_hold_for_the_source_too(model: ScenarioModel) -> None:
     given = {"v_mean": (25.0, 35.0)}
     scenarios = model.sample(300, 300, seed=5, given=given)

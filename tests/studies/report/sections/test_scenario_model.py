@@ -76,6 +76,7 @@ def test_numbers_are_those_of_the_comparison(model: ScenarioModel) -> None:
     assert "&lt;script&gt;" in found.body
 
 
+@pytest.mark.slow
 def test_rank_correlations_are_told_with_what_chance_makes(model: ScenarioModel) -> None:
     text = said(made(model, (60, 40)))
     pair = match(load_model("reference").sample(60, 40, seed=4), model)[0].widest_pair
@@ -97,6 +98,7 @@ def test_rank_correlations_are_told_with_what_chance_makes(model: ScenarioModel)
     assert f"{sum(one.beyond for one in left.pairs)} of 28 rank correlations differ from those of the" in text
 
 
+@pytest.mark.slow
 def test_no_summary_no_model_and_no_name(model: ScenarioModel) -> None:
     card = model.provenance
     sides = {key: dataclasses.replace(getattr(card, key), source_summary=None) for key in ("left", "right")}
@@ -114,6 +116,7 @@ def test_no_summary_no_model_and_no_name(model: ScenarioModel) -> None:
     assert "No scenario model belongs to these departures" in said(made(None, (60, 40), model_name=""))
 
 
+@pytest.mark.slow
 def test_a_departures_table(model: ScenarioModel) -> None:
     drawn = load_model("reference").sample(400, 300, seed=9)
     columns = {name: getattr(drawn, name) for name in PARAMETER_NAMES}
