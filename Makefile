@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 AXE_CORE := 4.14.1
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help study test test-all test-long loops lint bench format clean

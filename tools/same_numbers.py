@@ -123,7 +123,7 @@ def ldc(code: Path, *words: object) -> None:
 
 def compare(base: Path, here: Path, name: str) -> Iterator[str]:
     for folder in sorted({path.parent.relative_to(base) for path in base.rglob("*.parquet")}):
-        for kind in sorted({path.name.partition("-")[0] for path in (base / folder).glob("*.parquet")}):
+        for kind in sorted({path.stem.partition("-")[0] for path in (base / folder).glob("*.parquet")}):
             one, other = (table(root / folder, kind) for root in (base, here))
             yield from (f"{name}: {folder / kind}: {text}" for text in columns(one, other))
     for path in sorted(base.rglob("ranking.csv")):

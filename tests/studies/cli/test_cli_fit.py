@@ -106,11 +106,13 @@ def test_bounds_and_transforms(folder: Path) -> None:
     assert "fitted after a map of T by logit, sigma_y by log" in good("models", "t.json", cwd=folder)
 
 
+@pytest.mark.slow
 def test_verbose_tells_of_starts_and_passes(folder: Path) -> None:
     done = ldc("fit", "d.parquet", "-o", "v.json", "--components", "1", "--no-page", "--verbose", cwd=folder)
     assert re.search(r"^K = 1: ", done.stderr, flags=re.M)
 
 
+@pytest.mark.slow
 def test_several_tables_are_fitted_as_one(folder: Path) -> None:
     made, origin = read_departures(folder / "d.parquet")
     write_departures(folder / "one.parquet", made.take(slice(0, 100)), origin)

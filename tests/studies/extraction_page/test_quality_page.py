@@ -299,6 +299,7 @@ def test_many_sources_stay_light(sources: int) -> None:
         assert rows[-2][0] == "341 more"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sources", "said"),
     [

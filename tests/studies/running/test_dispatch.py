@@ -137,6 +137,7 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     np.testing.assert_array_equal(again.cases[0].S, results.cases[0].S)
 
 
+@pytest.mark.slow
 def test_one_death_among_many_workers_ends_nothing(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -154,6 +154,7 @@ SEARCH = {
 }
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_where_it_was_stopped(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any]
 ) -> None:

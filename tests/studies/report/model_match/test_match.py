@@ -167,6 +167,7 @@ def test_one_value_of_a_parameter_leaves_it_out(model: ScenarioModel) -> None:
     assert (left.margins, left.pairs) == ((), ())
 
 
+@pytest.mark.slow
 def test_without_a_model_and_few_departures(model: ScenarioModel) -> None:
     (left,) = match(model.sample(40, 0, seed=1), None)
     assert (left.origin, left.pairs, left.drawing) == ("none", (), None)

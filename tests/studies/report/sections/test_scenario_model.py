@@ -130,6 +130,7 @@ def test_a_departures_table(model: ScenarioModel) -> None:
     assert "beside those of the departures table" in text
 
 
+@pytest.mark.slow
 def test_conditions_are_told(model: ScenarioModel) -> None:
     text = said(made(model, (60, 40), given={"v_mean": (25.0, 35.0), "c_0": 0.0}))
     assert "Only departures with v_mean</sub> from 25 to 35 m/s; c_0</sub> = 0 1/m were drawn." in text
@@ -137,6 +138,7 @@ def test_conditions_are_told(model: ScenarioModel) -> None:
     assert "Meet the conditions" in text
 
 
+@pytest.mark.slow
 def test_one_departure(model: ScenarioModel) -> None:
     found = made(model, (0, 1))
     assert names(found) == ["model-margins-right"]
