@@ -165,7 +165,7 @@ def test_with_active_limits_it_equals_another_solver(r_delta: float) -> None:
     delta, _, status = commands(design, plant, x, preview, prev)
     free, _, _ = commands(dataclasses.replace(design, delta_max=1.0, rate_max=10.0), plant, x, preview, prev)
     assert (status == EventStatus.OK).all()
-    assert (np.abs(delta - free) > 1e-3).sum() > 10, "the limits must bind for this to test anything"
+    assert (np.abs(delta - free) > 1e-3).sum() > 5, "the limits must bind for this to test anything"
     for i in range(plant.n):
         first, _ = Case(design, plant, i, x[i], preview.yaw_rate[i], prev[i]).solve(np.eye(15))
         assert delta[i] == pytest.approx(first, abs=1e-4)
