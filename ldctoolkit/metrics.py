@@ -380,7 +380,7 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 
 
 # Two rules hold for every share. A share of all scenarios is 0 where there are none; a share of the interventions is
-# NaN where nobody intervened, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
+# NaN where there was no intervention, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
 # the values counted gives NaN.
 
 
@@ -496,7 +496,7 @@ def comfortable_share(
     Returns
     -------
     float or (d,) [1]
-        Of the triggered scenarios; NaN where nobody intervened.
+        Of the triggered scenarios; NaN where there was no intervention.
 
     Raises
     ------
@@ -587,7 +587,7 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
     Returns
     -------
     float or (d,) [1]
-        Of the triggered scenarios; NaN where nobody intervened.
+        Of the triggered scenarios; NaN where there was no intervention.
 
     Raises
     ------
@@ -614,7 +614,7 @@ def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float
     Returns
     -------
     float or (d,) [1]
-        Of the triggered scenarios; NaN where nobody intervened.
+        Of the triggered scenarios; NaN where there was no intervention.
 
     Raises
     ------
