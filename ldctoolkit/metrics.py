@@ -380,7 +380,7 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 
 
 # Two rules hold for every share. A share of all scenarios is 0 where there are none; a share of the interventions is
-# NaN where there was no intervention, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
+# NaN without any, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
 # the values counted gives NaN.
 
 
