@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long loops lint bench format clean
+.PHONY: help study test test-all test-long test-slow test-browser lint bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -42,17 +42,22 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 test: $(VENV)/.dev  ## lint, types and the tests that a change should pass, in minutes
-	@$(MAKE) --no-print-directory -j2 lint loops
+	@$(MAKE) --no-print-directory -j2 compile-linear lint compile-others
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
 
-loops: $(VENV)/.dev  # compile the closed loops once, before two test workers would do so each for itself
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/helpers/compile_loops.py
+compile-%: $(VENV)/.dev  # the closed loops, once, before two test workers would do so each for itself
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/helpers/compile_loops.py $*
 
 test-all: test test-long  ## the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
 test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
+	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser
+
+test-slow:
 	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser  # one process: a browser beside another may wait for ever
+
+test-browser:  # one process: a browser beside another may wait for ever
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser
 
 bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py

@@ -78,6 +78,7 @@ def test_it_does_so_however_it_is_started(user_folder: Path, start: list[str], p
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("user_folder", ["raising packages", "modules"], indirect=True)
 def test_workers_use_the_toolkits_packages(user_folder: Path) -> None:
     done = python("-m", "ldctoolkit", *RUN, cwd=user_folder, path=".")
     assert done.returncode == 0, done.stderr
@@ -85,6 +86,7 @@ def test_workers_use_the_toolkits_packages(user_folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("user_folder", ["packages", "raising packages"], indirect=True)
 def test_workers_that_start_afresh_use_the_toolkits_packages(user_folder: Path) -> None:
     """The start method of macOS and Windows: a new interpreter, whose path begins with the user's folder."""
     (user_folder / "main.py").write_text(

@@ -68,7 +68,7 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
             java_script_enabled=script,
             reduced_motion="reduce",
         )
-        context.set_default_timeout(10_000)
+        context.set_default_timeout(60_000)
         contexts.append(context)
         address = path.resolve().as_uri()
 

@@ -22,8 +22,7 @@ def test_no_serious_violation(open_page: Callable[..., Any], made: Any, axe: str
     assert faults_of_access(open_page(made(name).path), axe) == []
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [1366, 390])
+@pytest.mark.parametrize(("width", "dark"), [(1366, False), (390, True)], ids=["light-desk", "dark-hand"])
 def test_nor_with_everything_open(open_page: Callable[..., Any], made: Any, axe: str, width: int, dark: bool) -> None:
     page = open_page(made("ordinary").path, width=width, dark=dark)
     page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")

@@ -17,7 +17,6 @@ from studies.extraction_page import write_extraction_page
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 PAGES = pytest.mark.parametrize("name", ["one", "six", "fifty", "left-only", "nothing-found", "nothing-read"])
-SIZES = pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], ids=["desk", "hand"])
 
 PROBLEMS = tuple(
     Problem(f"D1/20151110175712-16km-D1-NORMAL{k}-SECONDARY/RAW_GPS.txt", f"line {17 * k}", "the time runs backwards")
@@ -55,8 +54,9 @@ def opened(page: Any) -> Any:
 
 
 @PAGES
-@SIZES
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(
+    ("width", "height", "dark"), [(1366, 768, False), (390, 844, True)], ids=["light-desk", "dark-hand"]
+)
 def test_nothing_overlaps_and_everybody_can_read_it(
     open_page: Callable[..., Any],
     pages: Callable[[str], Path],

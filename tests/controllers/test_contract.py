@@ -68,7 +68,13 @@ DESIGNS: dict[str, Controller] = {
 """Gains that switch on what the defaults leave off, or are far from them."""
 
 
-@pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.slow if n in ("linear_mpc, osqp", "nonlinear_mpc, soft") else ())
+        for n in DESIGNS
+    ],
+)
 def test_designs_off_the_defaults_keep_it(name: str) -> None:
     """Without `picklable`, a process that asks nothing of the gains; those of a solver or around another law without
     `extremes`, which prepares them again for every gain.

@@ -136,7 +136,7 @@ def ipopt(
 @pytest.mark.parametrize(
     "design",
     [
-        NonlinearMPC(horizon=HORIZON, mu=0.3, r_delta=20.0),
+        pytest.param(NonlinearMPC(horizon=HORIZON, mu=0.3, r_delta=20.0), marks=pytest.mark.slow),
         NonlinearMPC(horizon=HORIZON, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1, delta_max=0.04),
         NonlinearMPC(horizon=HORIZON, a_y_max=2.0),
         pytest.param(NonlinearMPC(horizon=12), marks=pytest.mark.slow),

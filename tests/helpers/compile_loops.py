@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+
 from controllers import LQR, PID, LinearMPC
 from ldctoolkit import load_model, simulate
 from ldctoolkit.plant_options import PlantOptions, Tyres
 
 
-def main() -> None:
+def main(which: str) -> None:
     scenarios = load_model("reference").sample(6, 6, seed=1)
-    for controller in (LQR(), PID(), LinearMPC()):
+    if which == "linear":
+        simulate(LQR(), scenarios)
+        return
+    for controller in (PID(), LinearMPC()):
         simulate(controller, scenarios)
     simulate(LQR(), scenarios, options=PlantOptions(speed="profile", tyres=Tyres(model="magic_formula")))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1])

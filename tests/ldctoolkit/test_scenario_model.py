@@ -160,7 +160,7 @@ def test_values_on_a_bound_are_moved_inside_and_counted():
     assert d.sigma_v[0] == 0.0
 
 
-@pytest.mark.parametrize(("n", "most"), [(47, 3), (48, 4)])
+@pytest.mark.parametrize(("n", "most"), [(47, 3), pytest.param(48, 4, marks=pytest.mark.slow)])
 def test_two_events_stand_behind_each_parameter(n, most):
     """Two dimensions: 2 means, 3 covariances and a weight a component, so 12 events each."""
     fitted = fit_scenario_model(plane(n), components=range(1, 8), n_init=1, max_iter=3)

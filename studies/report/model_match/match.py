@@ -28,6 +28,8 @@ from studies.report.model_match.source import Source, source_of_side
 BINS: Final = 24
 QUANTILES: Final = (0.05, 0.5, 0.95)
 _DRAWN: Final = 100_000
+_KNOTS: Final = 4
+"""Of a margin: 0.0008 is far below what chance makes in any study."""
 _LEAST_PAIRED: Final = 20
 """Generated departures below which a map of two parameters says nothing."""
 
@@ -165,7 +167,7 @@ def _drawn(
     plain = distribution is half.mixture.distribution
     margins = {
         # under conditions the margins are those of the draws, to 0.002
-        name: model_marginal(distribution, sample, j)
+        name: model_marginal(distribution, sample, j, _KNOTS)
         if plain
         else ModelMarginal(np.sort(sample[:, j]), np.array([0, _DRAWN]), np.array([0.0, 1.0]))
         for j, name in enumerate(half.names)

@@ -238,7 +238,8 @@ def damaged(data: bytes, damages: list[Damage], packed: bool = False) -> bytes:
                 continue
             except (OSError, EOFError, zlib.error):
                 pass
-        data = act(data, a, b, word)
+        # a million equal bytes inside a gzip file may stand for millions of lines, which take longer than a hang
+        data = act(data, a, b | 1 if packed and operation == "long" else b, word)
     return data
 
 

@@ -95,7 +95,7 @@ def test_density_piled_up_at_a_bound(name, d, n, K):
     grid(
         MARGINS,
         [(1, 100, 1), (1, 100, 3), (2, 500, 1), (2, 500, 3)],
-        [("exponential", (1, 100, 1)), ("gamma_0.5", (2, 500, 1)), ("half_normal", (2, 500, 3))],
+        [("exponential", (1, 100, 1)), ("gamma_0.5", (2, 500, 1)), ("gamma_2", (1, 100, 3))],
     ),
 )
 def test_density_piled_up_at_a_bound_without_a_prior(name, d, n, K):

@@ -65,7 +65,7 @@ def test_bic_finds_the_true_k():
         true = separated(seed)
         assert np.exp(true.log_probabilities_.min()) < 0.75
         found = select_components(
-            true.sample(1500, seed)[0], range(1, K + 4),
+            true.sample(1500, seed)[0], range(max(1, K - 2), K + 3),
             lower=true.lower, upper=true.upper, random_state=seed, n_init=3, n_jobs=2,
         )  # fmt: skip
         off.append(found.best.n_components - K)

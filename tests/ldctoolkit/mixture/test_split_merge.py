@@ -96,6 +96,7 @@ def test_moves_lead_out_of_local_optima(seed: int) -> None:
         assert shortfall(model.set_params(split_merge=False).fit(X), true, X) > 0.005
 
 
+@pytest.mark.slow
 def test_a_failed_move_keeps_those_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search ends where a move meets a singular covariance; what it has found stands."""
     _, X = groups(2)

@@ -206,6 +206,7 @@ def test_far_outside_is_exact_to_rounding(d, r):
         assert np.all(np.abs(x.mean(axis=0) - t.mean[0]) < 5.0 * np.sqrt(np.diag(t.covariance[0]) / 1000)), distance
 
 
+@pytest.mark.slow
 def test_nearly_opposite_variables_in_a_far_corner_are_tilted():
     """Plain Newton steps do not find this tilt; ln P = -9e4 in a box that is 1e-3 wide one way and open the other."""
     r = -0.999999

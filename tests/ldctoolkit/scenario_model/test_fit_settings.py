@@ -241,6 +241,7 @@ def test_a_failed_K_of_a_range_is_a_warning(departures):
         fit_scenario_model(d, components=2, prior_strength=0.0, n_init=2)
 
 
+@pytest.mark.slow
 def test_a_K_that_cannot_be_sampled_gives_way_to_another(departures, monkeypatch):
     usable = Distribution.check_samplable
 

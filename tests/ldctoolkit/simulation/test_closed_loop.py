@@ -57,7 +57,8 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
 @pytest.mark.parametrize(
     ("v", "dt", "K_y", "K_psi"),
     [
-        (18.0, 0.05, -0.06, -0.1),  # swings through the lane's centre several times
+        # swings through the lane's centre several times
+        pytest.param(18.0, 0.05, -0.06, -0.1, marks=pytest.mark.slow),
         pytest.param(1.5, 0.05, -0.6, -0.5, marks=pytest.mark.slow),
         (3.0, 0.2, -0.3, -0.5),
         pytest.param(12.0, 0.5, -0.075, -0.5, marks=pytest.mark.slow),

@@ -134,6 +134,7 @@ def test_every_convention_of_a_study_is_reviewed(folder: Path) -> None:
     assert two[5]["loop"]["gain_margin_dB"] != two[2]["loop"]["gain_margin_dB"]
 
 
+@pytest.mark.slow
 def test_a_design_that_raises_does_not_hide_the_others(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare = LQR.prepare
 
@@ -154,6 +155,7 @@ def test_a_design_that_raises_does_not_hide_the_others(folder: Path, monkeypatch
     assert len(found[2]["loop"]["v_m_s"]) == 13
 
 
+@pytest.mark.slow
 def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LQR, "title", "a [b]c[/b] [/x] :smile:")
     assert reviewed(0, "lqr", "--speed", "20", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 1

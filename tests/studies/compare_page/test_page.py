@@ -176,6 +176,7 @@ def test_nothing_changed() -> None:
     assert "Most" not in page.words("answer")
 
 
+@pytest.mark.slow
 def test_many_designs_stay_light() -> None:
     """5,000 designs: the table without the script is short, and all rows are there for the script."""
     k, rows = 5000, np.arange(5000) % 4

@@ -133,6 +133,7 @@ def test_groups_by_label() -> None:
     assert "carry no labels" in parsed(make_extraction(1)).text["groups"]
 
 
+@pytest.mark.slow
 def test_values_of_a_label_are_in_the_order_of_their_numbers() -> None:
     found = parsed(make_extraction(100, (1, 1), labels=True))
     drivers = [row[0] for row in found.captioned("By driver and side")[2:]]

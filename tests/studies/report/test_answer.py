@@ -103,6 +103,7 @@ def test_worse_than_the_papers_controller_where_designs_were_chosen() -> None:
     assert "Against the best design of any other law (LQR, ys = 0.05 m; rank 2, 1.800 m·s) it is 0.300 m·s or" in text
 
 
+@pytest.mark.slow
 def test_the_winner_need_not_be_the_first(alone: StudyResults, plain: Ranking) -> None:
     ranking = with_fresh(plain, winner=1)
     first, second = names(ranking, 2)

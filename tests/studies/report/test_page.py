@@ -370,6 +370,7 @@ def test_control_window_and_printed_convention() -> None:
     assert "Their scores equal the stored ones." in page.words("departures")
 
 
+@pytest.mark.slow
 def test_replay_with_another_vehicle_is_told(results: StudyResults) -> None:
     page = page_of(report_input(results, setup=Setup(vehicle=VehicleParameters(m=1800.0))))
     assert "differ from the stored ones" in page.words("departures")

@@ -18,7 +18,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 
-KILLS = 10
+KILLS = 8
 
 LONG = 600
 """Seconds that a whole run may take, on a machine that does other things as well and has to compile first."""
@@ -28,7 +28,7 @@ import sys
 from ldctoolkit.launcher import main
 from studies.running import campaign
 
-campaign._STORE_EVERY = 0.5
+campaign._STORE_EVERY = 0.3
 sys.exit(main())
 """
 """The command, with parts stored so often that some are long before the last result."""
@@ -37,8 +37,8 @@ STUDY = """
 name = "killed"
 seed = 5
 [scenarios]
-left = 400
-right = 400
+left = 200
+right = 200
 [simulation]
 convention = ["consistent", "as_printed"]
 [ranking]

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
+from helpers.examples import examples
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
 from studies import Study, StudyResults, read_results, run_study
@@ -84,7 +85,7 @@ def test_a_study_gives_the_same_ranking_from_the_parts(folder: Path, study: Stud
         assert one.S_low.tobytes() == two.S_low.tobytes()
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_index_gives_what_the_array_gives(stored: StudyResults, data: st.DataObject) -> None:
     column: Any = stored.cases[1].companions.a_y_peak

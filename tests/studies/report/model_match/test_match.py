@@ -72,6 +72,7 @@ def test_a_departures_table_is_compared_exactly(model: ScenarioModel, generated:
     assert [pair.beyond for pair in left.pairs] == [pair.off > 1.0 for pair in left.pairs]
 
 
+@pytest.mark.slow
 def test_the_models_summary_stands_for_the_departures(model: ScenarioModel, generated: Scenarios) -> None:
     """A summary of a table gives nearly the numbers of the table."""
     source = table(model.sample(4000, 4000, seed=6))
