@@ -23,7 +23,13 @@ def modules_with_examples() -> list[str]:
     return sorted(".".join(path.parts).removesuffix(".__init__") for path in shown)
 
 
-@pytest.mark.parametrize("name", modules_with_examples())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name.startswith(("studies.", "ldctoolkit.diagnostics")) else ())
+        for name in modules_with_examples()
+    ],
+)
 def test_examples_run(name: str) -> None:
     result = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert result.attempted

@@ -86,6 +86,7 @@ def test_events_piled_up_at_a_bound():
     assert f"; {distance:.3g} standard deviations outside the box): events pile up" in sentence
 
 
+@pytest.mark.slow
 def test_columns_that_are_nearly_the_same():
     b = base()
     for noise, other in ((0.0, "1"), (1e-10, "1"), (1e-3, "0.99999")):
@@ -110,6 +111,7 @@ def test_a_column_that_hardly_varies():
     assert any(s.startswith("Column 2 varies by ") and "few digits are left" in s for s in told(fit(X), X))
 
 
+@pytest.mark.slow
 def test_repeated_rows_make_thin_components():
     X = np.vstack([base(250), np.tile([[1.0, 1.0]], (250, 1))])
     assert any("hardly any width in some direction" in s for s in told(fit(X, 3, prior_strength=0.1), X))

@@ -53,7 +53,7 @@ def strip_errors(true: BoundedGaussianMixture, model: BoundedGaussianMixture, X:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "bounded"), [(1, 5), (4, 5), (5, 6), (6, 8)])
+@pytest.mark.parametrize(("seed", "bounded"), [(1, 5), (6, 8)])
 def test_the_truth_is_found(seed: int, bounded: int) -> None:
     """p/(2 N) is what maximum likelihood at the right optimum costs on average; its spread is sqrt(p/2)/N, 7 % of it.
 

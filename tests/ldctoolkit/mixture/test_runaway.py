@@ -193,20 +193,15 @@ BROKEN = {
 QUICK = (
     "nearly constant",
     "half of the rows the same",
-    "barely K, one",
-    "barely K, ten",
     "outlier, K = 1",
     "same columns",
     "far apart in scale",
-    "integers",
-    "1e-300 from a bound",
-    "far from zero",
 )
 
 
 @pytest.mark.parametrize(
     ("kind", "n0"),
-    grid(BROKEN, [(10.0,), (0.0,)], [*((kind, (10.0,)) for kind in QUICK), *((kind, (0.0,)) for kind in QUICK[1:6:2])]),
+    grid(BROKEN, [(10.0,), (0.0,)], [*((kind, (10.0,)) for kind in QUICK), *((kind, (0.0,)) for kind in QUICK[1:4:2])]),
 )
 def test_broken_data_give_a_sound_model_or_a_clear_refusal(kind, n0):
     make, K, lower, upper = BROKEN[kind]
@@ -221,7 +216,7 @@ def test_broken_data_give_a_sound_model_or_a_clear_refusal(kind, n0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["K = 50", "rows 50 times", "integers, one column", "outlier", "1e-15 from a bound"])
+@pytest.mark.parametrize("kind", ["rows 50 times", "integers, one column", "1e-15 from a bound"])
 def test_broken_data_and_the_moves_between_short_and_final_run(kind):
     make, K, lower, upper = BROKEN[kind]
     X = make()

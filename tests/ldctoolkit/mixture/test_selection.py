@@ -113,7 +113,7 @@ def test_criteria_equal_a_brute_force_computation(transform):
     assert np.isnan(found.held_out_error).all()
 
 
-@pytest.mark.parametrize("criterion", ["aic", "icl"])
+@pytest.mark.parametrize("criterion", [pytest.param("aic", marks=pytest.mark.slow), "icl"])
 def test_the_other_criteria_choose_by_their_own_curve(criterion):
     found = select_components(two_groups(), [1, 2, 3], lower=0.0, criterion=criterion, slack=0, **QUICK)
     assert found.chosen == np.argmin(getattr(found, criterion))

@@ -63,6 +63,7 @@ def test_auto_bounds_find_the_ends_and_stay_inside_what_is_known(departures):
     assert one["T"] == (0.5, 10.0, "physical", "physical")
 
 
+@pytest.mark.slow
 def test_one_end_can_be_open_or_automatic(departures):
     d = departures(300, seed=1, a_mean=np.random.default_rng(0).normal(0.0, 0.3, 600))
     given = {"a_mean": (None, 3.0), "d_y": (None, "auto"), "T": (0.25, None), "v_mean": "auto"}
@@ -75,6 +76,7 @@ def test_one_end_can_be_open_or_automatic(departures):
     assert opened["a_mean"] == (-INF, INF, "given", "given")
 
 
+@pytest.mark.slow
 def test_zeros_with_automatic_bounds_are_moved_inside_and_counted(departures):
     speed = np.random.default_rng(0).gamma(4.0, 0.01, 400)
     speed[:5] = 0.0

@@ -119,6 +119,7 @@ def test_a_reason_that_never_holds_is_left_out() -> None:
     assert "No candidate was refused" in parsed(dataclasses.replace(one, accounts=(nothing,))).text["refusals"]
 
 
+@pytest.mark.slow
 def test_groups_by_label() -> None:
     """Six drivers, three behaviours; one more source without labels."""
     extraction = make_extraction(6, (30, 20), labels=True)
@@ -319,6 +320,7 @@ def test_where_the_lane_widths_of_many_sources_are(sources: int, said: str) -> N
     assert (rows[-1] == "441 more") == (sources == 500)
 
 
+@pytest.mark.slow
 def test_departures_are_drawn_by_source_and_side() -> None:
     """As many of each as fit, and the page says how many and who is not there."""
     few = parsed(make_extraction(3, (20, 5)))

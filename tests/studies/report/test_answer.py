@@ -141,6 +141,7 @@ def test_a_first_that_misses_a_requirement_on_fresh_departures(alone: StudyResul
     assert "which misses deeper <= 0.1 on the fresh departures" in text
 
 
+@pytest.mark.slow
 def test_ranked_designs_without_a_winner(alone: StudyResults) -> None:
     ranking = Ranking.of(alone, alone.cases[0], bootstrap=100, require=["deeper <= 0.9"])
     report = report_of(alone, with_fresh(ranking, winner=None))
@@ -188,6 +189,7 @@ def test_pareto_front_and_baseline(alone: StudyResults) -> None:
     assert whole.count('<span class="tag">baseline</span>') == 1
 
 
+@pytest.mark.slow
 def test_a_race_is_told_and_counts_what_it_gave_up(alone: StudyResults) -> None:
     """One LQR design is left: what it sweeps, and where it ends, is that of all that were tried."""
     lqr = [i for i, d in enumerate(alone.designs) if d.law == "lqr"]

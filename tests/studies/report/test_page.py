@@ -289,10 +289,16 @@ def diverged(make: Make) -> None:
     assert "20" in make(report).text["failures"]
 
 
+ODD = (one_design, only_no_control, nothing_triggered, left_only, right_only, one_scenario, diverged)
+
+
 @pytest.mark.parametrize(
-    "odd", [one_design, only_no_control, nothing_triggered, left_only, right_only, one_scenario, diverged]
+    ("make", "odd"),
+    [
+        *((page_of, odd) for odd in (only_no_control, nothing_triggered, diverged)),
+        *(pytest.param(drawn_page, odd, marks=pytest.mark.slow) for odd in ODD),
+    ],
 )
-@pytest.mark.parametrize("make", [page_of, pytest.param(drawn_page, marks=pytest.mark.slow)])
 def test_odd_studies(make: Make, odd: Callable[[Make], None]) -> None:
     odd(make)
 
@@ -317,6 +323,7 @@ def test_crashes_and_failures_count_as_they_are_ranked(results: StudyResults) ->
     assert "No failures" not in page.text["failures"]
 
 
+@pytest.mark.slow
 def test_nothing_ranked_is_no_best(results: StudyResults) -> None:
     rankings = tuple(Ranking.of(results, case, bootstrap=100, require=["S <= 0"]) for case in results.cases)
     page = page_of(dataclasses.replace(report_input(results), rankings=rankings))

@@ -168,7 +168,7 @@ def test_workers_that_cannot_live_are_told_from_designs_that_kill(
         run_study(small_study(make_study, [1]), directory=tmp_path)
 
 
-@pytest.mark.parametrize("how", [{"workers": 1, "block_size": 1}, {"seed": 1}])
+@pytest.mark.parametrize("how", [{"workers": 1, "block_size": 1}, pytest.param({"seed": 1}, marks=pytest.mark.slow)])
 def test_what_is_stored_of_a_failing_design_is_no_accident(
     make_study: MakeStudy,
     tmp_path: Path,

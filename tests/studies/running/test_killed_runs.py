@@ -18,7 +18,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 
-KILLS = 8
+KILLS = 6
 
 LONG = 600
 """Seconds that a whole run may take, on a machine that does other things as well and has to compile first."""
@@ -48,7 +48,7 @@ finalists = 5
 law = "preview_proportional"
 y_s = [0.05, 0.1]
 [design.gains]
-K_y = { from = -0.04, to = -0.002, count = 40 }
+K_y = { from = -0.04, to = -0.002, count = 20 }
 K_psi = [-0.3, -0.2]
 [[design]]
 law = "stanley"
@@ -60,7 +60,7 @@ k = [1.0, 2.0]
 law = "linear_mpc"
 y_s = [0.05, 0.1, 0.15, 0.2]
 [design.gains]
-q_y = { from = 1.0, to = 3.0, count = 10 }
+q_y = { from = 1.0, to = 3.0, count = 5 }
 """
 
 

@@ -93,6 +93,7 @@ EVERYTHING_DRAWN = {
 }
 
 
+@pytest.mark.slow
 def test_no_drawn_number_depends_on_how_the_work_is_split(make_study: MakeStudy, tmp_path: Path) -> None:
     """Noise, mismatch and residuals belong to the scenario, whoever drives it; another seed draws others."""
     study = make_study(plant=EVERYTHING_DRAWN)

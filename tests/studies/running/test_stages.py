@@ -82,6 +82,7 @@ def test_finalists_of_another_ranking_are_not_shown(
     assert run_study(fewer, directory=tmp_path, workers=1).fresh is not None
 
 
+@pytest.mark.slow
 def test_damaged_finalists_are_refused_and_repaired(make_study: MakeStudy, tmp_path: Path) -> None:
     study = study_of(make_study)
     expected = run_study(study, directory=tmp_path, workers=1).fresh

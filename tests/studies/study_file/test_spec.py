@@ -138,7 +138,13 @@ ALLOWED: list[tuple[str, list[Any], list[Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("key", "refused", "taken"), ALLOWED, ids=[key for key, _, _ in ALLOWED])
+@pytest.mark.parametrize(
+    ("key", "refused", "taken"),
+    [
+        pytest.param(*case, id=case[0], marks=pytest.mark.slow if case[0] == "design.0.gains.K.count" else ())
+        for case in ALLOWED
+    ],
+)
 def test_what_a_number_may_be_and_its_edges(key: str, refused: list[Any], taken: list[Any]) -> None:
     for value in (*refused, *taken):
         content: dict[str, Any] = {"name": "a", "design": [{"law": "toy"}]}

@@ -149,7 +149,7 @@ FUZZ = {
     "recognise": fuzz_recognise,
 }
 FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
-SLOW = {"damaged": 500, "elsewhere": 500, "bytes": 5000, "places": 500, "recognise": 500}
+SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 2000, "places": 200, "recognise": 150}
 
 
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:

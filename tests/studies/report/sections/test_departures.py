@@ -159,6 +159,7 @@ def test_text_of_a_user_is_text(results: StudyResults) -> None:
     assert set(titles(one)) == {evil}
 
 
+@pytest.mark.slow
 def test_a_law_that_takes_long_is_driven_on_the_first_departures_only() -> None:
     designs = (Design.of(NonlinearMPC(horizon=4), 0.1), Design.of(LQR(), 0.1))
     scenarios = invented_scenarios(14, 10)

@@ -147,6 +147,7 @@ def test_without_indices_or_sweeps(report: ReportInput) -> None:
     assert "Nothing is swept" in made(one)
 
 
+@pytest.mark.slow
 def test_a_sampled_study_says_how_its_points_are_read() -> None:
     results = run([*sampled(20), Design.of(NoControl(), 0.1)], invented_scenarios(6, 6), [PRIMARY])
     said = made(report_input(results))
