@@ -12,6 +12,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, VehicleParameters
 
 InitialYawRate = Literal["path", "zero"]
+Start = Literal["printed", "steady"]
 
 SETTLE: Final = 3.0
 """How long [s] the loop goes on after the departure by default, to see whether it settles."""
@@ -38,6 +39,10 @@ class Setup:
         Sample time of the controller.
     initial_yaw_rate : {"path", "zero"}
         de_psi/dt at the trigger: that of the recorded path, (d2y/dt2)/v, or zero.
+    start : {"printed", "steady"}
+        Heading error and steering angle at the trigger. The paper's e_psi = arctan(v_y/v) has no side slip and does not
+        fit the steering angle, that of a steady turn: the lateral acceleration jumps. ``"steady"`` starts in the turn
+        that has the recorded path's lateral acceleration, on the plant that is driven.
     settle : float [s]
         How long the loop goes on after the departure, 0 to 60, rounded up to whole samples: overshoot, acceleration
         and steering are watched until then. S always ends at T.
@@ -64,6 +69,9 @@ class Setup:
     dt: float = declared(0.05, unit="s", above=0.0, usual=(1e-3, 1.0), description="sample time dt")
     initial_yaw_rate: InitialYawRate = dataclasses.field(
         default="path", metadata=declaration(choices=get_args(InitialYawRate), description="initial yaw rate")
+    )
+    start: Start = dataclasses.field(
+        default="printed", metadata=declaration(choices=get_args(Start), description="state at the trigger")
     )
     settle: float = declared(SETTLE, unit="s", least=0.0, most=60.0, description="settling after the end")
 

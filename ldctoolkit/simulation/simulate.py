@@ -8,7 +8,7 @@ from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.setup import SETTLE, InitialYawRate, Setup
+from ldctoolkit.setup import SETTLE, InitialYawRate, Setup, Start
 from ldctoolkit.simulation.closed_loop import drive
 from ldctoolkit.simulation.outcome import Outcome, Window
 from ldctoolkit.simulation.takeover import Takeover
@@ -25,6 +25,7 @@ def simulate(
     dt: float = 0.05,
     window: Window = "departure",
     initial_yaw_rate: InitialYawRate = "path",
+    start: Start = "printed",
     options: PlantOptions | None = None,
     seed: int = 0,
     settle: float = SETTLE,
@@ -40,7 +41,7 @@ def simulate(
     scenarios : Scenarios
         n departures.
     setup : Setup, optional
-        Instead of `vehicle`, `dt`, `initial_yaw_rate`, `options`, `seed` and `settle`.
+        Instead of `vehicle`, `dt`, `initial_yaw_rate`, `start`, `options`, `seed` and `settle`.
     vehicle : VehicleParameters or BicycleModel, optional
         Table I by default; a `BicycleModel` also chooses the convention.
     y_s : float [m]
@@ -51,6 +52,8 @@ def simulate(
         Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
     initial_yaw_rate : {"path", "zero"}
         de_psi/dt at the trigger.
+    start : {"printed", "steady"}
+        Heading error and steering angle at the trigger: the paper's, or those of the steady turn of the recorded path.
     options : PlantOptions, optional
         In what the plant differs from the ideal linear one.
     seed : int
@@ -97,6 +100,7 @@ def simulate(
         seed=seed,
         dt=dt,
         initial_yaw_rate=initial_yaw_rate,
+        start=start,
         settle=settle,
     )
     if setup is not None and single != Setup():

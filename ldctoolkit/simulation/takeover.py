@@ -24,6 +24,7 @@ from ldctoolkit.simulation.mismatch import TrueVehicles, true_vehicles
 from ldctoolkit.simulation.random_streams import RandomStream, normals
 from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from ldctoolkit.vehicle import Plant, discretize
+from ldctoolkit.vehicle.parameters import GRAVITY
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 
 BOUND = 20.0
@@ -35,6 +36,12 @@ JERK_WINDOW = 0.5
 
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
+
+# steps of an iteration that gains two digits in each
+_TURNS = 8
+
+# over this time [s] the change of a recorded speed is taken
+_MOMENT = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,11 +195,9 @@ class Takeover:
         rest = np.where(rest > _SHORTEST_STEP, rest, 0.0)
 
         v = driven.speed(start)
-        rate, bend = driven.lateral_rate(start), driven.lateral_acceleration(start)
-        yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
-        x_0 = np.column_stack([driven.lateral(start) + offset, rate, np.arctan2(rate, v), yaw_error])
         vehicles = true_vehicles(model.parameters, options.mismatch, options.tyres, driven.scenarios, seed)
-        delta_0 = vehicles.steady_state(v, model.convention).delta * (v * driven.curvature(start) + bend / v)
+        e_psi, yaw_error, delta_0 = _attitude(driven, vehicles, setup, start)
+        x_0 = np.column_stack([driven.lateral(start) + offset, driven.lateral_rate(start), e_psi, yaw_error])
         return cls(
             scenarios=scenarios,
             setup=setup,
@@ -212,6 +217,45 @@ class Takeover:
             rest=rest,
             plant=Plant.build(model, v, dt),
         )
+
+
+def _attitude(
+    path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """e_psi, de_psi/dt and the steering angle with which the recorded path is driven at times t, (m,) each."""
+    v, rate, bend = path.speed(t), path.lateral_rate(t), path.lateral_acceleration(t)
+    lane = v * path.curvature(t)
+    yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
+    if setup.start == "printed":
+        delta = car.steady_state(v, setup.convention).delta * (lane + bend / v)
+        return np.arctan2(rate, v), yaw_error, delta
+    faster = (v - path.speed(t - _MOMENT)) / _MOMENT if setup.options.speed == "profile" else np.zeros_like(v)
+    if setup.options.tyres.ideal:
+        # e_psi and delta from the two force balances (Rajamani's eq. 2.45): e_y'' that of the path, e_psi'' = 0
+        A, B, E = car.matrices(v, setup.convention)
+        A[:, 1, 2] += faster
+        system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
+        known = np.stack([A[:, i, 1] * rate + A[:, i, 3] * yaw_error + E[:, i] * lane for i in (1, 3)], axis=-1)
+        wanted = np.stack([bend, np.zeros_like(v)], axis=-1)
+        e_psi, delta = np.linalg.solve(system, (wanted - known)[..., None])[..., 0].T
+        return e_psi, yaw_error, delta
+    wheelbase, shape = car.l_f + car.l_r, setup.options.tyres.shape
+
+    def slip(stiffness: FloatArray, arm: float, share: FloatArray) -> FloatArray:
+        """Slip angle at which an axle uses this share of its friction; beyond it, that of the largest force."""
+        load = car.mu * car.m * GRAVITY * arm / (2.0 * wheelbase)
+        return np.tan(np.arcsin(np.clip(share, -1.0, 1.0)) / shape) * shape * load / stiffness
+
+    # without yaw acceleration both axles use the same share; it hardly depends on the angles that follow from it
+    omega, v_y, e_psi, delta = lane + yaw_error, np.zeros_like(v), rate / v, np.zeros_like(v)
+    for _ in range(_TURNS):
+        sine, cosine = np.sin(e_psi), np.cos(e_psi)
+        across = (bend - faster * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
+        share = (v * omega + across) / (car.mu * GRAVITY)
+        v_y = car.l_r * omega - v * np.tan(slip(car.C_ar, car.l_f, share))
+        delta = np.arctan((v_y + car.l_f * omega) / v) + slip(car.C_af, car.l_r, share / np.cos(delta))
+        e_psi = np.arcsin(np.clip(rate / np.hypot(v, v_y), -1.0, 1.0)) - np.arctan2(v_y, v)
+    return e_psi, yaw_error, delta
 
 
 def drivable(path: UncorrectedPath) -> npt.NDArray[np.bool_]:
@@ -383,7 +427,7 @@ def _earlier_frames(over: Takeover) -> FloatArray:
     for j in range(frames.shape[1] // 2):
         t = over.start - (j + 1) * period * dt
         frames[:, 2 * j] = over.driven.lateral(t) + over.setup.vehicle.edge_offset
-        frames[:, 2 * j + 1] = np.arctan2(over.driven.lateral_rate(t), over.driven.speed(t))
+        frames[:, 2 * j + 1] = _attitude(over.driven, over.vehicles, over.setup, t)[0]
     return frames
 
 
