@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long test-slow test-browser lint bench format clean
+.PHONY: help study test test-all test-long test-slow test-browser rewrite lint bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -41,14 +41,19 @@ lint: $(VENV)/.dev  ## ruff and mypy --strict
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: $(VENV)/.dev  ## lint, types and the tests that a change should pass, in minutes
-	@$(MAKE) --no-print-directory -j2 compile-linear lint compile-others
+test: $(VENV)/.dev  ## ruff, and the tests that a change should pass, in minutes
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	@$(MAKE) --no-print-directory -j2 compile-linear compile-others rewrite
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
 
 compile-%: $(VENV)/.dev  # the closed loops, once, before two test workers would do so each for itself
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/helpers/compile_loops.py $*
 
-test-all: test test-long  ## the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
+rewrite: $(VENV)/.dev  # the assertions of the tests, once, for the same reason
+	@$(BIN)/pytest --collect-only -qq > /dev/null
+
+test-all: test lint test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
 test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
 	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser

@@ -68,12 +68,11 @@ DESIGNS: dict[str, Controller] = {
 """Gains that switch on what the defaults leave off, or are far from them."""
 
 
+LONG = ("linear_mpc, osqp", "linear_mpc, soft", "nonlinear_mpc, soft")
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(n, marks=pytest.mark.slow if n in ("linear_mpc, osqp", "nonlinear_mpc, soft") else ())
-        for n in DESIGNS
-    ],
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in DESIGNS]
 )
 def test_designs_off_the_defaults_keep_it(name: str) -> None:
     """Without `picklable`, a process that asks nothing of the gains; those of a solver or around another law without

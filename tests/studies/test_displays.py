@@ -105,6 +105,7 @@ def test_results(results: StudyResults) -> None:
     assert lines["cases"] == results.cases[0].case.label
 
 
+@pytest.mark.slow
 def test_comparison(results: StudyResults, tmp_path: Path) -> None:
     content = STUDY | {"design": STUDY["design"][:1], "vehicle": {"m": 1200.0}}
     for name, parts in (("a", {"vehicle": {}}), ("b", {})):

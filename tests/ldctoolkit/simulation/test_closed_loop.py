@@ -64,7 +64,7 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
         # swings through the lane's centre several times
         pytest.param(18.0, 0.05, -0.06, -0.1, marks=pytest.mark.slow),
         pytest.param(1.5, 0.05, -0.6, -0.5, marks=pytest.mark.slow),
-        (3.0, 0.2, -0.3, -0.5),
+        pytest.param(3.0, 0.2, -0.3, -0.5, marks=pytest.mark.slow),
         pytest.param(12.0, 0.5, -0.075, -0.5, marks=pytest.mark.slow),
     ],
 )
@@ -260,7 +260,9 @@ def start_of_a_held_wheel(scenarios: Scenarios, **settings: Any) -> tuple[np.nda
     return (rate[:, 2] - rate[:, 0]) / 2e-3, path.lateral_acceleration(out.t_s[rows] + 1e-3)
 
 
-@pytest.mark.parametrize("option", HELD)
+@pytest.mark.parametrize(
+    "option", [pytest.param(name, marks=() if name in ("ideal", "tyres") else pytest.mark.slow) for name in HELD]
+)
 def test_a_held_wheel_keeps_the_acceleration_of_the_path(option: str) -> None:
     """To 0.02 m/s^2 with the steady start, to the left and to the right, in bends, wherever the tyres can."""
     scenarios = with_residuals(make_scenarios(150, seed=4))
@@ -289,6 +291,7 @@ def test_the_printed_start_has_no_side_slip() -> None:
     assert (printed[1, 1] - printed[0, 1]) / 1e-4 == pytest.approx(-8.57, abs=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convention", ["consistent", "as_printed"])
 def test_either_matrix_starts_on_the_path(convention: str) -> None:
     scenarios = make_scenarios(40, seed=2)

@@ -291,6 +291,7 @@ def test_samples_longer_than_the_departure(case: str) -> None:
             assert_same_drive(out, i, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", some(LOOSE, "linear", "magic formula"))
 def test_low_speed(case: str) -> None:
     """At 2 m/s the lateral mode dies within a tenth of a sample."""

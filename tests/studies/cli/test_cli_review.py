@@ -64,6 +64,7 @@ def test_a_law_that_does_nothing(tmp_path: Path) -> None:
     assert "there is no loop to review" in reviewed(0, "none", cwd=tmp_path)
 
 
+@pytest.mark.slow
 def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     """One review for each set of gains, on the study's plant; thresholds that share it are listed together."""
     out = reviewed(3, "s.toml", "--json", "r.json", cwd=folder)

@@ -38,6 +38,7 @@ def folder(finished: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "out"))
 
 
+@pytest.mark.slow
 def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
     out = good("sensitivity", folder, "--points", "3", cwd=folder)
     for words in ("design[1], Preview P: Sobol indices", "design[2], LQR: Sobol indices", "first order only",

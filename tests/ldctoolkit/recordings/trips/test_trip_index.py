@@ -74,6 +74,7 @@ text = st.builds(
 )
 
 
+@pytest.mark.slow
 @examples(150)
 @given(
     text=text,
