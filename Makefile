@@ -53,10 +53,10 @@ compile-%: $(VENV)/.dev  # the closed loops, once, before two test workers would
 rewrite: $(VENV)/.dev  # the assertions of the tests, once, for the same reason
 	@$(BIN)/pytest --collect-only -qq > /dev/null
 
-test-all: test lint test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
+test-all: test test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
 test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
-	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser
+	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint
 
 test-slow:
 	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"

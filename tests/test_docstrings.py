@@ -23,12 +23,12 @@ def modules_with_examples() -> list[str]:
     return sorted(".".join(path.parts).removesuffix(".__init__") for path in shown)
 
 
+HEAVY = ("studies.", "ldctoolkit.diagnostics", "ldctoolkit.scenario_model")
+
+
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name.startswith(("studies.", "ldctoolkit.diagnostics")) else ())
-        for name in modules_with_examples()
-    ],
+    [pytest.param(name, marks=pytest.mark.slow if name.startswith(HEAVY) else ()) for name in modules_with_examples()],
 )
 def test_examples_run(name: str) -> None:
     result = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)

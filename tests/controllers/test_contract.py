@@ -26,7 +26,7 @@ ZOO = [name for name in controller_names() if controller_class(name).__module__.
 ITERATIVE = {"linear_mpc", "nonlinear_mpc"}
 """Laws with a solver: mirrored to 1e-9 of the largest command; all others to the bit."""
 
-SLOW = {("linear_mpc", "extremes"), ("nonlinear_mpc", "extremes")} | {
+SLOW = {(name, "extremes") for name in ZOO if name != "lqr"} | {
     (name, "picklable") for name in ZOO if name not in ("lqr", "barrier_filter")
 }
 """A solver prepared again for every gain; a process of its own for every law."""

@@ -46,6 +46,7 @@ def names(found: Review) -> set[str]:
     return {finding.name for finding in found.findings if finding.severity != "note"}
 
 
+@pytest.mark.slow
 def test_a_sound_design_has_nothing_to_object_to() -> None:
     found = review(LQR())
     assert found.findings == ()

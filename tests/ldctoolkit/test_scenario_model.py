@@ -136,6 +136,7 @@ def test_a_fit_tells_how_it_was_made(model):
     assert model.left.weights_.size == p.left.n_components[int(np.argmin(p.left.bic))]
 
 
+@pytest.mark.slow
 def test_constant_columns_stay_constant():
     d = departures(60, c_0=0.0, dc=0.0)
     fitted = fit_scenario_model(d, seed=0, n_init=1)

@@ -203,6 +203,7 @@ def test_shifting_time_changes_nothing_else(seed, shift):
     assert (one.refused, one.hours) == (two.refused, two.hours)
 
 
+@pytest.mark.slow
 @examples(12)  # writes and parses three files each
 @given(seed=st.integers(0, 2**32 - 1), yaw=st.booleans(), block=st.integers(300, 8000), cut=st.integers(1, 6))
 def test_files_and_blocks_make_no_difference(tmp_path_factory, seed, yaw, block, cut):

@@ -92,6 +92,7 @@ def test_equal_values_and_one_parameter(x):
     assert (alone.cells, alone.rank_correlations, alone.b) == ((), (), 0)
 
 
+@pytest.mark.slow
 def test_fits_keep_it(departures, tmp_path):
     table = departures(300)
     model = fit_scenario_model(table, components=1, n_init=1)

@@ -76,6 +76,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert "refused: lane_change 0, invalid 0, gap 3" in told
 
 
+@pytest.mark.slow
 def test_bounds_and_transforms(folder: Path) -> None:
     good(
         "fit", "d.parquet", "-o", "b.json", "--components", "1", "--no-page", "--bounds", "auto", "--bound", "d_y=0:3",

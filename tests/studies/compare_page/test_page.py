@@ -126,6 +126,7 @@ def test_every_verdict_of_winners(verdict: Verdict, same: str, other: str) -> No
     assert "on 7 fresh shared departures" in said
 
 
+@pytest.mark.slow
 def test_no_winner_to_compare(page: Page) -> None:
     tiles = [found.html.count('<li><span class="value">') for found in (page, of_case(winners=None))]
     assert tiles == [5, 4]

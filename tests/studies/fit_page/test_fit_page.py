@@ -43,6 +43,7 @@ def page(model: ScenarioModel, found: ModelDiagnostics) -> Page:
     return Page(render_page(model, found, seed=3))
 
 
+@pytest.mark.slow
 def test_self_contained_and_well_formed(page: Page) -> None:
     whole(page)
     assert page.counts["script"] == 0
@@ -52,6 +53,7 @@ def test_self_contained_and_well_formed(page: Page) -> None:
     assert len(page.html) < 5_000_000
 
 
+@pytest.mark.slow
 def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
     text = page.all_words
     for said in (
