@@ -37,11 +37,11 @@ JERK_WINDOW = 0.5
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
 
-# steps of an iteration that gains two digits in each
-_TURNS = 8
+# fixed-point steps from the small angles to the large ones of saturating tyres
+_ITERATIONS = 8
 
-# over this time [s] the change of a recorded speed is taken
-_MOMENT = 1e-4
+# step [s] of the difference quotient of the recorded speed
+_SPEED_STEP = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,11 +229,11 @@ def _attitude(
     if setup.start == "printed":
         delta = car.steady_state(v, setup.convention).delta * (lane + bend / v)
         return np.arctan2(rate, v), yaw_error, delta
-    faster = (v - path.speed(t - _MOMENT)) / _MOMENT if setup.options.speed == "profile" else np.zeros_like(v)
+    dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
     if setup.options.tyres.ideal:
         # e_psi and delta from the two force balances (Rajamani's eq. 2.45): e_y'' that of the path, e_psi'' = 0
         A, B, E = car.matrices(v, setup.convention)
-        A[:, 1, 2] += faster
+        A[:, 1, 2] += dv
         system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
         known = np.stack([A[:, i, 1] * rate + A[:, i, 3] * yaw_error + E[:, i] * lane for i in (1, 3)], axis=-1)
         wanted = np.stack([bend, np.zeros_like(v)], axis=-1)
@@ -248,9 +248,9 @@ def _attitude(
 
     # without yaw acceleration both axles use the same share; it hardly depends on the angles that follow from it
     omega, v_y, e_psi, delta = lane + yaw_error, np.zeros_like(v), rate / v, np.zeros_like(v)
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         sine, cosine = np.sin(e_psi), np.cos(e_psi)
-        across = (bend - faster * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
+        across = (bend - dv * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
         share = (v * omega + across) / (car.mu * GRAVITY)
         v_y = car.l_r * omega - v * np.tan(slip(car.C_ar, car.l_f, share))
         delta = np.arctan((v_y + car.l_f * omega) / v) + slip(car.C_af, car.l_r, share / np.cos(delta))
