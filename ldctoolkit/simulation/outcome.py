@@ -210,8 +210,9 @@ class Run:
         names = (field.name for field in dataclasses.fields(metrics.Companions))
         return Outcome(
             window=window,
-            S=values[0],
-            S_uncorrected=values[1],
+            # copies: whoever keeps S alone does not keep the rest
+            S=values[0].copy(),
+            S_uncorrected=values[1].copy(),
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
