@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from helpers.closed_loop import Stepped
 from helpers.docs import ROOT, blocks, run_python
 from ldctoolkit import Scenarios, controller_class, register, registry, simulate
 from ldctoolkit.metrics import COMPANION_UNITS
@@ -102,7 +103,7 @@ def test_the_guides_controllers_run(guide: types.ModuleType, name: str) -> None:
 
 
 def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleType) -> None:
-    linear = simulate(guide.Offset(), SCENARIOS)
+    linear = simulate(Stepped(guide.Offset()), SCENARIOS)
     general = simulate(guide.LimitedOffset(K_i=0.0, delta_max=1.0), SCENARIOS)
     np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)  # same sums, another order
     assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()

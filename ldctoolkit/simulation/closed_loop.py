@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, Law, LinearLaw, RecordedPath, SteeringLaw
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.simulation.general_loop import drive_general
@@ -21,14 +21,12 @@ from ldctoolkit.simulation.runs import (
     Chosen,
     chosen_rows,
     in_threads,
-    places,
     recorded_run,
     run_of_area,
     run_of_scores,
-    run_of_state,
     trajectories_of,
 )
-from ldctoolkit.simulation.takeover import BOUND, Tables, Takeover, law_tables, times_of
+from ldctoolkit.simulation.takeover import BOUND, STIFF, Takeover, law_tables, times_of
 
 _TOGETHER = 2**21
 """Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""
@@ -126,54 +124,50 @@ def _drive_linear(
     laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None, score_only: bool = False
 ) -> list[Run]:
     from ldctoolkit.simulation.kernel import entry
-    from ldctoolkit.simulation.kernel.lane_table import LANES
 
-    tables = takeover.tables
+    tables, d, m = takeover.tables, len(laws), takeover.m
     options = takeover.setup.options
-    if not (options.drives_exactly and options.sensors.ideal):
-        return [_drive_each(law, tables, rows, threads) for law in laws]
-    d, m = len(laws), takeover.m
-    score = np.empty((d, data.SCORES, m))
-    score[:, data.AREA] = np.nan  # a scenario that were left out would be seen
+    exactly = options.drives_exactly and options.sensors.ideal
+    times = np.stack([times_of(law) for law in laws])
+    table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * times.shape[1])))
+    scene, setting = tables.scene_to_T if score_only and exactly else tables.scene, tables.setting
+    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that were left out would be seen
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    if m:
-        times = np.stack([times_of(law) for law in laws])
-        table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * times.shape[1])))
-        state = tables.spare_state()
-        none = tables.paths(np.zeros(0, dtype=np.int64), state)
-        scene = tables.scene_to_T if score_only else tables.scene
-        exact, setting = tables.exact, tables.setting
+    paths, place, found = tables.paths(rows)
+
+    def drive_any(places: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
+        """The blocks of scenarios with these places, by the method of Runge and Kutta."""
+        blocks = np.unique(places // data.LANES)
+
+        def work(first: int, last: int) -> None:
+            entry.drive_any(scene, setting, table, times, paths, place, blocks[first:last], score, diverged, failed)
+
+        in_threads(work, blocks.size, threads, SCENARIOS_A_TASK // 4 // data.LANES)
+
+    if not exactly:
+        drive_any(np.arange(m), score, diverged, failed)
+    elif m:
+        exact = tables.exact
 
         def work(first: int, last: int) -> None:
             own = entry.scratch(setting, times.shape[1])
             entry.drive_lanes(
-                scene, exact, setting, table, times, state, none, first, last, score, diverged, failed, own, score_only
+                scene, exact, setting, table, times, first, last, score, diverged, failed, own, score_only
             )
 
-        in_threads(work, -(-m // LANES), threads, SCENARIOS_A_TASK // LANES)
-    if score_only:
+        in_threads(work, -(-m // data.LANES), threads, SCENARIOS_A_TASK // data.LANES)
+        # a step that is long beside the fastest time constant hides what happens within it; paths are kept there too
+        stiff = np.flatnonzero(scene[:, data.SUBSTEPS] > STIFF)
+        again = np.union1d(stiff, np.flatnonzero(place >= 0))
+        if again.size:
+            other = np.empty_like(score), diverged.copy(), failed.copy()
+            drive_any(again, *other)
+            score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
+            failed[:, stiff] = other[2][:, stiff]
+    if score_only and exactly:
         return [run_of_area(takeover, score[i, data.AREA], diverged[i], failed[i]) for i in range(d)]
-    paths = [None if rows is None else _drive_each(law, tables, rows, threads).trajectories for law in laws]
-    return [run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, paths[i]) for i in range(d)]
-
-
-def _drive_each(law: LinearLaw, tables: Tables, rows: IntArray | None, threads: int | None) -> Run:
-    """A linear law on any plant, scenario by scenario; on the ideal plant only those whose paths are wanted."""
-    from ldctoolkit.simulation.kernel import entry
-
-    over, state, table, times = tables.over, tables.state(), law_tables([law])[0], times_of(law)
-    chosen, found = places(over, rows)
-    paths = tables.paths(chosen, state)
-    ideal = over.setup.options.drives_exactly and over.setup.options.sensors.ideal
-    driven = np.sort(chosen) if ideal else np.arange(over.m)
-
-    def work(first: int, last: int) -> None:
-        part = driven[first:last]
-        entry.begin(tables.scene, tables.setting, state, paths, part)
-        entry.drive_each(tables.scene, tables.setting, table, times, state, paths, part, entry.scratch())
-
-    in_threads(work, driven.size, threads, SCENARIOS_A_TASK // 8)
-    return run_of_state(over, state, 0.0, trajectories_of(paths, rows, found))
+    kept = trajectories_of(paths, rows, found)
+    return [run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
 
 
 __all__ = ["BOUND", "drive", "drive_many"]

@@ -7,12 +7,12 @@ import time
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.law_checks import check_calls, check_step, check_taken
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Run
-from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, places, run_of_state, trajectories_of
+from ldctoolkit.simulation.runs import SCENARIOS_A_TASK, in_threads, run_of_scores, trajectories_of
 from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Tables, Takeover
 
@@ -44,18 +44,17 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
     InputError
         If a step of the law is not what the interface promises.
     """
-    tables = takeover.tables
-    state = tables.state()
-    chosen, found = places(takeover, rows)
-    plant = _PlantSide(tables, state, tables.paths(chosen, state), threads)
-    batch = np.arange(takeover.m)
-    plant.begin(batch)
+    tables, m = takeover.tables, takeover.m
+    plant = _PlantSide(tables, tables.blocks(), *tables.paths(rows), threads)
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
-    own = law.init(takeover.m)
+    seen, lane = np.zeros((m, 4)), np.zeros((2, m, times.size))
+    last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
+    batch, alive = np.arange(m), plant.begin()
+    own = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     while True:
-        going = np.flatnonzero(state[batch, data.ALIVE])
+        going = np.flatnonzero(alive[batch])
         if not going.size:
             break
         if going.size < _DROP_BELOW * batch.size:
@@ -64,13 +63,15 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
                 law, own = taken
                 batch, going = batch[going], np.arange(going.size)
         running = batch[going]
-        seen, ahead = plant.look(sample, running, times)
+        blocks = np.unique(running // data.LANES)
+        plant.look(sample, blocks, times, seen, lane)
         t = takeover.start[batch] + sample * takeover.setup.dt
-        previous = _spread(state[running, data.COMMAND], going, batch.size)
-        x = _spread(seen, going, batch.size)
-        preview = Preview(_spread(ahead[0], going, batch.size), _spread(ahead[1], going, batch.size))
+        ended = np.delete(np.arange(batch.size), going)
+        x, previous, yaw_rate, heading = seen[batch], last[batch], lane[0, batch], lane[1, batch]
+        for values in (x, previous, yaw_rate, heading):
+            values[ended] = 0.0
         started = time.perf_counter()
-        result = law.step(t, x, preview, previous.copy(), own)
+        result = law.step(t, x, Preview(yaw_rate, heading), previous.copy(), own)
         law_seconds += time.perf_counter() - started
         delta, own, status = check_step(result, batch.size, name)
         made = law.solver_calls(own)
@@ -78,10 +79,13 @@ def drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArra
             calls.append(_of_running(made, batch, going, sample, name))
         wrong = ~np.isfinite(delta)
         delta[wrong] = previous[wrong]
-        state[running, data.FAILED] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
-        plant.go_on(sample, running, np.ascontiguousarray(delta[going]))
+        failed[running] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
+        last[running] = delta[going]
+        plant.go_on(sample, blocks, last, alive)
         sample += 1
-    run = run_of_state(takeover, state, law_seconds, trajectories_of(plant.paths, rows, found))
+    score, diverged = plant.scores()
+    kept = trajectories_of(plant.paths, rows, plant.found)
+    run = run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
     return dataclasses.replace(run, solver_log=SolverLog.of(calls))
 
 
@@ -95,53 +99,57 @@ def _of_running(
     return batch[made.place[kept]], sample, SolverCalls(**columns)
 
 
-def _spread(values: FloatArray, going: IntArray, size: int) -> FloatArray:
-    """Rows of a batch; those that have ended are zeros."""
-    if going.size == size:
-        return values
-    out = np.zeros((size, *values.shape[1:]))
-    out[going] = values
-    return out
-
-
 @dataclasses.dataclass(frozen=True)
 class _PlantSide:
-    """The compiled part of a sample, in threads."""
+    """The compiled part of a sample, in threads: tables of blocks (b, numbers), of scenarios that come in lanes."""
 
     tables: Tables
     state: FloatArray
     paths: FloatArray
+    place: IntArray
+    found: IntArray
     threads: int | None
 
-    def begin(self, rows: IntArray) -> None:
-        """Start every scenario."""
+    def begin(self) -> BoolArray:
+        """Start every scenario; which ones go on, (m,)."""
         from ldctoolkit.simulation.kernel import entry
 
-        entry.begin(self.tables.scene, self.tables.setting, self.state, self.paths, rows)
+        scene, setting, blocks = self.tables.scene, self.tables.setting, np.arange(self.state.shape[0])
+        entry.begin(scene, setting, self.state, self.paths, self.place, blocks)
+        return self._alive()
 
-    def look(self, sample: int, rows: IntArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the law is shown of the scenarios `rows`: state (r, 4); yaw rate and heading of the lane (2, r, p)."""
+    def look(self, k: int, blocks: IntArray, times: FloatArray, seen: FloatArray, lane: FloatArray) -> None:
+        """What the law is shown: state (m, 4); yaw rate and heading of the lane (2, m, p)."""
         from ldctoolkit.simulation.kernel import entry
-
-        seen, ahead = np.zeros((rows.size, 4)), np.zeros((2, rows.size, times.size))
-        scene, setting = self.tables.scene, self.tables.setting
 
         def work(first: int, last: int) -> None:
-            part = slice(first, last)
-            lane = ahead[0, part], ahead[1, part]
-            entry.look(scene, setting, self.state, sample, rows[part], times, seen[part], *lane, entry.scratch())
+            scene, setting = self.tables.scene, self.tables.setting
+            entry.look(scene, setting, self.state, k, blocks[first:last], times, seen, lane)
 
-        in_threads(work, rows.size, self.threads, SCENARIOS_A_TASK)
-        return seen, ahead
+        in_threads(work, blocks.size, self.threads, SCENARIOS_A_TASK // data.LANES)
 
-    def go_on(self, sample: int, rows: IntArray, command: FloatArray) -> None:
-        """Drive the scenarios `rows` to the next sample with their commands (r,)."""
+    def go_on(self, k: int, blocks: IntArray, command: FloatArray, alive: BoolArray) -> None:
+        """Drive to the next sample with the commands (m,); which ones go on into `alive` (m,)."""
         from ldctoolkit.simulation.kernel import entry
 
-        scene, setting = self.tables.scene, self.tables.setting
-
         def work(first: int, last: int) -> None:
-            part = slice(first, last)
-            entry.go_on(scene, setting, self.state, self.paths, sample, rows[part], command[part], entry.scratch())
+            scene, setting = self.tables.scene, self.tables.setting
+            entry.go_on(scene, setting, self.state, self.paths, self.place, k, blocks[first:last], command)
 
-        in_threads(work, rows.size, self.threads, SCENARIOS_A_TASK)
+        in_threads(work, blocks.size, self.threads, SCENARIOS_A_TASK // data.LANES)
+        alive[:] = self._alive()
+
+    def _alive(self) -> BoolArray:
+        from ldctoolkit.simulation.kernel import lane_rows
+
+        return self._row(lane_rows.ALIVE) > 0.0
+
+    def _row(self, row: int) -> FloatArray:
+        return self.state[:, row : row + data.LANES].ravel()[: self.tables.over.m]
+
+    def scores(self) -> tuple[FloatArray, BoolArray]:
+        """Scores (columns, m), and who diverged (m,)."""
+        from ldctoolkit.simulation.kernel import lane_rows
+
+        rows = [self._row(lane_rows.S + n * data.LANES) for n in range(data.SCORES)]
+        return np.array(rows), self._row(lane_rows.DIVERGED) > 0.0

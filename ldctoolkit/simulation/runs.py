@@ -40,16 +40,6 @@ def chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
     return rows.astype(np.int64)
 
 
-def places(takeover: Takeover, rows: IntArray | None) -> tuple[IntArray, IntArray]:
-    """Places among the m triggered of the chosen rows that triggered, and which of the rows these are."""
-    if rows is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    place = np.full(takeover.scenarios.n, -1, dtype=np.int64)
-    place[takeover.rows] = np.arange(takeover.m)
-    found = np.flatnonzero(place[rows] >= 0)
-    return place[rows[found]], found
-
-
 def in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
     chosen = plain(threads)
@@ -104,13 +94,6 @@ def run_of_scores(
     }
     companions = Companions(**values)
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
-
-
-def run_of_state(over: Takeover, state: FloatArray, law_seconds: float, trajectories: Trajectories | None) -> Run:
-    """A run from the rows of its scenarios."""
-    score = np.ascontiguousarray(state[:, data.SCORE : data.SCORE + data.SCORES].T)
-    failed = state[:, data.FAILED].astype(np.int64)
-    return run_of_scores(over, score, state[:, data.DIVERGED] > 0, failed, law_seconds, trajectories)
 
 
 def trajectories_of(paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:

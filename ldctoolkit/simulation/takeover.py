@@ -43,10 +43,16 @@ _ITERATIONS = 8
 # step [s] of the difference quotient of the recorded speed
 _SPEED_STEP = 1e-4
 
+# longest substep of the Runge-Kutta method, in units of the fastest time constant
+_REACH = 0.25
+
+STIFF = 8
+"""Substeps a sample above which even the ideal plant takes them: about two of the fastest time constants."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Takeover:
-    """The m triggered of n scenarios at their trigger times, sorted so that the longest control comes first.
+    """The m triggered of n scenarios at their trigger times, in an order that suits the compiled loops.
 
     Attributes
     ----------
@@ -79,7 +85,7 @@ class Takeover:
     delta_0 : (m,) [rad]
         Steady steering angle of the recorded path at the trigger: the command before the first.
     full_steps : (m,) int
-        Whole steps of dt until the departure ends; descending.
+        Whole steps of dt until the departure ends; descending among scenarios that take as many substeps.
     rest : (m,) [s]
         What remains after them, 0 <= rest < dt.
     plant : Plant
@@ -137,6 +143,13 @@ class Takeover:
         columns = {name: measured.get(name, np.zeros(T.size)) for name in COMPANION_UNITS}
         return Companions(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
+    @property
+    def slowest(self) -> FloatArray:
+        """Lowest speed of the plant from the trigger on, (m,) [m/s]."""
+        if self.setup.options.speed == "frozen":
+            return self.plant.v
+        return self.driven.slowest_speed(self.start, self.triggered.T)
+
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
         """Deepest position of the edge before the trigger, (m,) [m]."""
@@ -188,7 +201,12 @@ class Takeover:
 
         remaining = np.where(triggered, T - np.where(triggered, t_s, 0.0), -1.0)
         full = np.floor(remaining / dt).astype(np.int64)
-        order = np.argsort(-full, kind="stable")
+        # neighbours share the lanes of the compiled loops: they should take as many substeps, and last about as long
+        lateral = 2.0 * (model.parameters.C_af + model.parameters.C_ar) / model.parameters.m
+        stiffness = np.ceil(dt * lateral / np.where(triggered, at_trigger, np.inf) / _REACH)
+        if options.drives_exactly:
+            stiffness = np.where(stiffness > STIFF, stiffness, 0.0)
+        order = np.lexsort((-full, -stiffness, ~triggered))
         rows = order[: int(triggered.sum())]
         driven, start, full_steps = path.take(rows), t_s[rows], full[rows]
         rest = remaining[rows] - full_steps * dt
@@ -305,24 +323,21 @@ class Tables:
     @classmethod
     def of(cls, over: Takeover) -> Self:
         """Everything that designs share."""
-        from ldctoolkit.simulation.kernel import entry
-
         setting = data.setting_row(over.setup, modes=over.driven.modes_v.shape[1], bound=BOUND, window=JERK_WINDOW)
-        scene = _scene(over)
-        entry.before(scene, setting)
-        return cls(over, setting, scene)
+        return cls(over, setting, _scene(over))
 
     @functools.cached_property
     def exact(self) -> FloatArray:
-        """The ideal plant over a whole step, (m, `data.EXACT`)."""
+        """The ideal plant over a whole step, and over both parts of the one that T cuts, (3, m, `data.EXACT`)."""
         over = self.over
-        if over.setup.options.mismatch.ideal:
-            step = over.plant.step
-        else:
-            step = discretize(*over.vehicles.matrices(over.plant.v, over.setup.convention), over.setup.dt)
-        columns = [step.A[:, i, j] for i in range(4) for j in (1, 2, 3)]
-        columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
-        return _side_by_side([*columns, step.area_delta, step.area_r_0, step.area_r_1])
+        dt, matrices = over.setup.dt, over.vehicles.matrices(over.plant.v, over.setup.convention)
+        whole = over.plant.step if over.setup.options.mismatch.ideal else discretize(*matrices, dt)
+        tables = []
+        for step in (whole, discretize(*matrices, over.rest), discretize(*matrices, dt - over.rest)):
+            columns = [step.A[:, i, j] for i in range(4) for j in (1, 2, 3)]
+            columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
+            tables.append(np.column_stack([*columns, step.area_delta, step.area_r_0, step.area_r_1]))
+        return np.stack(tables)
 
     @functools.cached_property
     def scene_to_T(self) -> FloatArray:
@@ -331,36 +346,32 @@ class Tables:
         scene[:, data.STEPS] = scene[:, data.FULL] + (scene[:, data.REST] > 0.0)
         return scene
 
-    def state(self) -> FloatArray:
-        """Working rows of one run, without paths."""
-        lengths = [int(self.setting[column]) for column in (data.COMMANDS, data.FRAMES, data.RING)]
-        state = np.zeros((self.over.m, data.STATE + lengths[0] + 2 * lengths[1] + 2 * lengths[2]))
-        state[:, data.SLOT] = -1.0
-        return state
-
-    def spare_state(self) -> FloatArray:
-        """Rows that one thread's calls may use again and again: nothing in them is read before it is written."""
-        if not hasattr(self.spare, "state"):
-            self.spare.state = self.state()
-        rows: FloatArray = self.spare.state
-        return rows
-
     def spare_room(self, size: int) -> FloatArray:
-        """At least `size` numbers, to be used like `spare_state`: fresh memory costs more than filling it."""
+        """At least `size` numbers, that one thread may use again and again: fresh memory costs more than filling it."""
         if not hasattr(self.spare, "room") or self.spare.room.size < size:
             self.spare.room = np.empty(size)
         room: FloatArray = self.spare.room
         return room
 
-    def paths(self, chosen: IntArray, state: FloatArray) -> FloatArray:
-        """Room for the paths of the scenarios `chosen` (c,), by their place among the m: (c, entries, columns)."""
-        state[chosen, data.SLOT] = np.arange(chosen.size)
+    def blocks(self) -> FloatArray:
+        """Tables of all blocks of lanes, for a law that is called sample by sample."""
+        from ldctoolkit.simulation.kernel import lane_rows
+
+        size = lane_rows.rings(self.setting)[-1]
+        return np.zeros((-(-self.over.m // data.LANES), size))
+
+    def paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+        """Room for the paths of chosen rows (c, entries, columns), their places (m,) or -1, and which triggered."""
+        over, place = self.over, np.full(self.over.m, -1, dtype=np.int64)
+        if rows is None:
+            return np.zeros((0, 0, data.PATH)), place, place[:0]
+        of_row = np.full(over.scenarios.n, -1, dtype=np.int64)
+        of_row[over.rows] = np.arange(over.m)
+        found = np.flatnonzero(of_row[rows] >= 0)
+        chosen = of_row[rows[found]]
+        place[chosen] = np.arange(chosen.size)
         longest = int(self.scene[chosen, data.STEPS].max(initial=0)) + 2
-        return np.full((chosen.size, longest, data.PATH), np.nan)
-
-
-def _side_by_side(columns: list[FloatArray]) -> FloatArray:
-    return np.ascontiguousarray(np.column_stack(columns), dtype=np.float64)
+        return np.full((chosen.size, longest, data.PATH), np.nan), place, found
 
 
 def _scene(over: Takeover) -> FloatArray:
@@ -383,7 +394,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.FASTEST: np.maximum(lateral, yaw),
+        data.SUBSTEPS: np.maximum(np.ceil(setup.dt * np.maximum(lateral, yaw) / over.slowest / _REACH), 1.0),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,
@@ -394,11 +405,9 @@ def _scene(over: Takeover) -> FloatArray:
         data.PRINTED: 4.0 * car.C_ar * l_r / car.m if setup.convention == "as_printed" else 0.0,
         data.CURVATURE_BIAS: _curvature_bias(over),
         data.B_1: B[:, 1],
-        data.B_3: B[:, 3],
         data.E_1: E[:, 1],
-        data.E_3: E[:, 3],
     }
-    columns |= {first + j: A[:, i, j + 1] for first, i in ((data.A_11, 1), (data.A_31, 3)) for j in range(3)}
+    columns |= {data.A_11 + j: A[:, 1, j + 1] for j in range(3)}
     tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
     scene = np.zeros((m, data.SCENE + sum(part.shape[1] for part in tail)))
     for column, values in columns.items():
@@ -422,10 +431,10 @@ def _curvature_bias(over: Takeover) -> FloatArray:
 def _earlier_frames(over: Takeover) -> FloatArray:
     """(e_y, e_psi) of the recorded path in the frames before the trigger that still reach the law, latest first."""
     sensors, dt = over.setup.options.sensors, over.setup.dt
-    period, late = sensors.in_samples(dt)
-    frames = np.zeros((over.m, 2 * -(-late // period)))
+    period = sensors.period or dt
+    frames = np.zeros((over.m, 2 * math.ceil(sensors.delay / period - 1e-9)))
     for j in range(frames.shape[1] // 2):
-        t = over.start - (j + 1) * period * dt
+        t = over.start - (j + 1) * period
         frames[:, 2 * j] = over.driven.lateral(t) + over.setup.vehicle.edge_offset
         frames[:, 2 * j + 1] = _attitude(over.driven, over.vehicles, over.setup, t)[0]
     return frames
@@ -436,7 +445,7 @@ def _filter(over: Takeover) -> FloatArray:
     sensors, step = over.setup.options.sensors, over.plant.step
     if sensors.kalman is None:
         return np.zeros((over.m, 0))
-    gain = filter_gain(over.plant, sensors.kalman, sensors.in_samples(over.setup.dt)[0])
+    gain = filter_gain(over.plant, sensors.kalman, max(1, round(sensors.period / over.setup.dt)))
     parts = (gain.reshape(-1, 8), step.A.reshape(-1, 16), step.B, step.E_0, step.E_1)
     return np.concatenate(parts, axis=1)
 

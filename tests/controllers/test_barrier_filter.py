@@ -15,6 +15,7 @@ from controllers import LQR, LinearMPC, PreviewProportional
 from controllers.barrier_filter import BarrierFilter
 from controllers.lqi import LQI
 from controllers.preview_lqr import PreviewLQR
+from helpers.closed_loop import Stepped
 from helpers.grids import some
 from helpers.laws import Unsighted, known
 from ldctoolkit import (
@@ -275,10 +276,11 @@ def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alon
     wide = BarrierFilter(inner=inner, inner_gains=gains, e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
     alone = alone or PreviewProportional(K_y=-0.02, T_lp=0.5, convention="as_printed")
     scenarios = departures(12, seed=3)
-    ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, alone))
+    linear = isinstance(alone.prepare(Plant.build(BicycleModel(), [20.0], DT)), LinearLaw)
+    other = Stepped(alone) if linear else alone  # in the same loop
+    ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, other))
     assert ours.trajectories is not None
     assert theirs.trajectories is not None
-    linear = isinstance(alone.prepare(Plant.build(BicycleModel(), [20.0], DT)), LinearLaw)
     if linear:
         np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
         np.testing.assert_allclose(ours.trajectories.delta, theirs.trajectories.delta, atol=1e-11)
@@ -309,10 +311,10 @@ class EveryWeight(Controller):
 
 
 def test_every_weight_of_a_linear_law_inside_counts() -> None:
-    """The compiled loop alone, and the filter's own sum."""
+    """The law stepped alone, and the filter's own sum."""
     wide = BarrierFilter(inner="every_weight", e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
     scenarios = departures(30, seed=13)
-    ours, theirs = simulate(wide, scenarios), simulate(EveryWeight(), scenarios)
+    ours, theirs = simulate(wide, scenarios), simulate(Stepped(EveryWeight()), scenarios)
     np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
     np.testing.assert_allclose(ours.companions.effort, theirs.companions.effort, rtol=1e-9)
 

@@ -8,6 +8,7 @@ import pytest
 
 from controllers import LQR, LinearMPC
 from controllers.preview_lqr import PreviewLQR
+from helpers.closed_loop import Stepped
 from helpers.grids import grid, some
 from helpers.sampled_plant import moved
 from ldctoolkit import BicycleModel, LinearLaw, Plant, Preview, Scenarios, VehicleParameters, simulate
@@ -149,9 +150,9 @@ def test_the_further_it_sees_the_less_a_bend_costs() -> None:
 
 
 def test_in_the_closed_loop_it_is_the_mpc_without_limits() -> None:
-    """The compiled loop against the loop for other laws; sums in another order over some hundred samples."""
+    """Sums in another order over some hundred samples."""
     scenarios = Scenarios.from_arrays(T=[2.0, 4.0, 3.0], d_y=[0.4, 0.6, 0.5], v_mean=[14.0, 30.0, 22.0], c_0=1e-3)
     wide = LinearMPC(horizon=8, delta_max=1.0, rate_max=10.0)
-    linear, general = simulate(PreviewLQR(horizon=8), scenarios), simulate(wide, scenarios)
+    linear, general = simulate(Stepped(PreviewLQR(horizon=8)), scenarios), simulate(wide, scenarios)
     assert general.failed_solves.sum() == 0
     np.testing.assert_allclose(linear.S, general.S, rtol=1e-10)

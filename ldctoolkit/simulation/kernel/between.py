@@ -1,4 +1,4 @@
-"""What a path does between two samples, from polynomials through both: roots, the largest value, near misses."""
+"""What a path does between two samples, from polynomials through both; arc tangent, sine and exponential function."""
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
@@ -11,10 +11,9 @@ import numba
 
 from ldctoolkit.simulation.kernel.plant import OPTIONS
 
-_MOST_PASSES: Final = 30
-_NEXT_TERM: Final = (2.0 / 9.0) ** 4 / 54.0
-"""Largest value of (u (1 - u))^4 |u - 1/2| / 9, at u = 1/3: what follows a last term of 1 for a mode that dies once a
-step."""
+_MOST_PASSES: Final = 40
+_NEAR: Final = 1e-9
+"""Error of a zero, in parts of the piece; what it costs an integral is its square."""
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -49,52 +48,108 @@ def quartic_root(f_0, m_0, f_1, m_1, mean):
     return u
 
 
-@numba.njit(inline="always", **OPTIONS)
-def crossing(level, h, x_0, v_0, a_0, j_0, x_1, v_1, a_1, j_1, area, within):
-    """Where e_y is at a level between two samples on different sides of it.
-
-    On the polynomial of degree 8 with e_y and three derivatives of both samples and the integral between them, all
-    known. Returns the time since the first sample, the integral of e_y up to it, and how far the polynomial may be
-    from the path, to be multiplied by the step in units of the fastest mode's time constant.
-    """
-    f_0, f_1, m_0, m_1 = x_0 - level, x_1 - level, h * v_0, h * v_1
-    h_2, h_3 = h * h, h * h * h
-    b_0, b_1, g_0, g_1 = h_2 * a_0, h_2 * a_1, h_3 * j_0, h_3 * j_1
-    # Hermite's polynomial of degree 7, and q (u (1 - u))^4 with its mean of q / 630
-    mean = 0.5 * (f_0 + f_1) + 3.0 / 28.0 * (m_0 - m_1) + (b_0 + b_1) / 84.0 + (g_0 - g_1) / 1680.0
-    q = 630.0 * (area / h - level - mean)
-    c_2, c_3 = 0.5 * b_0, g_0 / 6.0
-    r_0 = f_1 - f_0 - (m_0 + c_2 + c_3)
-    r_1 = m_1 - (m_0 + b_0 + 3.0 * c_3)
-    r_2, r_3 = b_1 - (b_0 + g_0), g_1 - g_0
-    c_4 = 35.0 * r_0 - 15.0 * r_1 + 2.5 * r_2 - r_3 / 6.0 + q
-    c_5 = -84.0 * r_0 + 39.0 * r_1 - 7.0 * r_2 + 0.5 * r_3 - 4.0 * q
-    c_6 = 70.0 * r_0 - 34.0 * r_1 + 6.5 * r_2 - 0.5 * r_3 + 6.0 * q
-    c_7 = -20.0 * r_0 + 10.0 * r_1 - 2.0 * r_2 + r_3 / 6.0 - 4.0 * q
-    low, high = 0.0, 1.0
-    u = f_0 / (f_0 - f_1)
+@numba.njit(**OPTIONS)
+def _between(c, low, high):
+    """Zero of the polynomial c_0 + c_1 u + ... + c_4 u^4 between two places of different signs."""
+    at_low = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
+    u = 0.5 * (low + high)
     for _ in range(_MOST_PASSES):
-        tail = c_4 + u * (c_5 + u * (c_6 + u * (c_7 + u * q)))
-        turn = 4.0 * c_4 + u * (5.0 * c_5 + u * (6.0 * c_6 + u * (7.0 * c_7 + u * 8.0 * q)))
-        value = f_0 + u * (m_0 + u * (c_2 + u * (c_3 + u * tail)))
-        slope = m_0 + u * (b_0 + u * (3.0 * c_3 + u * turn))
-        if value * f_0 > 0.0:
+        value = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * c[4])))
+        if value * at_low > 0.0:
             low = u
         else:
             high = u
-        change = value / slope
-        u -= change
-        if not low <= u <= high:
-            u = 0.5 * (low + high)
-        elif abs(change) <= within:
-            break
-    tail = 0.2 * c_4 + u * (c_5 / 6.0 + u * (c_6 / 7.0 + u * (0.125 * c_7 + u * q / 9.0)))
-    before = u * (f_0 + u * (0.5 * m_0 + u * (c_2 / 3.0 + u * (0.25 * c_3 + u * tail))))
-    return h * u, h * (before + level * u), _NEXT_TERM * abs(q)
+        slope = c[1] + u * (2.0 * c[2] + u * (3.0 * c[3] + u * 4.0 * c[4]))
+        following = u - value / slope if slope != 0.0 else low
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if abs(following - u) < _NEAR:
+            return following
+        u = following
+    return u
+
+
+@numba.njit(**OPTIONS)
+def absolute_area(x_0, x_1, n_0, n_1, area, h):
+    """Integral of |e_y| over a piece, split where the quartic with its ends, slopes and integral changes its sign."""
+    m_0, m_1, mean = h * x_1, h * n_1, area / h
+    q = 30.0 * (mean - 0.5 * (x_0 + n_0) - (m_0 - m_1) / 12.0)
+    c = (x_0, m_0, 3.0 * (n_0 - x_0) - 2.0 * m_0 - m_1 + q, 2.0 * (x_0 - n_0) + m_0 + m_1 - 2.0 * q, q)
+    first = last = 1.0
+    if x_0 * n_0 < 0.0:
+        first = _between(c, 0.0, 1.0)
+    else:  # over and back, where the path turns between its ends
+        turn = _between((c[1], 2.0 * c[2], 3.0 * c[3], 4.0 * c[4], 0.0), 0.0, 1.0)
+        if (c[0] + turn * (c[1] + turn * (c[2] + turn * (c[3] + turn * c[4])))) * x_0 < 0.0:
+            first, last = _between(c, 0.0, turn), _between(c, turn, 1.0)
+    to_first = first * (c[0] + first * (c[1] / 2.0 + first * (c[2] / 3.0 + first * (c[3] / 4.0 + first * c[4] / 5.0))))
+    to_last = last * (c[0] + last * (c[1] / 2.0 + last * (c[2] / 3.0 + last * (c[3] / 4.0 + last * c[4] / 5.0))))
+    return h * (abs(to_first) + abs(to_last - to_first) + abs(mean - to_last))
 
 
 @numba.njit(inline="always", **OPTIONS)
 def touches(e_0, rate_0, e_1, rate_1, h):
     """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
-    turns = e_0 * e_1 >= 0.0 and e_0 * rate_0 < 0.0 < e_1 * rate_1
-    return turns and min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1))
+    turns = (e_0 * e_1 >= 0.0) & (e_0 * rate_0 < 0.0) & (e_1 * rate_1 > 0.0)
+    return turns & (min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1)))
+
+
+@numba.njit(**OPTIONS)
+def arctan(x):
+    """Arc tangent to 3e-10, without a branch."""
+    a = abs(x)
+    far, mid = a > 2.414213562373095, a > 0.4142135623730951
+    z = (-1.0 if far else (a - 1.0 if mid else a)) / (a if far else (a + 1.0 if mid else 1.0))
+    s = z * z
+    p = 0.10569738007378487 - 0.060260709468774064 * s
+    p = -0.14239520492592156 + s * p
+    p = 0.19998182383953952 + s * p
+    p = -0.3333330688086095 + s * p
+    p = 0.999999999370875 + s * p
+    value = z * p + (0.5 * math.pi if far else (0.25 * math.pi if mid else 0.0))
+    return value if x > 0.0 else -value
+
+
+@numba.njit(**OPTIONS)
+def sine(x):
+    """Sine of an angle between -pi and pi to 3e-11, without a branch."""
+    a = abs(x)
+    z = min(a, math.pi - a)
+    s = z * z
+    p = 2.752526342288838e-06 - 2.3889103098752917e-08 * s
+    p = -0.00019840861056042458 + s * p
+    p = 0.00833333097324863 + s * p
+    p = -0.16666666616789771 + s * p
+    p = 0.9999999999829079 + s * p
+    value = z * p
+    return value if x > 0.0 else -value
+
+
+@numba.njit(**OPTIONS)
+def cosine(x):
+    """Cosine of an angle between -3/2 pi and 3/2 pi, without a branch."""
+    return sine(0.5 * math.pi - abs(x))
+
+
+@numba.njit(**OPTIONS)
+def decay(x):
+    """Exponential function of x <= 0 to 1e-12, without a branch; that of -60 below."""
+    y = max(x, -60.0) * (1.0 / 256.0)
+    p = 1.0 / 3628800.0
+    p = 1.0 / 362880.0 + y * p
+    p = 1.0 / 40320.0 + y * p
+    p = 1.0 / 5040.0 + y * p
+    p = 1.0 / 720.0 + y * p
+    p = 1.0 / 120.0 + y * p
+    p = 1.0 / 24.0 + y * p
+    p = 1.0 / 6.0 + y * p
+    p = 0.5 + y * p
+    p = 1.0 + y * (1.0 + y * p)
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    return p * p

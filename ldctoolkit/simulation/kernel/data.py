@@ -1,7 +1,7 @@
 """What the compiled loops read and write: one row of numbers a scenario, and the numbers that all of them share.
 
 A compiled function counts references to every array that it is handed in a tuple, which costs more than the step of a
-plant: the scenarios are therefore one array and their states another, with the columns named here. The m triggered
+plant: the scenarios are therefore one array, with the columns named here. The m triggered
 scenarios come in the takeover's order. Nothing that is imported here needs the compiler.
 """
 
@@ -15,6 +15,9 @@ import numpy.typing as npt
 
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.setup import Setup
+
+LANES: Final = 8
+"""Scenarios side by side, in the vector registers of the processor."""
 
 # columns of a scenario: constant over a run
 START: Final = 0  # [s] trigger
@@ -31,35 +34,21 @@ C_0: Final = 10
 DC: Final = 11
 X_0: Final = 12  # 4 columns: start state
 DELTA_0: Final = 16
-A_BEFORE: Final = 17  # [m/s^2] lateral acceleration with x_0 and delta_0
-FASTEST: Final = 18  # [m/s^2] fastest mode [1/s] times speed
-# the rows of e_y'' and e_psi'' in the linear model, and their weights of delta and psi_l'
-A_11, A_12, A_13, A_31, A_32, A_33, B_1, B_3, E_1, E_3 = range(19, 29)
+# the row of e_y'' in the linear model, and its weights of delta and psi_l'
+A_11, A_12, A_13, B_1, E_1 = range(17, 22)
 # true vehicle; PRINTED is 4 C_ar l_r/m where the printed matrix is meant
-C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(29, 37)
-CURVATURE_BIAS: Final = 37  # [1/m] outward
-SCENE: Final = 38
+C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(22, 30)
+CURVATURE_BIAS: Final = 30  # [1/m] outward
+SUBSTEPS: Final = 31  # of the Runge-Kutta method in a segment
+SCENE: Final = 32
 """Then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter."""
 
 # the filter's own columns: gain (4 x 2), A (4 x 4), B, E_0, E_1 (4 each)
-GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1 = 0, 8, 24, 28, 32
-
-# columns of a state: whatever changes along a run
-X: Final = 0  # 4 columns
-WHEEL: Final = 4  # [rad] steering angle
-COMMAND: Final = 5  # [rad] last command
-ESTIMATE: Final = 6  # 4 columns: the Kalman filter's
-ALIVE: Final = 10  # 1: neither ended nor diverged
-DIVERGED: Final = 11
-FAILED: Final = 12  # commands that were not finite, or came from a fallback
-SLOT: Final = 13  # place of its path, or -1
-COUNT: Final = 14  # entries of its path so far
-INTEGRAL: Final = 15  # of e_y as the law saw it, for a law that feeds it back
-SCORE: Final = 16
+GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, FILTER = 0, 8, 24, 28, 32, 36
 
 
 def score_column(metric: str) -> int:
-    """Column of a metric of a scenario, counted from SCORE: in the order of their table, behind the area."""
+    """Row of a metric of a scenario among the scores: in the order of their table, behind the area."""
     return 1 + tuple(SCENARIO_METRICS).index(metric)
 
 
@@ -75,21 +64,6 @@ RATE: Final = score_column("delta_rate_peak")
 EFFORT: Final = score_column("effort")
 TRAVEL: Final = score_column("travel")
 SCORES: Final = 1 + len(SCENARIO_METRICS)
-STATE: Final = SCORE + SCORES
-"""Then, in this order: a ring of commands, a ring of frames (2 each), two rings of lateral accelerations."""
-
-# a thread's scratch
-W_X, W_AFTER, W_END, W_SCORE, W_LIMITS, W_SEEN, W_FRAME, W_K = (
-    0,
-    4,
-    9,
-    14,
-    14 + SCORES,
-    16 + SCORES,
-    20 + SCORES,
-    22 + SCORES,
-)
-WORK: Final = W_K + 60
 
 # columns of a path's entry
 P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
@@ -97,7 +71,7 @@ P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time
 LAW_F, LAW_U, LAW_I, LAW = 0, 4, 5, 6
 
-# columns of the ideal plant over one whole step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
+# columns of the ideal plant over a step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
 EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31
 
 
@@ -119,8 +93,8 @@ SETTINGS: Final = (
     "modes",  # columns of the speed residual
     "earlier",  # frames before the trigger
     "camera",  # the law sees frames, not the state
-    "period",  # samples between frames
-    "late",  # samples until a frame arrives
+    "period",  # [s] between frames
+    "late",  # [s] until a frame arrives
     "noise_y",
     "noise_psi",
     "bias_y",  # in the road's frame
@@ -186,7 +160,7 @@ def setting_row(setup: Setup, *, modes: int, bound: float, window: float) -> npt
     actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
     whole = math.floor(actuator.delay / dt + 1e-9)
     part = actuator.delay - whole * dt
-    period, late = sensors.in_samples(dt)
+    period, late = sensors.period or dt, sensors.delay
     values = {
         "dt": dt,
         "offset": setup.vehicle.edge_offset,
@@ -202,7 +176,7 @@ def setting_row(setup: Setup, *, modes: int, bound: float, window: float) -> npt
         "delay_samples": whole,
         "delay_part": part if part > 1e-9 * dt else 0.0,
         "modes": modes,
-        "earlier": -(-late // period),
+        "earlier": math.ceil(late / period - 1e-9),
         "camera": not sensors.ideal,
         "period": period,
         "late": late,
@@ -217,7 +191,7 @@ def setting_row(setup: Setup, *, modes: int, bound: float, window: float) -> npt
         "seed_high": setup.seed >> 32,
         "filtered": sensors.kalman is not None,
         "commands": whole + 2,
-        "frames": 0 if sensors.ideal else late + period + 1,
+        "frames": 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,
         "ring": 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
     }
     return np.array([values[name] for name in SETTINGS], dtype=np.float64)

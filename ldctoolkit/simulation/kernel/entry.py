@@ -12,7 +12,6 @@ look at: a digest of all of them is part of each entry, so that a changed file i
 from __future__ import annotations
 
 import hashlib
-import math
 from pathlib import Path
 from typing import Any
 
@@ -28,51 +27,28 @@ from ldctoolkit.simulation.kernel import (
     between,
     data,
     fused,
-    lane_cuts,
     lane_events,
+    lane_rows,
+    lane_sight,
     lane_table,
     lanes,
     plant,
-    sample,
-    senses,
+    rk4_lanes,
 )
-from ldctoolkit.simulation.kernel.data import (
-    A_BEFORE,
-    ALIVE,
-    AXLE,
-    BACK,
-    COMMAND,
-    COUNT,
-    DEEP,
-    DELTA_0,
-    DT,
-    ESTIMATE,
-    FRONT,
-    OVER,
-    RING,
-    SCORE,
-    SLOT,
-    START,
-    STEPS,
-    W_SEEN,
-    WHEEL,
-    WORK,
-    X_0,
-    X,
-)
-from ldctoolkit.simulation.kernel.lane_table import LANES, ROWS
+from ldctoolkit.simulation.kernel.data import LANES, RING
+from ldctoolkit.simulation.kernel.lane_rows import SEEN, TARGET
+from ldctoolkit.simulation.kernel.lane_sight import lay_road, look_ahead, noise_of, see, segment_size, substeps_of
+from ldctoolkit.simulation.kernel.lane_table import ROWS
 from ldctoolkit.simulation.kernel.lanes import drive_block
-from ldctoolkit.simulation.kernel.plant import OPTIONS, accelerations, curvature, speed
-from ldctoolkit.simulation.kernel.sample import advance, record, rings
-from ldctoolkit.simulation.kernel.senses import lane_ahead, linear_command, see
-from ldctoolkit.vehicle import _nonlinear_compiled
+from ldctoolkit.simulation.kernel.plant import OPTIONS
+from ldctoolkit.simulation.kernel.rk4_lanes import advance, drive_block_any, start
 
 
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256(",".join(SCENARIO_METRICS).encode())
-    lane_modules = (lane_cuts, lane_events, lane_table, lanes)
-    for module in (data, *lane_modules, between, fused, plant, sample, senses, _philox, _nonlinear_compiled):
+    lane_modules = (lane_events, lane_rows, lane_sight, lane_table, lanes)
+    for module in (data, *lane_modules, between, fused, plant, rk4_lanes, _philox):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
 
@@ -97,108 +73,89 @@ def _entries(digest: int) -> Any:
     """The entries, each with the digest among what it closes over: numba keeps one version a value."""
 
     @numba.njit(cache=True, **OPTIONS)
-    def begin(scene, setting, state, paths, rows):
-        """Start of the scenarios `rows`."""
+    def begin(scene, setting, state, paths, place, blocks):
+        """Start of the scenarios of some blocks, their tables in the rows of `state`."""
         if digest < 0:
             return
         scene = _bare(scene)
         setting = _bare(setting)
         state = _bare(state)
         paths = _bare(paths)
-        rows = _bare(rows)
-        commands, frames, _, _ = rings(setting)
-        for i in rows:
-            for n in range(state.shape[1]):
-                if n not in (SLOT, COUNT):
-                    state[i, n] = 0.0
-            for n in range(4):
-                state[i, X + n] = state[i, ESTIMATE + n] = scene[i, X_0 + n]
-            state[i, WHEEL] = state[i, COMMAND] = scene[i, DELTA_0]
-            state[i, commands:frames] = scene[i, DELTA_0]
-            state[i, SCORE + DEEP] = scene[i, X_0]
-            state[i, SCORE + FRONT] = scene[i, X_0] + setting[AXLE] * scene[i, X_0 + 2]
-            state[i, SCORE + BACK] = math.inf
-            state[i, SCORE + OVER] = -scene[i, X_0]
-            state[i, ALIVE] = 1.0 if scene[i, STEPS] > 0.0 else 0.0
-            record(paths, state, i, scene[i, START])
+        place = _bare(place)
+        blocks = _bare(blocks)
+        for block in blocks:
+            start(scene, setting, block, state[block], paths, place)
 
     @numba.njit(cache=True, **OPTIONS)
-    def before(scene, setting):
-        """Fill in the lateral acceleration just before the trigger."""
-        if digest < 0:
-            return
-        scene = _bare(scene)
-        setting = _bare(setting)
-        for i in range(scene.shape[0]):
-            t, p, psi, w = scene[i, START], scene[i, X_0 + 1], scene[i, X_0 + 2], scene[i, X_0 + 3]
-            v, _ = speed(scene, setting, i, t)
-            r = v * curvature(scene, i, t)
-            _, _, scene[i, A_BEFORE] = accelerations(scene, setting, i, t, r, p, psi, w, scene[i, DELTA_0])
-
-    @numba.njit(cache=True, **OPTIONS)
-    def look(scene, setting, state, k, rows, times, seen, yaw_rate, turn, work):
-        """What the law sees at sample k of the scenarios `rows`, into (r, 4), (r, p), (r, p)."""
+    def look(scene, setting, state, k, blocks, times, seen, lane):
+        """What the law sees at sample k of the scenarios of some blocks, into (m, 4) and (2, m, p)."""
         if digest < 0:
             return
         scene = _bare(scene)
         setting = _bare(setting)
         state = _bare(state)
-        rows = _bare(rows)
+        blocks = _bare(blocks)
         times = _bare(times)
         seen = _bare(seen)
-        yaw_rate = _bare(yaw_rate)
-        turn = _bare(turn)
-        work = _bare(work)
-        for n in range(rows.shape[0]):
-            i = rows[n]
-            see(scene, setting, state, i, k, work)
-            for j in range(4):
-                seen[n, j] = work[W_SEEN + j]
-            t = scene[i, START] + k * setting[DT]
-            for j in range(times.shape[0]):
-                yaw_rate[n, j], turn[n, j] = lane_ahead(scene, setting, i, t, times[j])
+        lane = _bare(lane)
+        ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
+        for block in blocks:
+            w = state[block]
+            look_ahead(scene, setting, block, k, times, ahead, 0)
+            noise_of(scene, setting, block, k, noise, 0)
+            see(setting, w, k, ahead, 0, noise, 0)
+            for l in range(min(LANES, scene.shape[0] - block * LANES)):
+                i = block * LANES + l
+                for n in range(4):
+                    seen[i, n] = w[SEEN + n * LANES + l]
+                for j in range(times.shape[0]):
+                    lane[0, i, j] = ahead[(1 + 2 * j) * LANES + l]
+                    lane[1, i, j] = ahead[(2 + 2 * j) * LANES + l]
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(scene, setting, state, paths, k, rows, command, work):
-        """Sample k of the scenarios `rows` with the commands (r,)."""
+    def go_on(scene, setting, state, paths, place, k, blocks, command):
+        """Sample k of the scenarios of some blocks with the commands (m,)."""
         if digest < 0:
             return
         scene = _bare(scene)
         setting = _bare(setting)
         state = _bare(state)
         paths = _bare(paths)
-        rows = _bare(rows)
+        place = _bare(place)
+        blocks = _bare(blocks)
         command = _bare(command)
-        work = _bare(work)
-        for n in range(rows.shape[0]):
-            advance(scene, setting, state, paths, rows[n], k, command[n], work)
+        most = 1
+        for block in blocks:
+            most = max(most, substeps_of(scene, block))
+        road = np.empty(3 * segment_size(most))
+        for block in blocks:
+            w = state[block]
+            parts = substeps_of(scene, block)
+            for l in range(min(LANES, scene.shape[0] - block * LANES)):
+                w[TARGET + l] = command[block * LANES + l]
+            end = lay_road(scene, setting, block, k, w, parts, road, 0)
+            advance(scene, setting, block, w, k, parts, road, 0, end, paths, place)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_each(scene, setting, law, times, state, paths, rows, work):
-        """A linear law on the scenarios `rows`, each from its start to its end."""
+    def drive_any(scene, setting, law, times, paths, place, blocks, score, diverged, failed):
+        """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if digest < 0:
             return
         scene = _bare(scene)
         setting = _bare(setting)
         law = _bare(law)
         times = _bare(times)
-        state = _bare(state)
         paths = _bare(paths)
-        rows = _bare(rows)
-        work = _bare(work)
-        for i in rows:
-            for k in range(int(scene[i, STEPS])):
-                if state[i, ALIVE] == 0.0:
-                    break
-                see(scene, setting, state, i, k, work)
-                t = scene[i, START] + k * setting[DT]
-                command = linear_command(scene, setting, law, times, state, i, t, work)
-                advance(scene, setting, state, paths, i, k, command, work)
+        place = _bare(place)
+        blocks = _bare(blocks)
+        score = _bare(score)
+        diverged = _bare(diverged)
+        failed = _bare(failed)
+        for block in blocks:
+            drive_block_any(scene, setting, law, times, paths, place, block, score, diverged, failed)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_lanes(
-        scene, exact, setting, law, times, state, paths, first, last, score, diverged, failed, work, score_only
-    ):
+    def drive_lanes(scene, exact, setting, law, times, first, last, score, diverged, failed, work, score_only):
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant. S alone on request."""
         if digest < 0:
             return
@@ -207,29 +164,24 @@ def _entries(digest: int) -> Any:
         setting = _bare(setting)
         law = _bare(law)
         times = _bare(times)
-        state = _bare(state)
-        paths = _bare(paths)
         score = _bare(score)
         diverged = _bare(diverged)
         failed = _bare(failed)
         work = _bare(work)
         size, rows = int(setting[RING]), 2 * times.shape[1]
-        lane = work[WORK:].reshape(-1, LANES)
+        lane = work.reshape(-1, LANES)
         w, g = lane[:ROWS].ravel(), lane[ROWS : ROWS + rows].ravel()
         ring = lane[ROWS + rows : ROWS + rows + 1 + 2 * size].ravel()
-        tables = (w, g, ring, work)
+        tables = (w, g, ring)
         for block in range(first, last):
-            drive_block(
-                scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables, score_only
-            )
+            drive_block(scene, exact, setting, law, times, block, score, diverged, failed, tables, score_only)
 
-    return begin, before, look, go_on, drive_each, drive_lanes
+    return begin, look, go_on, drive_any, drive_lanes
 
 
-begin, before, look, go_on, drive_each, drive_lanes = _entries(_digest())
+begin, look, go_on, drive_any, drive_lanes = _entries(_digest())
 
 
-def scratch(setting: FloatArray | None = None, lookaheads: int = 0) -> FloatArray:
-    """Scratch of one call; with a setting, for `drive_lanes` with that many lookahead times."""
-    lanes_rows = 0 if setting is None else ROWS + 2 * lookaheads + 1 + 2 * int(setting[RING])
-    return np.zeros(WORK + lanes_rows * LANES)
+def scratch(setting: FloatArray, lookaheads: int) -> FloatArray:
+    """Scratch of one call of `drive_lanes` with that many lookahead times."""
+    return np.zeros((ROWS + 2 * lookaheads + 1 + 2 * int(setting[RING])) * LANES)

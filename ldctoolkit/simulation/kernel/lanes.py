@@ -13,30 +13,10 @@ import math
 
 import numba
 
-from ldctoolkit.simulation.kernel.data import (
-    A_Y,
-    AREA,
-    AXLE,
-    BACK,
-    BOUND,
-    DEEP,
-    DELTA,
-    DT,
-    EFFORT,
-    FRONT,
-    FULL,
-    JERK,
-    OFFSET,
-    OVER,
-    RATE,
-    RING,
-    STEPS,
-    TRAVEL,
-    WINDOW,
-)
+from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.kernel.between import touches
 from ldctoolkit.simulation.kernel.fused import fma
-from ldctoolkit.simulation.kernel.lane_cuts import drive_cuts
-from ldctoolkit.simulation.kernel.lane_events import drive_alone, look_closer, past_of_last
+from ldctoolkit.simulation.kernel.lane_events import cut, look_closer, past_of_last, past_sample
 from ldctoolkit.simulation.kernel.lane_table import (
     R_AD,
     R_ALIVE,
@@ -70,7 +50,6 @@ from ldctoolkit.simulation.kernel.lane_table import (
     R_SIGNED,
     R_SINGLE,
     R_START,
-    R_STIFF,
     R_T,
     R_U,
     R_X,
@@ -81,14 +60,13 @@ from ldctoolkit.simulation.kernel.lane_table import (
     leave,
     load,
 )
-from ldctoolkit.simulation.kernel.plant import OPTIONS
-from ldctoolkit.simulation.kernel.sample import length, past_sample
+from ldctoolkit.simulation.kernel.plant import OPTIONS, length_of
 
 
 @numba.njit(**OPTIONS)
 def _look_ahead(setting, times, design, k, w, g, width):
     """What a law with several lookahead times, or none, makes of the lane ahead."""
-    t_k = k * setting[DT]
+    t_k = k * setting[data.DT]
     for l in range(width):
         w[R_D * L + l] = 0.0
     for j in range(times.shape[1]):
@@ -119,8 +97,8 @@ def _three(a, x, b, y, c, z):
 @numba.njit(inline="always", **OPTIONS)
 def _step(setting, k, ahead, w, full):
     """Command and one whole step of every lane; True if something rare happens in one."""
-    dt, offset, bound, l_f = setting[DT], setting[OFFSET], setting[BOUND], setting[AXLE]
-    t_k, t_next, per_dt = k * dt, (k + 1) * dt, 1.0 / dt
+    dt, offset, bound, l_f = setting[data.DT], setting[data.OFFSET], setting[data.BOUND], setting[data.AXLE]
+    t_k, t_next = k * dt, (k + 1) * dt
     rare = False
     for l in range(L):
         r_0 = w[R_R1 * L + l]
@@ -158,13 +136,13 @@ def _step(setting, k, ahead, w, full):
             q_d, q_r = w[(R_Q + 3) * L + l] * d, w[(R_Q + 4) * L + l]
             w[R_RIGHT * L + l] = fma(q_r, r_0, _three(q_1, x_1, q_2, x_2, q_3, x_3) + q_d)
             w[R_LEFT * L + l] = fma(q_r, r_1, _three(q_1, n_1, q_2, n_2, q_3, n_3) + q_d)
-            back, deep = w[(R_S + BACK) * L + l], w[(R_S + DEEP) * L + l]
-            front, over = w[(R_S + FRONT) * L + l], w[(R_S + OVER) * L + l]
+            back, deep = w[(R_S + data.BACK) * L + l], w[(R_S + data.DEEP) * L + l]
+            front, over = w[(R_S + data.FRONT) * L + l], w[(R_S + data.OVER) * L + l]
         w[R_N * L + l], w[(R_N + 1) * L + l], w[(R_N + 2) * L + l], w[(R_N + 3) * L + l] = n_0, n_1, n_2, n_3
         w[R_SIGNED * L + l] = area
         event = _event(
-            x_0, x_1, fma(l_f, x_3, x_1), n_0, n_1, fma(l_f, n_3, n_1), l_f * x_2, l_f * n_2, dt, per_dt, offset, bound,
-            w[R_COUNTED * L + l] > 0.0, w[R_STIFF * L + l] > 0.0, back, deep, front, over,
+            x_0, x_1, fma(l_f, x_3, x_1), n_0, n_1, fma(l_f, n_3, n_1), l_f * x_2, l_f * n_2, dt, offset, bound,
+            w[R_COUNTED * L + l] > 0.0, back, deep, front, over,
         )  # fmt: skip
         w[R_FLAG * L + l] = WRONG if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
@@ -182,7 +160,7 @@ def _light_score(w):
     """S of a step in every lane."""
     for l in range(L):
         counted = w[R_COUNTED * L + l] * (1.0 - w[R_SINGLE * L + l])
-        w[(R_S + AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + AREA) * L + l])
+        w[(R_S + data.AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + data.AREA) * L + l])
         w[R_U * L + l], w[R_D * L + l] = w[R_D * L + l], 0.0
         w[R_X * L + l], w[(R_X + 1) * L + l] = w[R_N * L + l], w[(R_N + 1) * L + l]
         w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = w[(R_N + 2) * L + l], w[(R_N + 3) * L + l]
@@ -190,21 +168,17 @@ def _light_score(w):
 
 @numba.njit(inline="always", **OPTIONS)
 def _event(
-    x_0, x_1, f_0, n_0, n_1, f_1, ahead_0, ahead_1, dt, per_dt, offset, bound, counted, stiff, back, deep, front, over
+    x_0, x_1, f_0, n_0, n_1, f_1, ahead_0, ahead_1, dt, offset, bound, counted, back, deep, front, over
 ):  # fmt: skip
     """Whether a step holds anything but a smooth piece on one side of the lane's centre."""
-    rise = (n_0 - x_0) * per_dt
-    reach = dt * (abs(x_1 - rise) + abs(n_1 - rise))  # how far the path may be from the chord
     high, low = max(x_0, n_0), min(x_0, n_0)
     event = not abs(n_0) <= bound  # also true for NaN
-    event |= (back == math.inf) & ((n_0 < offset) | (stiff & (low - reach < offset)))
+    event |= (back == math.inf) & (n_0 < offset)
     # an extreme between the samples that may be a new one
     event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(dt, x_1 - n_1, high) > deep)
     event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(dt, f_0 - f_1, max(x_0 + ahead_0, n_0 + ahead_1)) > front)
     event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(dt, n_1 - x_1, -low) > max(over, offset))
-    # a change of sign; or both ends on one side, but so close that the path between them may reach over
-    close = min(abs(x_0), abs(n_0)) < reach
-    return event | (counted & ((x_0 * n_0 < 0.0) | (close & (stiff | (x_1 * n_1 < 0.0)))))
+    return event | (counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt)))
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -264,53 +238,54 @@ def _compare(ring, start, end, share, w, row):
 @numba.njit(inline="always", **OPTIONS)
 def _score(setting, w):
     """Scores of a step in every lane; `single` lanes have theirs but for acceleration, jerk and rate."""
-    dt, l_f, per_window, per_step = setting[DT], setting[AXLE], 1.0 / (setting[WINDOW] * setting[DT]), 1.0 / setting[DT]
+    dt, l_f = setting[data.DT], setting[data.AXLE]
+    per_window, per_step = 1.0 / (setting[data.WINDOW] * dt), 1.0 / dt
     for l in range(L):
         together = 1.0 - w[R_SINGLE * L + l]
         n_0, n_2, d, u = w[R_N * L + l], w[(R_N + 2) * L + l], w[R_D * L + l], w[R_U * L + l]
         counted = w[R_COUNTED * L + l] * together
         alive = w[R_ALIVE * L + l] * together
-        w[(R_S + AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + AREA) * L + l])
+        w[(R_S + data.AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + data.AREA) * L + l])
         front = fma(l_f, n_2, n_0)
-        w[(R_S + DEEP) * L + l] = max(w[(R_S + DEEP) * L + l], n_0 if counted > 0.0 else -math.inf)
-        w[(R_S + FRONT) * L + l] = max(w[(R_S + FRONT) * L + l], front if counted > 0.0 else -math.inf)
-        w[(R_S + OVER) * L + l] = max(w[(R_S + OVER) * L + l], -n_0 if alive > 0.0 else -math.inf)
+        w[(R_S + data.DEEP) * L + l] = max(w[(R_S + data.DEEP) * L + l], n_0 if counted > 0.0 else -math.inf)
+        w[(R_S + data.FRONT) * L + l] = max(w[(R_S + data.FRONT) * L + l], front if counted > 0.0 else -math.inf)
+        w[(R_S + data.OVER) * L + l] = max(w[(R_S + data.OVER) * L + l], -n_0 if alive > 0.0 else -math.inf)
         change = abs(d - u)
-        w[(R_S + EFFORT) * L + l] = fma(alive, dt * (d * d), w[(R_S + EFFORT) * L + l])
-        w[(R_S + TRAVEL) * L + l] = fma(alive, change, w[(R_S + TRAVEL) * L + l])
+        w[(R_S + data.EFFORT) * L + l] = fma(alive, dt * (d * d), w[(R_S + data.EFFORT) * L + l])
+        w[(R_S + data.TRAVEL) * L + l] = fma(alive, change, w[(R_S + data.TRAVEL) * L + l])
         right, left = w[R_RIGHT * L + l], w[R_LEFT * L + l]
         jerk = max(abs(right - w[R_PAST_RIGHT * L + l]), abs(left - w[R_PAST_LEFT * L + l]))
-        w[(R_S + JERK) * L + l] = max(w[(R_S + JERK) * L + l], jerk * per_window)
-        w[(R_S + A_Y) * L + l] = max(w[(R_S + A_Y) * L + l], max(abs(right), abs(left)))
-        w[(R_S + DELTA) * L + l] = max(w[(R_S + DELTA) * L + l], abs(d))
-        w[(R_S + RATE) * L + l] = max(w[(R_S + RATE) * L + l], change * per_step)
+        w[(R_S + data.JERK) * L + l] = max(w[(R_S + data.JERK) * L + l], jerk * per_window)
+        w[(R_S + data.A_Y) * L + l] = max(w[(R_S + data.A_Y) * L + l], max(abs(right), abs(left)))
+        w[(R_S + data.DELTA) * L + l] = max(w[(R_S + data.DELTA) * L + l], abs(d))
+        w[(R_S + data.RATE) * L + l] = max(w[(R_S + data.RATE) * L + l], change * per_step)
         w[R_U * L + l], w[R_D * L + l] = d, 0.0
         w[R_X * L + l], w[(R_X + 1) * L + l] = n_0, w[(R_N + 1) * L + l]
         w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = n_2, w[(R_N + 3) * L + l]
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, times, state, paths, block, score, diverged, failed, tables, score_only):
+def drive_block(scene, exact, setting, law, times, block, score, diverged, failed, tables, score_only):
     """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
-    w, g, ring, work = tables
-    first, rows, size = block * L, 2 * times.shape[1], int(setting[RING])
+    w, g, ring = tables
+    first, rows, size = block * L, 2 * times.shape[1], int(setting[data.RING])
     width = ring.shape[0] // (2 * size + 1)  # L, but unknown to the compiler, which would unroll a small loop instead
     count = min(L, scene.shape[0] - first)
     most = 0
     for l in range(count):
-        most = max(most, int(scene[first + l, STEPS]))
-    load(scene, setting, exact, block, w)
+        most = max(most, int(scene[first + l, data.STEPS]))
+    load(scene, exact, block, w)
     for l in range(L):
         ring[2 * size * L + l] = w[R_BEFORE * L + l]
     # a window is so many samples and the same share of another everywhere
-    window_ago, share = past_sample(4 * size - setting[WINDOW], False)
+    window_ago, share = past_sample(4 * size - setting[data.WINDOW], False)
     behind = 4 * size - window_ago
     for design in range(law.shape[0]):
         begin(scene, setting, law, times, design, block, w, g)
         for l in range(L):
             w[R_SINGLE * L + l] = 0.0
             if score_only:
-                w[(R_S + BACK) * L + l] = 0.0  # nobody asks when
+                w[(R_S + data.BACK) * L + l] = 0.0  # nobody asks when
         several, ahead = times.shape[1] != 1, 0.0
         if not several:
             ahead = times[design, 0]
@@ -323,30 +298,26 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                 next_cut = most
                 for l in range(count):
                     i = first + l
-                    _, counted = length(scene, setting, i, k)
+                    _, counted = length_of(scene, setting, i, k)
                     w[R_COUNTED * L + l] = w[R_ALIVE * L + l] if counted > 0.0 else 0.0
-                    full, end = int(scene[i, FULL]), int(scene[i, STEPS]) - 1
+                    full, end = int(scene[i, data.FULL]), int(scene[i, data.STEPS]) - 1
                     if k < end:
                         next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
             rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
-            if not quiet:
-                drive_cuts(scene, setting, state, first, count, k, w, work, not score_only)
             if rare or not quiet:
                 for l in range(count):
-                    flag = w[R_FLAG * L + l]
-                    if flag == 0.0 or w[R_ALIVE * L + l] == 0.0:
+                    i, fine = first + l, True
+                    if w[R_ALIVE * L + l] == 0.0:
                         continue
-                    i = first + l
-                    if flag == WRONG:  # the command before it was driven
+                    if w[R_FLAG * L + l] == WRONG:  # the command before it was driven
                         failed[design, i] += 1
-                    if w[R_SINGLE * L + l] > 0.0:
-                        continue
-                    if w[R_SINGLE * L + l] == 0.0 and look_closer(
-                        scene, setting, state, i, l, k, w, work, not score_only
-                    ):
-                        continue
-                    w[R_SINGLE * L + l] = 1.0
-                    if not drive_alone(scene, setting, state, paths, i, l, k, w, work):
+                    h, until = length_of(scene, setting, i, k)
+                    if h < setting[data.DT] or 0.0 < until < h:
+                        w[R_SINGLE * L + l] = 1.0
+                        fine = cut(scene, exact, setting, w, i, l, k, not score_only)
+                    elif w[R_FLAG * L + l] > 0.0:
+                        fine = look_closer(setting, w, l, k, not score_only)
+                    if not fine:
                         diverged[design, i] = True
                         leave(w, g, l, rows, score, design, i, score_only)
             if not score_only:
@@ -357,7 +328,7 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
                 _compare(ring, start, end, share, w, R_PAST_LEFT)
                 if not quiet:
                     for l in range(count):
-                        if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                        if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, data.STEPS]:
                             past_of_last(scene, setting, first + l, l, k, ring, w)
                 _score(setting, w)
             else:
@@ -365,5 +336,5 @@ def drive_block(scene, exact, setting, law, times, state, paths, block, score, d
             if rare or not quiet:
                 for l in range(count):
                     w[R_SINGLE * L + l] = 0.0
-                    if w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, STEPS]:
+                    if w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, data.STEPS]:
                         leave(w, g, l, rows, score, design, first + l, score_only)

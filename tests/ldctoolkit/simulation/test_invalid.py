@@ -197,12 +197,11 @@ def test_a_linear_law_with_gains_that_are_not_finite(value: float, options: str)
 )
 def test_a_law_that_never_gives_a_number_holds_the_first_angle(value: float, options: str) -> None:
     """Linear and general alike: the wheel stays where the recorded path had it, and every command is counted."""
-    hold = run(Constant(f_u=1.0), SOUND, OPTIONS[options])
     never = Stepped(PreviewProportional(), lambda delta, k: np.full_like(delta, value))
-    for design in (never, Constant((value,) * 4, value)):
-        out = run(design, SOUND, OPTIONS[options])
+    last = Constant(f_u=1.0)
+    for design, same in ((never, Stepped(last)), (Constant((value,) * 4, value), last)):
+        out, hold = run(design, SOUND, OPTIONS[options]), run(same, SOUND, OPTIONS[options])
         assert_counted(out, np.zeros(N, dtype=bool))
-        # the general loop's plant is the same up to rounding
         np.testing.assert_allclose(out.S, hold.S, rtol=1e-12)
         for name in METRICS:
             ours, theirs = getattr(out.companions, name), getattr(hold.companions, name)

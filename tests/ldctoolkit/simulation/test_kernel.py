@@ -9,7 +9,15 @@ import pytest
 
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers import closed_loop
-from helpers.closed_loop import METRICS, Constant, Stepped, assert_same_rows, make_scenarios, with_residuals
+from helpers.closed_loop import (
+    METRICS,
+    Constant,
+    Stepped,
+    assert_same_rows,
+    assert_within_the_bound,
+    make_scenarios,
+    with_residuals,
+)
 from helpers.grids import grid
 from ldctoolkit import Controller, EventStatus, Scenarios, simulate
 from ldctoolkit.errors import InputError
@@ -17,7 +25,7 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
 from ldctoolkit.simulation import Takeover, drive, drive_many
 
 ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
-"""The ideal plant in effect; the compiled loop takes its scenarios one by one and piece by piece."""
+"""The ideal plant in effect, driven by the Runge-Kutta loop."""
 
 CLOSED = {
     "preview": PreviewProportional(),
@@ -33,17 +41,13 @@ CLOSED = {
 SLOW = Scenarios.from_arrays(T=[3.0, 6.0, 9.0, 1.3], d_y=[0.3, 0.5, 0.9, 0.6], v_mean=[1.0, 1.5, 3.0, 4.0], c_0=1e-3)
 
 
-def close(out: Any, expected: Any, abs_S: float = 1e-12, abs_rest: float = 1e-9) -> None:
-    """Two routes to the same numbers, up to rounding."""
+def close(out: Any, expected: Any, between: float = 5e-4) -> None:
+    """Two routes to the same numbers, within the bound of the Runge-Kutta loop."""
     np.testing.assert_array_equal(out.status, expected.status)
     # of scenarios that diverge, rounding has grown by twenty metres over a micrometre
     fine = out.status != EventStatus.DIVERGED
-    np.testing.assert_allclose(out.S[fine], expected.S[fine], rtol=1e-12, atol=abs_S)
-    np.testing.assert_allclose(out.S, expected.S, rtol=1e-7, atol=1e-9)
-    for name in METRICS:
-        ours, theirs = getattr(out.companions, name), getattr(expected.companions, name)
-        np.testing.assert_allclose(ours[fine], theirs[fine], rtol=1e-9, atol=abs_rest, err_msg=name)
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6, err_msg=name)
+    assert_within_the_bound(out, expected, fine, between)
+    np.testing.assert_allclose(out.S, expected.S, rtol=1e-3)
 
 
 STEPS = ((0.05, 3.0), (0.05, 0.0), (0.01, 0.01), (0.3, 1.0), (0.5, 0.7))
@@ -52,19 +56,19 @@ STEPS = ((0.05, 3.0), (0.05, 0.0), (0.01, 0.01), (0.3, 1.0), (0.5, 0.7))
 @pytest.mark.parametrize(
     ("law", "step"), grid(CLOSED, STEPS, *((law, STEPS[0]) for law in CLOSED), *(("swings", step) for step in STEPS))
 )
-def test_side_by_side_equals_one_by_one(law: str, step: tuple[float, float]) -> None:
-    """Whole steps of the discretised plant, and Taylor series piece by piece with every crossing located."""
+def test_exact_steps_equal_runge_kutta(law: str, step: tuple[float, float]) -> None:
+    """Whole steps of the discretised plant, and substeps of the method of Runge and Kutta."""
     dt, settle = step
     for scenarios, y_s in ((make_scenarios(150, seed=2), 0.05), (SLOW, 0.0)):
         given = {"y_s": y_s, "dt": dt, "settle": settle}
         side_by_side = simulate(CLOSED[law], scenarios, **given)
-        close(simulate(CLOSED[law], scenarios, options=ONE_BY_ONE, **given), side_by_side)
+        close(simulate(CLOSED[law], scenarios, options=ONE_BY_ONE, **given), side_by_side, between=4.0 * dt**3 + 1e-5)
 
 
 @pytest.mark.parametrize(
     ("law", "drops"), grid(CLOSED, (False, True), ("LQR", False), ("integral", True), ("unstable", True))
 )
-def test_side_by_side_equals_the_general_loop(law: str, drops: bool) -> None:
+def test_exact_steps_equal_the_general_loop(law: str, drops: bool) -> None:
     scenarios = make_scenarios(100, seed=6)
     general = simulate(Stepped(CLOSED[law], drops=drops), scenarios, y_s=0.05)
     close(general, simulate(CLOSED[law], scenarios, y_s=0.05))
