@@ -205,6 +205,7 @@ class Hostile(Controller):
         return RecordedPath()
 
 
+@pytest.mark.slow
 def test_every_string_of_a_user_is_escaped() -> None:
     designs = [Design.of(Hostile(word=word), y_s) for word in ("plain", "<b>bold</b>") for y_s in (0.1, 0.2)]
     designs.append(Design.of(Hostile(word="\"><img src=x onerror='alert(1)'>"), 0.1))

@@ -40,6 +40,7 @@ def without_summary(model: ScenarioModel) -> ScenarioModel:
     return dataclasses.replace(model, provenance=dataclasses.replace(card, **sides))
 
 
+@pytest.mark.slow
 def test_a_departures_table_is_compared_exactly(model: ScenarioModel, generated: Scenarios) -> None:
     source = table(model.sample(900, 700, seed=6))
     left, right = match(generated, model, source=source)

@@ -52,6 +52,7 @@ def names(found: Section) -> list[str]:
     return [drawing.name for drawing in found.drawings]
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_comparison(model: ScenarioModel) -> None:
     found = made(model, (60, 40))
     assert found.id == "model"
