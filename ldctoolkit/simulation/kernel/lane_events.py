@@ -165,7 +165,7 @@ def cut(scene, exact, setting, w, i, l, k, full):
 
 @numba.njit(inline="always", **OPTIONS)
 def past_of_last(scene, setting, i, l, k, ring, w):
-    """What a_y was a window before the end of a last step that is not whole; as `sample.before_end`."""
+    """What a_y was a window before the end of a last step that is not whole."""
     h, _ = length_of(scene, setting, i, k)
     size, share_of_step = int(setting[data.RING]), h / setting[DT] if h < setting[DT] else 1.0
     past = k + share_of_step - setting[data.WINDOW]

@@ -21,8 +21,8 @@ L: Final = data.LANES
 
 _SIZES: Final = {
     "x": 4,  # state at the start of a substep
-    "y": 4,  # at a stage
-    "k": 4,  # its slopes
+    "y": 4,  # after a substep
+    "k": 4,  # slopes of a stage
     "sum": 5,  # their weighted sum, and that of e_y
     "a_y": 1,
     "point": 5,  # at a stage: v, its rate, 1/v, the lane's yaw rate, the steering angle

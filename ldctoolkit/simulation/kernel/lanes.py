@@ -285,7 +285,7 @@ def drive_block(scene, exact, setting, law, times, block, score, diverged, faile
         for l in range(L):
             w[R_SINGLE * L + l] = 0.0
             if score_only:
-                w[(R_S + data.BACK) * L + l] = 0.0  # nobody asks when
+                w[(R_S + data.BACK) * L + l] = 0.0  # no time is wanted beside S
         several, ahead = times.shape[1] != 1, 0.0
         if not several:
             ahead = times[design, 0]

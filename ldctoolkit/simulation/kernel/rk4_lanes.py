@@ -1,7 +1,7 @@
 """Any plant, eight scenarios side by side: fixed steps of the classical Runge-Kutta method, branch-free.
 
 A sample is cut into segments where something jumps, at a command that arrives within it and at T; a segment into equal
-substeps, at most `plant.REACH` of the fastest time constant long. The steering angle is known in closed form along a
+substeps, at most a quarter of the fastest time constant long. The steering angle is known in closed form along a
 segment, a ramp at the rate limit and then a decay with the lag; a substep sees the parabola with the same mean, first
 and second moment, so that neither the end of the ramp nor a lag far shorter than the substep costs accuracy.
 
@@ -466,8 +466,6 @@ def advance(scene, setting, block, w, k, parts, road, at, end, paths, place):
     for l in range(L):
         if not w[ALIVE + l] > 0.0:  # a lane that has ended stays finite
             w[X + l] = w[X + L + l] = w[X + 2 * L + l] = w[X + 3 * L + l] = 0.0
-    for n in range(4 * L):
-        w[Y + n] = w[X + n]
     for l in range(L):
         w[S + data.RATE * L + l] = max(
             w[S + data.RATE * L + l], abs(w[WHEEL + l] - w[BEGAN + L + l]) / dt if w[ALIVE + l] > 0.0 else 0.0
@@ -501,8 +499,6 @@ def start(scene, setting, block, w, paths, place):
     """Everything before the first sample of a block."""
     load(scene, setting, block, w)
     begin(scene, setting, block, w)
-    for n in range(4 * L):
-        w[Y + n] = w[X + n]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
         v, dv = speed(scene, setting, i, w[T_0 + l])
