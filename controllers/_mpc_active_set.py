@@ -96,7 +96,7 @@ def prove(
             if limits.group[row] >= 0:
                 sums[limits.group[row]] += magnitude
         for kind in range(3):
-            slack = sums[kind] / limits.weight - 1.0
+            slack = sums[kind] / limits.weight[kind] - 1.0
             if beyond[kind]:
                 w[M + kind] = slack
                 if slack < 0.0:
@@ -157,7 +157,7 @@ def _magnitudes(
                 total += C[row, k] * C[other, k]
             total *= side[row] * side[other]
             if kind >= 0 and beyond[kind] and limits.group[other] == kind:
-                total += 1.0 / limits.weight
+                total += 1.0 / limits.weight[kind]
             room[a, b] = total
         diagonal = room[a, a]
         for b in range(a + 1):

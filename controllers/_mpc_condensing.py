@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from controllers.riccati import Weights, regulator
+from controllers.riccati import Weights, in_time, regulator
 from ldctoolkit import Plant
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,24 +21,30 @@ IntArray = npt.NDArray[np.int64]
 SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")
 """Kinds of soft limits, in the order of their rows."""
 
+SHARES = np.array([1.0, 30.0, 1.0])
+"""Of the weight of slacks, of each kind: where a takeover leaves no way to keep all, the jerk comes first."""
+
+WINDOW = 0.5
+"""Time [s] over which ISO 11270 averages jerk."""
+
 
 class Condensed(NamedTuple):
-    """The MPC of n scenarios, horizon N, M free moves; z is the deviation from steady cornering."""
+    """The MPC of n scenarios, horizon N, M free moves, m states; z is the deviation from steady cornering."""
 
     A_cl: FloatArray
-    """(n, 4, 4) closed loop A - B K."""
+    """(n, m, m) closed loop A - B K."""
     B: FloatArray
-    """(n, 4)"""
+    """(n, m)"""
     K: FloatArray
-    """(n, 4) LQR gain."""
+    """(n, m) LQR gain."""
     D: FloatArray
-    """(n, 4) what a change of the lane's yaw rate over a step does to z."""
+    """(n, m) what a change of the lane's yaw rate over a step does to z."""
     PD: FloatArray
-    """(n, 4) P D."""
+    """(n, m) P D."""
     back: FloatArray
-    """(n, 4) -B / s: from the costate to the feedforward."""
-    e_psi: FloatArray
-    """(n,) steady heading error per unit of lane yaw rate."""
+    """(n, m) -B / s: from the costate to the feedforward."""
+    x_ss: FloatArray
+    """(n, m) steady state per unit of lane yaw rate."""
     delta_ss: FloatArray
     """(n,) steady steering angle per unit of lane yaw rate."""
     impulse: FloatArray
@@ -48,26 +54,49 @@ class Condensed(NamedTuple):
     moves: FloatArray
     """(n, M, M) moves from corrections; (n, 0, 0) without blocks."""
     A: FloatArray
-    """(n, 4, 4) of the plant."""
+    """(n, m, m) of the plant."""
     E_0: FloatArray
-    """(n, 4)"""
+    """(n, m)"""
     E_1: FloatArray
-    """(n, 4)"""
-    a_y: FloatArray
-    """(n, 6) lateral acceleration from (x, delta, lane yaw rate)."""
+    """(n, m)"""
+    a: FloatArray
+    """(n, m + 2) lateral acceleration less that of the lane, from (x, command, lane yaw rate)."""
     response: FloatArray
-    """(n, 3, N) of a_y just after the command, a_y at the end of the step and e_y there, k steps after a unit command
-    held for one sample; (n, 0, 0) without soft limits."""
+    """(n, 3, N) of a at the end of the step, a just after the command and e_y at the end of the step, k steps after a
+    unit command held for one sample; (n, 0, 0) without soft limits."""
 
     def take(self, rows: IntArray) -> Condensed:
         """Some of the scenarios."""
         return Condensed(*(each[rows] for each in self))
 
 
+class Given(NamedTuple):
+    """What a sample gives to the QPs of n scenarios."""
+
+    x: FloatArray
+    """(n, m) state now."""
+    prev: FloatArray
+    """(n,) command before [rad]."""
+    sent: FloatArray
+    """(n, delay + 1) commands up to it, of which all but the first are still to arrive [rad]."""
+    r: FloatArray
+    """(n, delay + N + 1) yaw rate of the lane [rad/s]."""
+    past: FloatArray
+    """(n, 2, window + 1) a before and after each of the last samples, the first of now is the last; (n, 2, 0) without a
+    limit on jerk."""
+
+
 class Limits(NamedTuple):
     """The rows of the QP, the same for every scenario: R = 2 M - 1 hard ones, then the soft ones."""
 
-    dt: float
+    delay: int
+    """Samples until a command arrives, whole ones."""
+    window: int
+    """Samples over which jerk is averaged, rounded up; 0 without a limit on jerk."""
+    share: float
+    """By how much that is rounded up."""
+    sides: int
+    """2 where a jumps with the command, else 1."""
     delta_max: float
     rate_step: float
     """Largest change of the command from one sample to the next [rad]."""
@@ -78,9 +107,9 @@ class Limits(NamedTuple):
     shift: IntArray
     """(R,) the row that stood in this row's place one sample before."""
     scale: FloatArray
-    """(3,) 1 / limit of each kind of soft limit; 0 where there is none."""
-    weight: float
-    """Of the slacks, linear and quadratic."""
+    """(3,) 1 / limit of each kind of soft limit, of a change of a for the jerk; 0 where there is none."""
+    weight: FloatArray
+    """(3,) of the slacks, linear and quadratic."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +122,7 @@ class Wanted:
     delta_max: float
     rate_max: float
     soft_limits: tuple[float, float, float]
-    """a_y [m/s^2], jerk [m/s^3], e_y [m]; 0 for none."""
+    """a [m/s^2], its mean change [m/s^3], e_y [m]; 0 for none."""
     soft_weight: float
     blocks: int
 
@@ -120,24 +149,38 @@ def block_starts(horizon: int, blocks: int) -> IntArray:
     return np.maximum(np.round(ideal).astype(np.int64), np.arange(blocks))
 
 
-def limits(wanted: Wanted, dt: float) -> Limits:
+def jerk_window(dt: float) -> tuple[int, float]:
+    """Samples over which jerk is averaged, rounded up, and by how much.
+
+    Examples
+    --------
+    >>> jerk_window(0.05), jerk_window(0.2)
+    ((10, 0.0), (3, 0.5))
+    """
+    window = int(np.ceil(WINDOW / dt - 1e-9))
+    share = window - WINDOW / dt
+    return window, share if share > 1e-9 else 0.0
+
+
+def limits(wanted: Wanted, plant: Plant) -> Limits:
     """The rows of the QP."""
     start = block_starts(wanted.horizon, wanted.blocks)
-    M, N = start.size, wanted.horizon
+    M, N, dt = start.size, wanted.horizon, plant.dt
     scale = np.array([1.0 / limit if limit > 0 else 0.0 for limit in wanted.soft_limits])
-    sizes = np.where(scale > 0, [2 * N, N, N], 0)
+    scale[1] /= WINDOW
+    delay, sides = plant.augmented.whole, 1 if plant.lag > 0 or plant.augmented.split else 2
+    sizes = np.where(scale > 0, [sides * N, sides * N, N], 0)
     group = np.concatenate([np.full(2 * M - 1, -1), np.repeat(np.arange(3), sizes)])
     shift = np.arange(group.size)
     if M == N:  # rows of a sample each: what was one sample ahead is here now
-        parts = [(0, M), (M, M - 1)]
-        at = 2 * M - 1
-        for size in (N, N, N, N) if scale[0] > 0 else (0, 0, N, N):
-            present = size if at < group.size else 0
-            parts.append((at, present))
-            at += present
-        for first, size in parts:
-            shift[first : first + size] = first + np.minimum(np.arange(size) + 1, size - 1)
-    return Limits(dt, wanted.delta_max, wanted.rate_max * dt, start, group, shift, scale, wanted.soft_weight)
+        for first in [0, *range(2 * M - 1, group.size, N)]:
+            shift[first : first + N] = first + np.minimum(np.arange(N) + 1, N - 1)
+        shift[M : 2 * M - 1] = M + np.minimum(np.arange(M - 1) + 1, M - 2)
+    window, share = jerk_window(dt) if scale[1] else (0, 0.0)
+    step = wanted.rate_max * dt
+    return Limits(
+        delay, window, share, sides, wanted.delta_max, step, start, group, shift, scale, wanted.soft_weight * SHARES
+    )
 
 
 def condense(plant: Plant, wanted: Wanted) -> Condensed:
@@ -160,15 +203,17 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
     LdcError
         If the Riccati equation has no stabilising solution.
     """
-    lq = regulator(plant, wanted.weights, wanted.r_delta)
-    n, N, K = plant.n, wanted.horizon, lq.K
-    A, B = plant.step.A, plant.step.B
+    n, N = plant.n, wanted.horizon
+    lq = regulator(plant, wanted.weights, wanted.r_delta, actuator=True)
+    K, P = lq.K, lq.P
+    A, B, E_0, E_1 = in_time(plant)
+    m = B.shape[1]
     steady = plant.steady_state()
-    x_ss = np.zeros((n, 4))
-    x_ss[:, 2] = steady.e_psi
+    x_ss = np.zeros((n, m))
+    x_ss[:, 2], x_ss[:, 4:] = steady.e_psi, steady.delta[:, None]
     # a change of lane yaw rate over one step pushes the deviation from steady cornering by D
-    D = 0.5 * B * steady.delta[:, None] + plant.step.E_1 - x_ss
-    s = wanted.r_delta + np.sum(B * _apply(lq.P, B), axis=1)
+    D = 0.5 * B * steady.delta[:, None] + E_1 - x_ss
+    s = wanted.r_delta + np.sum(B * _apply(P, B), axis=1)
     A_cl = A - B[:, :, None] * K[:, None, :]
 
     impulse = np.ones((n, N))
@@ -178,7 +223,10 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
         forward = _apply(A_cl, forward)
 
     A_c, B_c, E_c = plant.model.matrices(plant.v)
-    a_y = np.column_stack([A_c[:, 1], B_c[:, 1], E_c[:, 1] + plant.v])
+    # the wheel is the command, or the fifth state
+    wheel = np.zeros((n, m - 3))
+    wheel[:, 0] = B_c[:, 1]
+    a = np.column_stack([A_c[:, 1], wheel, E_c[:, 1]])
     nothing = np.zeros((n, 0, 0))
     project, moves = nothing, nothing
     start = block_starts(N, wanted.blocks)
@@ -189,34 +237,34 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
         B=B,
         K=K,
         D=D,
-        PD=_apply(lq.P, D),
+        PD=_apply(P, D),
         back=-B / s[:, None],
-        e_psi=steady.e_psi,
+        x_ss=x_ss,
         delta_ss=steady.delta,
         impulse=impulse,
         project=project,
         moves=moves,
         A=A,
-        E_0=plant.step.E_0,
-        E_1=plant.step.E_1,
-        a_y=a_y,
-        response=_responses(A, B, a_y, N) if any(wanted.soft_limits) else nothing,
+        E_0=E_0,
+        E_1=E_1,
+        a=a,
+        response=_responses(A, B, a, N) if any(wanted.soft_limits) else nothing,
     )
     # laid out as after `take`: the compiled sweep need not be compiled for two layouts
     return Condensed(*(np.ascontiguousarray(each) for each in condensed))
 
 
-def _responses(A: FloatArray, B: FloatArray, a_y: FloatArray, N: int) -> FloatArray:
-    """What a unit command, held for one sample, does to a_y (right after, and at the end of each step) and to e_y."""
-    response = np.zeros((B.shape[0], 3, N))
-    response[:, 0, 0] = a_y[:, 4]
+def _responses(A: FloatArray, B: FloatArray, a: FloatArray, N: int) -> FloatArray:
+    """What a unit command, held for one sample, does to a (at the end of each step, and right after) and to e_y."""
+    response, m = np.zeros((B.shape[0], 3, N)), B.shape[1]
+    response[:, 1, 0] = a[:, m]
     forward = B
     for k in range(N):
-        at_end = np.sum(a_y[:, :4] * forward, axis=1)
-        response[:, 1, k] = at_end + (a_y[:, 4] if k == 0 else 0.0)
+        at_end = np.sum(a[:, :m] * forward, axis=1)
+        response[:, 0, k] = at_end + (a[:, m] if k == 0 else 0.0)
         response[:, 2, k] = forward[:, 0]
         if k + 1 < N:
-            response[:, 0, k + 1] = at_end
+            response[:, 1, k + 1] = at_end
         forward = _apply(A, forward)
     return response
 

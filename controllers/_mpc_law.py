@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import Condensed, Limits
+from controllers._mpc_condensing import Condensed, Given, Limits
 from controllers._mpc_solvers import QP, Answer, Form, Workspaces, make
 from ldctoolkit import EventStatus, Preview, SolverCalls, SteeringLaw
 
@@ -30,11 +30,31 @@ class Rung(enum.IntEnum):
     SOLVED = 2
     """The solver solved the QP."""
     RELAXED = 3
-    """The hard limits cannot be met, and were widened to what can be reached; counted as failed."""
+    """The hard limits cannot be met, and were widened to what can be reached: `EventStatus.BEYOND_DELTA_MAX`."""
     OTHER_SOLVER = 4
     """The solver gave up, DAQP solved the QP."""
     SATURATED = 5
     """Nothing solved the QP: towards the saturated unconstrained command at the rate limit; counted as failed."""
+
+
+_STATUS = np.zeros(len(Rung), dtype=np.int8)
+"""`EventStatus` of each rung."""
+_STATUS[Rung.RELAXED], _STATUS[Rung.SATURATED] = EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED
+
+
+def lookahead(samples: int, dt: float, age: float) -> FloatArray:
+    """Lookahead times for `lane`."""
+    ahead = np.arange(samples + 1) * dt - age
+    return np.asarray([0.0, dt, *np.maximum(ahead, 0.0)] if age else ahead, dtype=np.float64)
+
+
+def lane(r: FloatArray, dt: float, age: float) -> FloatArray:
+    """Yaw rate of the lane (n, samples + 1) from the moment on that the law sees, by a straight line before now."""
+    if not age:
+        return r
+    behind = np.minimum(np.arange(r.shape[1] - 2) - age / dt, 0.0)
+    result: FloatArray = r[:, 2:] + behind * (r[:, 1:2] - r[:, :1])
+    return result
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +74,12 @@ class MPCState:
         bound [rad, or share of a soft limit] and the largest |e + C' multipliers|.
     workspaces : Workspaces
         What solvers have allocated. No result depends on it.
+    sent : (n, delay + 1)
+        The last commands, the oldest first [rad]; this and what follows is NaN before the first sample.
+    wheel : (n,)
+        The wheel's angle at the next sample as the law predicts it [rad].
+    past : (n, 2, window)
+        a before and after each of the last samples [m/s^2].
     """
 
     multipliers: FloatArray
@@ -61,6 +87,9 @@ class MPCState:
     rung: npt.NDArray[np.int8]
     calls: SolverCalls
     workspaces: Workspaces
+    sent: FloatArray
+    wheel: FloatArray
+    past: FloatArray
 
 
 @final
@@ -72,12 +101,20 @@ class MPCLaw(SteeringLaw):
     ----------
     condensed : Condensed
     limits : Limits
+    dt : float [s]
+    lagging : bool
+        The wheel's angle is a state.
+    age : float [s]
+        Of the state that is seen.
     solver : str
     always_solve : bool
     """
 
     condensed: Condensed
     limits: Limits
+    dt: float
+    lagging: bool
+    age: float
     solver: str
     always_solve: bool
 
@@ -88,8 +125,8 @@ class MPCLaw(SteeringLaw):
 
     @property
     def preview_times(self) -> FloatArray:
-        """Now and the N samples ahead."""
-        return np.asarray(np.arange(self.horizon + 1) * self.limits.dt, dtype=np.float64)
+        """Samples from what is seen on, to the N-th after that at which a command arrives; none before now."""
+        return lookahead(self.limits.delay + self.horizon, self.dt, self.age)
 
     def init(self, n: int) -> MPCState:
         """Nothing solved yet."""
@@ -100,13 +137,18 @@ class MPCLaw(SteeringLaw):
             rung=np.zeros(n, dtype=np.int8),
             calls=_calls([]),
             workspaces=Workspaces(),
+            sent=np.full((n, self.limits.delay + 1), np.nan),
+            wheel=np.full(n, np.nan),
+            past=np.full((n, 2, self.limits.window), np.nan),
         )
 
     def take(self, rows: IntArray, state: MPCState) -> tuple[MPCLaw, MPCState]:
         """Only some scenarios, each with what it has."""
         law = dataclasses.replace(self, condensed=self.condensed.take(rows))
         kept = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
-        return law, MPCState(state.multipliers[rows], state.slack[rows], state.rung[rows], _calls([]), kept)
+        own = (getattr(state, name)[rows] for name in ("multipliers", "slack", "rung", "sent", "wheel", "past"))
+        multipliers, slack, rung, *actuator = own
+        return law, MPCState(multipliers, slack, rung, _calls([]), kept, *actuator)
 
     def solver_calls(self, state: MPCState) -> SolverCalls:
         """Of the last sample: status 1 where the answer could be used, residuals as in `MPCState`."""
@@ -126,10 +168,10 @@ class MPCLaw(SteeringLaw):
         n, N, M = x.shape[0], self.horizon, self.limits.start.size
         U, delta, how = np.empty((n, N)), np.empty(n), np.empty(n, dtype=np.int8)
         w, multipliers = np.zeros((n, M + 3)), np.zeros_like(state.multipliers)
-        given = (np.ascontiguousarray(x), np.ascontiguousarray(preview.yaw_rate), delta_prev)
+        given = self._given(x, preview.yaw_rate, delta_prev, state)
         before = (state.multipliers, state.slack)
         proves = not self.always_solve
-        kernel.sweep(self.condensed, self.limits, proves, *given, *before, U, delta, w, multipliers, how)
+        kernel.sweep(self.condensed, self.limits, proves, given, *before, U, delta, w, multipliers, how)
 
         rung = np.where(how == kernel.HELD, np.int8(Rung.HELD), np.int8(Rung.FREE))
         beyond = how == kernel.BEYOND
@@ -143,14 +185,49 @@ class MPCLaw(SteeringLaw):
         if rows.size:
             workspaces = Workspaces(workspaces)
             calls = self._solve(rows, given, U, delta, w, multipliers, rung, workspaces)
-        state = MPCState(multipliers, np.maximum(w[:, M:], 0.0), rung, _calls(calls), workspaces)
-        status = np.where((rung == Rung.RELAXED) | (rung == Rung.SATURATED), EventStatus.SOLVER_FAILED, EventStatus.OK)
-        return delta, state, status.astype(np.int8)
+        slack = np.maximum(w[:, M:], 0.0)
+        state = MPCState(multipliers, slack, rung, _calls(calls), workspaces, *self._after(given, delta, state))
+        return delta, state, _STATUS[rung]
+
+    def _given(self, x: FloatArray, r: FloatArray, delta_prev: FloatArray, state: MPCState) -> Given:
+        """What the QPs start from; before the first sample the command was what it is at the trigger."""
+        sent = np.column_stack([state.sent[:, 1:], delta_prev])
+        sent = np.where(np.isnan(sent), delta_prev[:, None], sent)
+        m = self.condensed.B.shape[1]
+        full = np.empty((x.shape[0], m))
+        full[:, :4], full[:, 4:] = x, sent[:, :1]
+        if self.lagging:
+            full[:, 4] = np.where(np.isnan(state.wheel), delta_prev, state.wheel)
+        r = lane(r, self.dt, self.age)
+        past = np.empty((x.shape[0], 2, 0))
+        if self.limits.window:
+            now = self._acceleration(full, sent[:, 0], r)[:, None, None]
+            past = np.concatenate([state.past, np.tile(now, (1, 2, 1))], axis=2)
+            past = np.where(np.isnan(past), now, past)
+        return Given(full, delta_prev, sent, np.ascontiguousarray(r), past)
+
+    def _acceleration(self, x: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
+        """A of now with the command u [m/s^2]."""
+        a, m = self.condensed.a, x.shape[1]
+        result: FloatArray = np.sum(a[:, :m] * x, axis=1) + a[:, m] * u + a[:, m + 1] * r[:, 0]
+        return result
+
+    def _after(self, given: Given, delta: FloatArray, state: MPCState) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Commands sent, the wheel's angle and accelerations that the next sample starts from."""
+        arrived = given.sent[:, 1] if self.limits.delay else delta
+        wheel, past = state.wheel, state.past
+        if self.lagging:
+            A, B = self.condensed.A, self.condensed.B
+            wheel = np.sum(A[:, 4, 4:] * given.x[:, 4:], axis=1) + B[:, 4] * arrived
+        if self.limits.window:
+            past = given.past[:, :, 1:].copy()
+            past[:, 1, -1] = self._acceleration(given.x, arrived, given.r)
+        return given.sent, wheel, past
 
     def _solve(
         self,
         rows: IntArray,
-        given: tuple[FloatArray, FloatArray, FloatArray],
+        given: Given,
         U: FloatArray,
         delta: FloatArray,
         w: FloatArray,
@@ -161,10 +238,9 @@ class MPCLaw(SteeringLaw):
         """Solve the QPs of some scenarios and enter what comes out; the calls."""
         from controllers import _mpc_kernel as kernel
 
-        x, r, prev = given
         M, R = self.limits.start.size, self.limits.group.size
         C, y, low, high = np.empty((rows.size, R, M)), *(np.empty((rows.size, R)) for _ in range(3))
-        kernel.assemble(self.condensed, self.limits, rows, x, r, prev, U, C, y, low, high)
+        kernel.assemble(self.condensed, self.limits, rows, given, U, C, y, low, high)
         form = Form(self.limits)
         lower, upper = form.bounds(low - y, high - y)
         starts = form.split(multipliers[rows])
@@ -184,7 +260,7 @@ class MPCLaw(SteeringLaw):
                 w[i], multipliers[i] = 0.0, 0.0
                 wanted = min(max(delta[i], -self.limits.delta_max), self.limits.delta_max)
                 step = self.limits.rate_step
-                delta[i] = prev[i] + min(max(wanted - prev[i], -step), step)
+                delta[i] = given.prev[i] + min(max(wanted - given.prev[i], -step), step)
                 rung[i] = Rung.SATURATED
                 continue
             w[i], multipliers[i] = form.join(answer)

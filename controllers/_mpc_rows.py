@@ -1,7 +1,11 @@
 """The compiled rows of `linear_mpc`'s QP: their values for a plan, their bounds, and what corrections do to them.
 
 Row by row: the first move (angle and rate in one), the other moves, their changes; then, where there are such limits,
-as shares of the limit, a_y just after each command, a_y at the end of each step, jerk over each step, e_y at its end.
+as shares of the limit, the lateral acceleration a just after each command (only where the wheel jumps with it), a at
+the end of each step, its change over the last half second in the same two places, e_y at the end of each step.
+
+Values of a stand in two arrays, on the left and on the right of each sample: first the past `window` samples, then
+the `delay` samples that are decided, then the horizon.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
@@ -27,6 +31,37 @@ ROUNDING: Final = 1e-12
 
 
 @numba.njit(**OPTIONS)
+def decided(
+    c: Condensed, limits: Limits, i: int, x: FloatArray, sent: FloatArray, r: FloatArray, room: FloatArray
+) -> None:
+    """Move the state x (m,) to where the next command arrives, in place; accelerations on the way into room (2, .)."""
+    for k in range(limits.delay):
+        _go_on(c, i, x, sent[1 + k], r[k], r[k + 1], limits.window + k, room)
+
+
+@numba.njit(**OPTIONS)
+def _go_on(
+    c: Condensed, i: int, x: FloatArray, u: float, r_0: float, r_1: float, sample: int, room: FloatArray
+) -> None:
+    """One step of the plant, in place; a just after its start and at its end into room."""
+    A, B, E_0, E_1, a, after = c.A[i], c.B[i], c.E_0[i], c.E_1[i], c.a[i], room[2]
+    m = x.size
+    value = 0.0
+    for k in range(m):
+        value += a[k] * x[k]
+        total = B[k] * u + E_0[k] * r_0 + E_1[k] * r_1
+        for b in range(m):
+            total += A[k, b] * x[b]
+        after[k] = total
+    room[1, sample] = value + a[m] * u + a[m + 1] * r_0
+    value = 0.0
+    for k in range(m):
+        x[k] = after[k]
+        value += a[k] * x[k]
+    room[0, sample + 1] = value + a[m] * u + a[m + 1] * r_1
+
+
+@numba.njit(**OPTIONS)
 def values(
     c: Condensed,
     limits: Limits,
@@ -35,11 +70,15 @@ def values(
     r: FloatArray,
     prev: float,
     U: FloatArray,
+    room: FloatArray,
     y: FloatArray,
     low: FloatArray,
     high: FloatArray,
 ) -> bool:
-    """Values y (R,) of the rows for the commands U, and their bounds; False if no command meets the hard ones."""
+    """Values y (R,) of the rows for the commands U, and their bounds; False if no command meets the hard ones.
+
+    The state x (m,) is changed where there are soft rows.
+    """
     M = limits.start.size
     limit, step = limits.delta_max, limits.rate_step
     for b in range(M):
@@ -58,7 +97,7 @@ def values(
         else:
             low[0] = high[0]
     if y.size > 2 * M - 1:
-        _soft_values(c, limits, i, x, r, prev, U, y, low, high)
+        _soft_values(c, limits, i, x, r, U, room, y, low, high)
     return True
 
 
@@ -69,8 +108,8 @@ def _soft_values(
     i: int,
     x: FloatArray,
     r: FloatArray,
-    prev: float,
     U: FloatArray,
+    room: FloatArray,
     y: FloatArray,
     low: FloatArray,
     high: FloatArray,
@@ -80,35 +119,35 @@ def _soft_values(
     for row in range(at, y.size):
         low[row], high[row] = -1.0, 1.0
     acceleration, jerk, offset = limits.scale
-    first_jerk = at + (2 * N if acceleration > 0.0 else 0)
-    first_offset = first_jerk + (N if jerk > 0.0 else 0)
-    w = c.a_y[i]
-    s0, s1, s2, s3 = x
-    lateral = w[1] * s1 + w[2] * s2 + w[3] * s3
-    before = lateral + w[4] * prev + w[5] * r[0]
-    A, B, E_0, E_1 = c.A[i], c.B[i], c.E_0[i], c.E_1[i]
+    now = limits.window + limits.delay
     for j in range(N):
-        u, r_0, r_1 = U[j], r[j], r[j + 1]
-        after = lateral + w[4] * u + w[5] * r_0
-        n0 = A[0, 0] * s0 + A[0, 1] * s1 + A[0, 2] * s2 + A[0, 3] * s3 + B[0] * u + E_0[0] * r_0 + E_1[0] * r_1
-        n1 = A[1, 0] * s0 + A[1, 1] * s1 + A[1, 2] * s2 + A[1, 3] * s3 + B[1] * u + E_0[1] * r_0 + E_1[1] * r_1
-        n2 = A[2, 0] * s0 + A[2, 1] * s1 + A[2, 2] * s2 + A[2, 3] * s3 + B[2] * u + E_0[2] * r_0 + E_1[2] * r_1
-        n3 = A[3, 0] * s0 + A[3, 1] * s1 + A[3, 2] * s2 + A[3, 3] * s3 + B[3] * u + E_0[3] * r_0 + E_1[3] * r_1
-        s0, s1, s2, s3 = n0, n1, n2, n3
-        lateral = w[1] * s1 + w[2] * s2 + w[3] * s3
-        end = lateral + w[4] * u + w[5] * r_1
-        if acceleration > 0.0:
-            y[at + j], y[at + N + j] = after * acceleration, end * acceleration
-        if jerk > 0.0:
-            y[first_jerk + j] = (end - before) / limits.dt * jerk
+        _go_on(c, i, x, U[j], r[j], r[j + 1], now + j, room)
         if offset > 0.0:
-            y[first_offset + j] = s0 * offset
-        before = end
+            y[y.size - N + j] = x[0] * offset
+    if acceleration > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                y[at + j] = room[1 - side, now + j + side] * acceleration
+            at += N
+    if jerk > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                sample = now + j + side
+                past = sample - limits.window
+                before = room[1 - side, past]
+                if limits.share > 0.0:
+                    before = (1.0 - limits.share) * room[1, past] + limits.share * room[0, past + 1]
+                y[at + j] = (room[1 - side, sample] - before) * jerk
+            at += N
 
 
 @numba.njit(**OPTIONS)
-def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray) -> None:
-    """What corrections do to the rows, into C (R, M); G (N, M) is room for what they do to the commands."""
+def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray, a: FloatArray) -> None:
+    """What corrections do to the rows, into C (R, M).
+
+    G (N, M) is room for what they do to the commands, a (2, N, M) for what they do to a at the ends of steps and just
+    after commands.
+    """
     N, M = G.shape
     if M == N:
         for j in range(N):
@@ -129,16 +168,27 @@ def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray) -
     at = 2 * M - 1
     acceleration, jerk, offset = limits.scale
     response = c.response[i]
+    if acceleration > 0.0 or jerk > 0.0:
+        _respond(response[0], 1.0, G, a[0])
+        _respond(response[1], 1.0, G, a[1])
     if acceleration > 0.0:
-        _respond(response[0], acceleration, G, C[at : at + N])
-        _respond(response[1], acceleration, G, C[at + N : at + 2 * N])
-        at += 2 * N
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                for k in range(M):
+                    C[at + j, k] = acceleration * a[1 - side, j, k]
+            at += N
     if jerk > 0.0:
-        _respond(response[1], jerk / limits.dt, G, C[at : at + N])
-        for j in range(N - 1, 0, -1):
-            for k in range(M):
-                C[at + j, k] -= C[at + j - 1, k]
-        at += N
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                past = j + side - limits.window  # the sample, from that of the first command on
+                for k in range(M):
+                    change = a[1 - side, j, k]
+                    if past >= 0 and limits.share > 0.0:
+                        change -= (1.0 - limits.share) * a[1, past, k] + limits.share * a[0, past, k]
+                    elif past >= side and limits.share == 0.0:
+                        change -= a[1 - side, past - side, k]
+                    C[at + j, k] = jerk * change
+            at += N
     if offset > 0.0:
         _respond(response[2], offset, G, C[at : at + N])
 

@@ -49,13 +49,13 @@ class Form:
         self.M = limits.start.size
         self.hard = 2 * self.M - 1
         self.kinds = np.flatnonzero(limits.scale)
-        self.root = float(np.sqrt(limits.weight))
+        self.root = np.sqrt(limits.weight[self.kinds])
         # what slacks add to the soft rows
         self.slack = (limits.group[self.hard :, None] == self.kinds) / self.root
 
     def qp(self, C: FloatArray) -> QP:
         """Of the rows C (R, M)."""
-        q = np.concatenate([np.zeros(self.M), np.full(self.kinds.size, self.root)])
+        q = np.concatenate([np.zeros(self.M), self.root])
         if not self.kinds.size:
             return QP(q, C)
         hard, soft = C[: self.hard], C[self.hard :]

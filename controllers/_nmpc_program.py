@@ -17,6 +17,8 @@ class Program(NamedTuple):
 
     Attributes
     ----------
+    ahead : (x, u, r_0, r_1, c) -> (x after a sample, a_0, a_1)
+        One sample with a command that is known.
     roll : (x_0, guess, share, delta_prev, r, e_ref, u_ref, low, high, c) -> (U, X)
         Drive the model with commands guess, or, with share = 1, the LQR, moved into the limits.
     value : (X, U, x_0, r, e_ref, u_ref, c) -> (J, gap, a_0, a_1)
@@ -27,6 +29,7 @@ class Program(NamedTuple):
         t, from multipliers m of a_0, a_1 and e_y.
     """
 
+    ahead: Any
     roll: Any
     value: Any
     linearise: Any
@@ -38,7 +41,8 @@ def build(N: int, soft: bool) -> Program:
 
     x, u, r_0, r_1, c = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("r_0"), ca.SX.sym("r_1"), ca.SX.sym("c", SIZE)
     f, a_0, a_1 = sample(x, u, r_0, r_1, c)
-    return Program(_roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1, soft))
+    ahead = ca.Function("ahead", [x, u, r_0, r_1, c], [f, a_0, a_1])
+    return Program(ahead, _roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1, soft))
 
 
 def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -> Any:

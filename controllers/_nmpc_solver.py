@@ -40,22 +40,22 @@ _BLIND: Final = 3  # full steps taken where the merit of soft limits cannot fall
 class SoftLimits:
     """Limits that a penalty holds: w v + w v^2/2 for each violation v, in units of a scale.
 
-    The rows are linear in y = (a_y just after each of N commands, a_y at each sample's end, e_y there).
+    The rows are linear in y = (a_y just after each of N commands, a_y at each sample's end, e_y there); to them the
+    workspace's `offset` (m,) is added.
 
     Attributes
     ----------
     rows : (m, 3 N)
-    bound : (m,)
-    before : (m,)
-        Weight of a_y just before the first command.
-    weight : float
-        w.
+    bound, weight : (m,)
+        Largest values, and w.
+    before : (m, 2 window + 1)
+        Weights of the accelerations before and after each of the last samples, before the first command the last.
     """
 
     rows: FloatArray
     bound: FloatArray
+    weight: FloatArray
     before: FloatArray
-    weight: float
 
     @property
     def size(self) -> int:
@@ -65,7 +65,7 @@ class SoftLimits:
     def penalty(self, values: FloatArray) -> float:
         """Of values of the rows."""
         v = np.maximum(np.abs(values) - self.bound, 0.0)
-        return float(self.weight * (v.sum() + 0.5 * (v @ v)))
+        return float(self.weight @ (v + 0.5 * v * v))
 
 
 @dataclasses.dataclass
@@ -120,7 +120,8 @@ class Workspace:
 
     def __init__(self, N: int, soft: bool) -> None:
         self.N = N
-        self._a_before = 0.0
+        self.offset: FloatArray = np.zeros(1)
+        self._one = np.zeros((3, 1))
         self.x_0, self.delta_prev, self.c = np.zeros(4), np.zeros(1), np.zeros(SIZE)
         self.r, self.e_ref, self.u_ref = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N)
         self.low, self.high = np.zeros(N), np.zeros(N)
@@ -129,7 +130,8 @@ class Workspace:
         self.U_try, self.X_try = np.zeros(N), np.zeros(4 * N)
         self.m_0, self.m_1, self.m_y = np.zeros(N), np.zeros(N), np.zeros(N)
         known = [self.x_0, self.r, self.e_ref, self.u_ref, self.c]
-        roll, value, linearise = _functions(N, soft)
+        ahead, roll, value, linearise = _functions(N, soft)
+        self._ahead = _Call(ahead, [self.x_0, *self._one, self.c])
         self._roll = _Call(
             roll,
             [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c],
@@ -146,6 +148,13 @@ class Workspace:
         self._hard = np.vstack([np.eye(N), self._change])
         self._sense = np.zeros(2 * N, dtype=np.int32)
         self._active = np.zeros(2 * N, dtype=np.bool_)
+
+    def ahead(self, u: float, r_0: float, r_1: float) -> tuple[FloatArray, float, float]:
+        """The state after a sample with the command u; a_y just after it and at the end."""
+        self._one[:, 0] = u, r_0, r_1
+        self._ahead.run()
+        x, a_0, a_1 = self._ahead.outputs
+        return x, float(a_0[0]), float(a_1[0])
 
     def solve(self, warm: FloatArray | None, soft: SoftLimits | None) -> Solution:
         """Solve the problem in the input arrays.
@@ -213,10 +222,6 @@ class Workspace:
 
     def _start(self, warm: FloatArray | None, soft: SoftLimits | None) -> tuple[float, float, FloatArray | None]:
         """The better of the warm start and the LQR, both inside the limits and driven by the model."""
-        if soft is not None and soft.before.any():
-            self.U_try[:] = self.delta_prev[0]
-            self._value.run()
-            self._a_before = float(self._value.outputs[2][0])
         self.share[0] = 1.0
         self._drive()
         best = self._measure(soft)
@@ -240,7 +245,7 @@ class Workspace:
         J, gap, a_0, a_1 = self._value.outputs
         if soft is None:
             return float(J[0]), float(J[0]), None, float(gap[0])
-        rows = soft.rows @ np.concatenate([a_0, a_1, self.X_try[0::4]]) + self._a_before * soft.before
+        rows = soft.rows @ np.concatenate([a_0, a_1, self.X_try[0::4]]) + self.offset
         return float(J[0]), float(J[0]) + soft.penalty(rows), rows, float(gap[0])
 
     def _shorten(
@@ -312,7 +317,7 @@ class Workspace:
             model.settings = {"primal_tol": _PRIMAL, "eps_prox": 0.0}
             if model.setup(H, self.g, C, high, low, sense)[0] < 0:
                 return None, None, self._active
-            linear = np.full(high.size, soft.weight)
+            linear = np.concatenate([np.ones(2 * N), soft.weight])
             model.soft_weights(rho_l=1.0 / linear, rho_u=1.0 / linear, w_l=linear, w_u=linear)
             dU, _, flag, info = model.solve()
         else:

@@ -1,17 +1,11 @@
-"""A law inside another: its design from two words of text, and linear laws stepped like all others."""
+"""A law inside another: its design from two words of text, and as a law that is stepped."""
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any, final
+from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from ldctoolkit import Controller, EventStatus, Gain, LinearLaw, Plant, Preview, SteeringLaw, controller_class
+from ldctoolkit import Controller, Gain, LinearLaw, LinearSteps, Plant, SteeringLaw, controller_class
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Controller:
@@ -103,70 +97,8 @@ def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
     """
     law = design.prepare(plant)
     if isinstance(law, LinearLaw):
-        return LinearSteps(law, plant.dt)
+        return LinearSteps.of(law, plant)
     if isinstance(law, SteeringLaw):
         return law
     what = type(law).__name__
     raise InputError(f"{owner}.inner: {design.name!r} prepared a {what}; allowed: a LinearLaw or a SteeringLaw")
-
-
-@final
-@dataclasses.dataclass(frozen=True)
-class LinearSteps(SteeringLaw):
-    """A linear law, one call a sample; its state is z, the integral of e_y.
-
-    Sums are made column by column: a scenario's command has the same bits in a batch of any size.
-
-    Attributes
-    ----------
-    law : LinearLaw
-    dt : float [s]
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from controllers.lqr import LQR
-    >>> from ldctoolkit import BicycleModel, Plant
-    >>> plant = Plant.build(BicycleModel(), [20.0], 0.05)
-    >>> LinearSteps(LQR().prepare(plant), plant.dt).preview_times
-    array([0.])
-    """
-
-    law: LinearLaw
-    dt: float
-
-    @property
-    def preview_times(self) -> FloatArray:
-        """Those of the linear law."""
-        return self.law.preview_times
-
-    def init(self, n: int) -> FloatArray:
-        """No integral yet."""
-        return np.zeros(n)
-
-    def step(
-        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: FloatArray
-    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int8]]:
-        """The weighted sum, and z for the next sample."""
-        law = self.law
-        delta = law.f_u * delta_prev
-        if law.f_i is not None:
-            delta += law.f_i * state
-        for i in range(4):
-            delta += law.F[:, i] * x[:, i]
-        for j in range(law.preview_times.size):
-            delta += law.G_yaw_rate[:, j] * preview.yaw_rate[:, j] + law.G_heading[:, j] * preview.heading[:, j]
-        return delta, state + self.dt * x[:, 0], np.full(delta.size, EventStatus.OK, dtype=np.int8)
-
-    def take(self, rows: npt.NDArray[np.int64], state: FloatArray) -> tuple[LinearSteps, FloatArray]:
-        """Only some scenarios."""
-        law = self.law
-        kept = dataclasses.replace(
-            law,
-            F=law.F[rows],
-            G_yaw_rate=law.G_yaw_rate[rows],
-            G_heading=law.G_heading[rows],
-            f_u=law.f_u[rows],
-            f_i=None if law.f_i is None else law.f_i[rows],
-        )
-        return LinearSteps(kept, self.dt), state[rows]

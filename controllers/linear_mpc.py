@@ -4,8 +4,9 @@ At every sample it minimises, over the next N commands, the sum of x~' Q x~ + r_
 x~_N' P x~_N, where x~ and u~ are deviations from steady cornering at the lane yaw rate previewed for that sample and P
 solves the Riccati equation; subject to |u| <= delta_max and |u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous
 command, and softly to limits on lateral acceleration, lateral jerk and lane offset. Without active limits this is the
-LQR with curvature preview, exactly. Positive to the left (ISO 8855), radians. Use it where limits matter: a designer's
-choice of comfort or of a weak actuator; where they do not, `lqr` gives the same commands for nothing.
+LQR with curvature preview, exactly. The plant is the one behind the nominal actuator. Positive to the left (ISO 8855),
+radians. Use it where limits matter: a designer's choice of comfort or of a weak actuator; where they do not, `lqr`
+gives the same commands for nothing.
 
 Form of the QP. With the LQR gain K and w_j = -K z_j + c_j the cost is s sum (c_j - c*_j)^2 plus a constant, where
 s = r + B'PB (completion of squares along the Riccati recursion; c* is the feedforward from the preview). So the QP is:
@@ -46,9 +47,10 @@ class LinearMPC(Controller):
     rate_max : float [rad/s]
         Limit of the steering rate.
     a_y_max : float [m/s^2]
-        Soft limit of the lateral acceleration, just after each command and at the end of each step; 0 for none.
+        Soft limit of the lateral acceleration less that of the lane, just after each command and at the end of each
+        step; 0 for none.
     jerk_max : float [m/s^3]
-        Soft limit of the lateral jerk, the change of a_y over a sample divided by dt; 0 for none.
+        Soft limit of its mean change over 0.5 s; 0 for none.
     e_y_max : float [m]
         Soft limit of the offset |e_y| at each sample ahead; 0 for none.
     soft_weight : float
@@ -108,4 +110,5 @@ class LinearMPC(Controller):
             soft_weight=self.soft_weight,
             blocks=self.blocks,
         )
-        return MPCLaw(condense(plant, wanted), limits(wanted, plant.dt), self.solver, self.always_solve)
+        known = condense(plant, wanted), limits(wanted, plant), plant.dt, plant.lag > 0.0, plant.age
+        return MPCLaw(*known, self.solver, self.always_solve)

@@ -11,8 +11,8 @@ seen, no limits. In the closed loop z comes to rest only where e_y is zero, so a
 that is not the nominal one or a biased curvature leaves no offset in a bend, which the plain LQR does not promise. Use
 it where such errors outlast a departure. A departure without them pays for it: it starts with e_y on one side, and what
 z has gathered there comes back as overshoot on the other. Nothing stops z from winding up behind a saturated actuator.
-With r_delta = 100 it is a fast loop for an ideal actuator; behind a steering lag of 0.2 s it diverges from 28 m/s on:
-take some thousands there.
+Lag and delays of actuator and camera are known, as by `lqr`; with ``plant_knowledge="ideal"`` r_delta = 100 is too fast
+behind a steering lag of 0.2 s and diverges from 28 m/s on.
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar, final
 
-import numpy as np
-
-from controllers.riccati import integral_feedback
+from controllers.riccati import feedback, linear_law
 from ldctoolkit import Controller, LinearLaw, Plant, gain
 
 
@@ -67,13 +65,4 @@ class LQI(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule both gains and the feedforward over the scenarios' speeds."""
         weights = (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate)
-        K = integral_feedback(plant, weights, self.q_i, self.r_delta)
-        steady = plant.steady_state()
-        return LinearLaw(
-            F=-K[:, :4],
-            preview_times=np.zeros(1),
-            G_yaw_rate=(steady.delta + K[:, 2] * steady.e_psi)[:, None],
-            G_heading=np.zeros((plant.n, 1)),
-            f_u=np.zeros(plant.n),
-            f_i=-K[:, 4],
-        )
+        return linear_law(plant, feedback(plant, weights, self.r_delta, self.q_i), integral=True)

@@ -3,7 +3,8 @@
 delta = -K(v) (x - x_ss psi_l') + delta_ss(v) psi_l', where (x_ss, delta_ss) is steady cornering with e_y = 0 per unit
 of lane yaw rate, so that a bend of constant curvature leaves no bias (Rajamani, section 3.2). K minimises the sum of
 q_y e_y^2 + q_y_rate (de_y/dt)^2 + q_psi e_psi^2 + q_psi_rate (de_psi/dt)^2 + r_delta delta^2 over the sampled plant
-(`control.dlqr`). Positive to the left (ISO 8855), radians.
+(`control.dlqr`). Positive to the left (ISO 8855), radians. Behind an actuator or a camera with lag or delay, x is
+joined by the wheel angle and the commands on their way: `controllers.riccati.linear_law`.
 """
 
 from __future__ import annotations
@@ -11,9 +12,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar, final
 
-import numpy as np
-
-from controllers.riccati import feedback
+from controllers.riccati import feedback, linear_law
 from ldctoolkit import Controller, LinearLaw, Plant, gain
 
 
@@ -53,11 +52,4 @@ class LQR(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule the gain and the feedforward over the scenarios' speeds."""
         K = feedback(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta)
-        steady = plant.steady_state()
-        return LinearLaw(
-            F=-K,
-            preview_times=np.zeros(1),
-            G_yaw_rate=(steady.delta + K[:, 2] * steady.e_psi)[:, None],
-            G_heading=np.zeros((plant.n, 1)),
-            f_u=np.zeros(plant.n),
-        )
+        return linear_law(plant, K)

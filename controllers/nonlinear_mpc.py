@@ -14,8 +14,11 @@ scenario starts from its own last solution, shifted by a sample, or from the LQR
 
 Ladder. (1) The solution. (2) Where the previous command is so far beyond delta_max that the rate limit does not allow
 a return within one sample, the limit of the angle is relaxed to what the rate allows; the solution goes back as
-fast as it can. (3) Where the iterations do not end in a solution: the LQR with steady cornering, clipped to delta_max
-and moved towards by at most rate_max dt. Rungs 2 and 3 are counted as `EventStatus.SOLVER_FAILED`.
+fast as it can, with `EventStatus.BEYOND_DELTA_MAX`. (3) Where the iterations do not end in a solution: the LQR with
+steady cornering, clipped to delta_max and moved towards by at most rate_max dt, with `EventStatus.SOLVER_FAILED`.
+
+Delay and lag of the actuator that the plant knows count as one pure delay in whole samples: the plan starts at the
+state that the commands on their way lead to.
 
 When to use it: near the tyres' limits, low friction or harsh limits, where the linear MPC plans forces that the tyres
 do not have. Elsewhere `linear_mpc` commands the same at a fraction of the cost.
@@ -29,6 +32,8 @@ from typing import ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
+from controllers._mpc_condensing import SHARES, WINDOW, jerk_window
+from controllers._mpc_law import lane, lookahead
 from controllers._nmpc_model import FloatArray, pack, steady_cornering
 from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
 from controllers.riccati import regulator
@@ -36,6 +41,7 @@ from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, Ste
 
 # units of the soft limits' violations: m/s^2, m/s^3, m
 _SCALES = (1.0, 10.0, 0.1)
+_SPEED = 8  # place of v in a column
 
 
 @final
@@ -54,9 +60,10 @@ class NonlinearMPC(Controller):
     rate_max : float [rad/s]
         Limit of the steering rate.
     a_y_max : float [m/s^2]
-        Soft limit of the lateral acceleration, just after each command and at each sample's end; 0 for none.
+        Soft limit of the lateral acceleration less that of the lane, just after each command and at each sample's end;
+        0 for none.
     jerk_max : float [m/s^3]
-        Soft limit of the lateral jerk, the change of a_y over a sample divided by dt; 0 for none.
+        Soft limit of its mean change over 0.5 s; 0 for none.
     e_y_max : float [m]
         Soft limit of |e_y| at each sample's end; 0 for none.
     mu : float [1]
@@ -95,25 +102,30 @@ class NonlinearMPC(Controller):
 
 def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
     """Rows of the limits that are on, each in units of its scale."""
-    N = design.horizon
-    eye, none = np.eye(N), np.zeros((N, N))
-    jerk = np.diff(eye, axis=0, prepend=0.0) / dt
-    first = np.zeros(N)
-    first[0] = -1.0 / dt
+    N, (window, share) = design.horizon, jerk_window(dt)
+    # of accelerations before and after each sample, those of the past first, and of e_y
+    left, right, offset = np.split(np.eye(2 * window + 3 * N + 1), [window + N + 1, 2 * (window + N) + 1])
+    a = [right[window:], left[window + 1 :]]
+    past = [right[:N], left[1 : N + 1]]
+    if share:
+        past = [(1.0 - share) * right[k : k + N] + share * left[k + 1 : k + N + 1] for k in (0, 1)]
     blocks = [
-        (design.a_y_max, _SCALES[0], [np.hstack([eye, none, none]), np.hstack([none, eye, none])], np.zeros(2 * N)),
-        (design.jerk_max, _SCALES[1], [np.hstack([none, jerk, none])], first),
-        (design.e_y_max, _SCALES[2], [np.hstack([none, none, eye])], np.zeros(N)),
+        (design.a_y_max, a),
+        (design.jerk_max, [(now - before) / WINDOW for now, before in zip(a, past, strict=True)]),
+        (design.e_y_max, [offset]),
     ]
-    on = [block for block in blocks if block[0] > 0]
+    on = [(k, limit, np.concatenate(parts)) for k, (limit, parts) in enumerate(blocks) if limit > 0]
     if not on:
         return None
-    rows = np.concatenate([np.concatenate(parts) / scale for _, scale, parts, _ in on])
-    bound = np.concatenate([np.full(before.size, limit / scale) for limit, scale, _, before in on])
-    before = np.concatenate([before / scale for _, scale, _, before in on])
+    rows = np.concatenate([part / _SCALES[k] for k, _, part in on])
+    bound = np.concatenate([np.full(len(part), limit / _SCALES[k]) for k, limit, part in on])
     # far above what a unit of violation can be worth to the cost
     weight = 1e3 * (design.q_y + design.q_psi * 1e-2 + design.r_delta * 1e-2)
-    return SoftLimits(rows=rows, bound=bound, before=before, weight=weight)
+    weights = np.concatenate([np.full(len(part), weight * SHARES[k]) for k, _, part in on])
+    before, after, decided = np.split(rows, [window + 1, window + N + 1], axis=1)
+    before = np.concatenate([before, decided[:, :window]], axis=1)
+    return SoftLimits(np.concatenate([decided[:, window : window + N], after, decided[:, window + N :]], axis=1),
+                      bound, weights, before)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +146,10 @@ class NonlinearMPCState:
         Largest change of a command in its last iteration.
     cost : (n,)
         Of the last plan: the sum of weighted squares, without penalties.
+    sent : (n, delay + 1) [rad]
+        The last commands, the oldest first; this and what follows is NaN before the first sample.
+    past : (n, 2, window) [m/s^2]
+        Lateral acceleration less that of the lane before and after each of the last samples.
     """
 
     U: FloatArray
@@ -142,6 +158,8 @@ class NonlinearMPCState:
     iterations: npt.NDArray[np.int64]
     residual: FloatArray
     cost: FloatArray
+    sent: FloatArray
+    past: FloatArray
 
 
 @final
@@ -165,8 +183,13 @@ class NonlinearMPCLaw(SteeringLaw):
 
     @property
     def preview_times(self) -> FloatArray:
-        """Now and the N samples ahead."""
-        return np.asarray(np.arange(self.design.horizon + 1) * self.plant.dt, dtype=np.float64)
+        """Samples from what is seen on, to the N-th after that at which a command arrives; none before now."""
+        return lookahead(self._delay + self.design.horizon, self.plant.dt, self.plant.age)
+
+    @property
+    def _delay(self) -> int:
+        """Samples until a command steers."""
+        return round((self.plant.delay + self.plant.lag) / self.plant.dt)
 
     def init(self, n: int) -> NonlinearMPCState:
         """No plan yet."""
@@ -178,6 +201,8 @@ class NonlinearMPCLaw(SteeringLaw):
             iterations=np.zeros(n, dtype=np.int64),
             residual=zero,
             cost=zero.copy(),
+            sent=np.full((n, self._delay + 1), np.nan),
+            past=np.full((n, 2, jerk_window(self.plant.dt)[0]), np.nan),
         )
 
     def take(self, rows: npt.NDArray[np.int64], state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
@@ -209,7 +234,10 @@ class NonlinearMPCLaw(SteeringLaw):
         d, N, n = self.design, self.design.horizon, delta_prev.size
         after = NonlinearMPCState(**{f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)})
         delta = np.empty(n)
-        r = preview.yaw_rate
+        after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
+        after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
+        lane_ahead = lane(preview.yaw_rate, self.plant.dt, self.plant.age)
+        r = lane_ahead[:, self._delay :]
         steady = steady_cornering(self.plant, d.mu, np.concatenate([r, 0.5 * (r[:, :-1] + r[:, 1:])], axis=1))
         e_ref, u_ref = steady.e_psi[:, : N + 1], steady.delta[:, N + 1 :]
         rate = d.rate_max * self.plant.dt
@@ -220,6 +248,7 @@ class NonlinearMPCLaw(SteeringLaw):
         work = workspace(N, self.soft is not None)
         for i in range(n):
             work.x_0[:], work.delta_prev[0], work.c[:] = x[i], delta_prev[i], self.columns[i]
+            self._begin(work, lane_ahead[i], after, i)
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
             found = self._solve(work, state.U[i] if state.ready[i] else None)
@@ -230,15 +259,38 @@ class NonlinearMPCLaw(SteeringLaw):
             else:
                 after.rung[i] = 3
                 K = self.columns[i, -5:-1]
-                wanted = float(u_ref[i, 0] - K @ x[i] + K[2] * e_ref[i, 0])
+                wanted = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
                 wanted = min(max(wanted, low[i, 0]), high[i, 0]) if np.isfinite(wanted) else 0.0
             after.ready[i] = found.solved
             after.iterations[i], after.residual[i], after.cost[i] = found.iterations, found.step, found.cost
             wanted = min(max(wanted, low[i, 0]), high[i, 0])
             # a sum with 0 turns -0 into 0
             delta[i] = min(max(wanted, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
-        status = np.where(after.rung == 1, EventStatus.OK, EventStatus.SOLVER_FAILED).astype(np.int8)
-        return delta, after, status
+            if not self._delay:
+                after.past[i, 1, -1] = self._added(work, delta[i], r[i])
+        status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
+        return delta, after, status[after.rung].astype(np.int8)
+
+    def _added(self, work: Workspace, u: float, r: FloatArray) -> float:
+        """Lateral acceleration less that of the lane at the workspace's state, with the command u."""
+        return float(work.ahead(u, r[0], r[1])[1] - work.c[_SPEED] * r[0])
+
+    def _begin(self, work: Workspace, r: FloatArray, after: NonlinearMPCState, i: int) -> None:
+        """Take the workspace's state to where the next command steers, and known accelerations into its `offset`."""
+        sent, window, v = after.sent[i], after.past.shape[2], work.c[_SPEED]
+        now = self._added(work, sent[0], r)
+        past = np.where(np.isnan(after.past[i]), now, after.past[i])
+        left, right = [*past[0], now], [*past[1]]
+        for k, u in enumerate(sent[1:]):
+            x, a_0, a_1 = work.ahead(u, r[k], r[k + 1])
+            right.append(a_0 - v * r[k])
+            left.append(a_1 - v * r[k + 1])
+            work.x_0[:] = x
+        after.past[i] = left[1 : window + 1], [*right, now][1 : window + 1]
+        if self.soft is not None:
+            N, k = self.design.horizon, len(sent) - 1
+            bend = v * np.concatenate([r[k : k + N], r[k + 1 :], np.zeros(N)])
+            work.offset = self.soft.before @ np.array(left[k:] + right[k:]) - self.soft.rows @ bend
 
     def _solve(self, work: Workspace, last: FloatArray | None) -> Solution:
         warm = None if last is None else np.append(last[1:], last[-1])

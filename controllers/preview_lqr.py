@@ -19,18 +19,21 @@ Frame: ISO 8855, positive to the left, radians. Assumptions: the nominal vehicle
 and the lane ahead seen, no limits. Use it where the lane's curvature changes during a departure: it steers before the
 bend begins. N dt beyond the closed loop's settling time adds nothing; on a constant bend it is the plain LQR. Where
 curvature goes on changing, a few samples of preview may do worse than none: what is seen last is taken to be held.
-Feedback is that of `lqr`: with an actuator and a camera take r_delta of some thousands.
+Feedback is that of `lqr`. Behind an actuator x~ and u~ are those of the moment at which the command acts: the N samples
+begin there, x~ is predicted up to there with the lane as it will be, and the lane's past, where a camera is late,
+counts as its present.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import ClassVar, final
 
 import numpy as np
 import numpy.typing as npt
 
-from controllers.riccati import Regulator, regulator
+from controllers.riccati import Regulator, in_time, linear_law, regulator
 from ldctoolkit import Controller, LinearLaw, Plant, gain
 
 FloatArray = npt.NDArray[np.float64]
@@ -76,34 +79,42 @@ class PreviewLQR(Controller):
 
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule feedback and preview gains over the scenarios' speeds."""
-        lq = regulator(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta)
-        steady = plant.steady_state()
-        g = _response(plant, lq, self.r_delta, self.horizon)
-        G = np.zeros((plant.n, self.horizon + 1))
-        G[:, 0] = lq.K[:, 2] * steady.e_psi
-        G[:, :2] += 0.5 * steady.delta[:, None]
+        lq = regulator(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta, actuator=True)
+        steady, first = plant.steady_state(), plant.augmented.whole
+        A, B, E_0, E_1 = in_time(plant)
+        x_ss = np.repeat(steady.delta[:, None], B.shape[1], axis=1)  # the wheel and the command before
+        x_ss[:, :4] = 0.0
+        x_ss[:, 2] = steady.e_psi
+        # samples from the state that is seen on; the command acts at the one called first
+        G = np.zeros((plant.n, first + self.horizon + 1))
+        G[:, first] = np.sum(lq.K * x_ss, axis=1)
+        G[:, first : first + 2] += 0.5 * steady.delta[:, None]
         # from differences of the yaw rate to the yaw rate itself
-        G[:, :-1] -= g
-        G[:, 1:] += g
-        return LinearLaw(
-            F=-lq.K,
-            preview_times=np.arange(self.horizon + 1, dtype=np.float64) * plant.dt,
-            G_yaw_rate=G,
-            G_heading=np.zeros_like(G),
-            f_u=np.zeros(plant.n),
+        g = _response(A, B, 0.5 * B * steady.delta[:, None] + E_1 - x_ss, lq, self.r_delta, self.horizon)
+        G[:, first:-1] -= g
+        G[:, first + 1 :] += g
+        K = lq.K
+        for j in range(first - 1, -1, -1):  # what the bend does until the command acts
+            G[:, j] -= np.sum(K * E_0, axis=1)
+            G[:, j + 1] -= np.sum(K * E_1, axis=1)
+            K = np.einsum("ni,nij->nj", K, A)
+        late = math.ceil(plant.age / plant.dt - 1e-9)  # the lane's past counts as it is now
+        G[:, late] += G[:, :late].sum(axis=1)
+        return dataclasses.replace(
+            linear_law(plant, lq.K),
+            preview_times=np.maximum(np.arange(late, G.shape[1]) * plant.dt - plant.age, 0.0),
+            G_yaw_rate=G[:, late:],
+            G_heading=np.zeros_like(G[:, late:]),
         )
 
 
-def _response(plant: Plant, lq: Regulator, r: float, N: int) -> FloatArray:
+def _response(A: FloatArray, B: FloatArray, D: FloatArray, lq: Regulator, r: float, N: int) -> FloatArray:
     """Weights g_j (n, N) of the changes of lane yaw rate from one sample to the next."""
-    step, steady = plant.step, plant.steady_state()
-    D = 0.5 * step.B * steady.delta[:, None] + step.E_1
-    D[:, 2] -= steady.e_psi
-    A_c = step.A - step.B[:, :, None] * lq.K[:, None, :]
-    s = r + np.einsum("ni,nij,nj->n", step.B, lq.P, step.B)
+    A_c = A - B[:, :, None] * lq.K[:, None, :]
+    s = r + np.einsum("ni,nij,nj->n", B, lq.P, B)
     back = np.einsum("nij,nj->ni", lq.P, D)
-    g = np.empty((plant.n, N))
+    g = np.empty((D.shape[0], N))
     for j in range(N):
-        g[:, j] = -np.sum(step.B * back, axis=1) / s
+        g[:, j] = -np.sum(B * back, axis=1) / s
         back = np.einsum("nji,nj->ni", A_c, back)
     return g

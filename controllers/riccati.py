@@ -11,33 +11,34 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, Plant, scheduled
+from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, LinearLaw, Plant, scheduled
 
 FloatArray = npt.NDArray[np.float64]
 Weights = tuple[float, float, float, float]
 
-__all__ = ["SPEED_RANGE", "Regulator", "feedback", "integral_feedback", "regulator"]
+__all__ = ["SPEED_RANGE", "Regulator", "feedback", "in_time", "linear_law", "regulator"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Regulator:
-    """Infinite-horizon LQR at n speeds: delta = -K x with the cost x' P x.
+    """Infinite-horizon LQR at n speeds: delta = -K s with the cost s' P s.
 
     Attributes
     ----------
-    K : (n, 4)
-    P : (n, 4, 4)
+    K : (n, k)
+    P : (n, k, k)
     """
 
     K: FloatArray
     P: FloatArray
 
 
-def regulator(plant: Plant, q: Weights, r: float) -> Regulator:
+def regulator(plant: Plant, q: Weights, r: float, *, actuator: bool = False) -> Regulator:
     """LQR gain and cost at every scenario's speed.
 
     Parameters
@@ -48,6 +49,8 @@ def regulator(plant: Plant, q: Weights, r: float) -> Regulator:
         Weights on e_y^2, (de_y/dt)^2, e_psi^2, (de_psi/dt)^2.
     r : float [1/rad^2]
         Weight on delta^2.
+    actuator : bool
+        For the states of `in_time` instead of the vehicle's alone.
 
     Returns
     -------
@@ -60,48 +63,75 @@ def regulator(plant: Plant, q: Weights, r: float) -> Regulator:
     LdcError
         If the Riccati equation has no stabilising solution somewhere in the range.
     """
-    values = _scheduled(plant, q, r, slice(None))
-    return Regulator(K=values[:, :4].copy(), P=values[:, 4:].reshape(-1, 4, 4).copy())
+    lag, part = _known(plant) if actuator else (0.0, 0.0)
+    values = _scheduled(plant, _Riccati(plant.model, plant.dt, q, r, lag=lag, part=part), slice(None))
+    k = int(math.sqrt(values.shape[1]))
+    return Regulator(K=values[:, :k].copy(), P=values[:, k:].reshape(-1, k, k).copy())
 
 
-def feedback(plant: Plant, q: Weights, r: float) -> FloatArray:
-    """Only the gain K (n, 4) of `regulator`, with the same arguments, the same bits and the same errors."""
-    return _scheduled(plant, q, r, slice(4))
+def feedback(plant: Plant, q: Weights, r: float, q_i: float | None = None) -> FloatArray:
+    """Only the gain K (n, k) of a `regulator` behind the actuator, with the same bits and the same errors.
 
-
-def integral_feedback(plant: Plant, q: Weights, q_i: float, r: float) -> FloatArray:
-    """LQR gain on the state and on z, the running integral of e_y: z_(k+1) = z_k + dt e_y(k).
-
-    Parameters
-    ----------
-    plant : Plant
-        Model, speeds (n,) and sample time.
-    q : tuple of 4 floats
-        Weights as in `regulator`.
-    q_i : float [1/(m s)^2]
-        Weight on z^2, > 0: without it z is not seen by the cost and the Riccati equation has no stabilising solution.
-    r : float [1/rad^2]
-        Weight on delta^2.
-
-    Returns
-    -------
-    (n, 5)
-        delta = -(K[:, :4] x + K[:, 4] z).
-
-    Raises
-    ------
-    InputError
-        For a speed outside `SPEED_RANGE`.
-    LdcError
-        If the Riccati equation has no stabilising solution somewhere in the range.
+    With a weight `q_i` > 0 [1/(m s)^2] on z^2 the last state is z, the running integral of e_y: z_(k+1) = z_k +
+    dt e_y(k). Without a weight z would not be seen by the cost, and the equation would have no stabilising solution.
     """
-    what = f"LQR gains for q = {q}, q_i = {q_i}, r = {r}, dt = {plant.dt:g} s"
-    return scheduled(_IntegralRiccati(plant.model, plant.dt, q, q_i, r), plant.v, what)
+    lag, part = _known(plant)
+    solve = _Riccati(plant.model, plant.dt, q, r, q_i=q_i, lag=lag, part=part, refined=q_i is not None)
+    return _scheduled(plant, solve, slice(4 + (lag > 0) + (part > 0) + (q_i is not None)))
 
 
-def _scheduled(plant: Plant, q: Weights, r: float, columns: slice) -> FloatArray:
-    what = f"LQR gains for q = {q}, r = {r}, dt = {plant.dt:g} s"
-    return scheduled(_resolved(_Riccati(plant.model, plant.dt, q, r), what), plant.v, what, columns=columns)
+def in_time(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A, B, E_0, E_1 behind the actuator as if the command came `plant.augmented.whole` samples earlier.
+
+    The states are x, the wheel angle where there is a lag, the command before where two act within a sample. Whole
+    samples of delay need no states: the best command is that without them, for the state predicted that far ahead.
+    """
+    return dataclasses.replace(plant.augmented, whole=0).with_commands()
+
+
+def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> LinearLaw:
+    """The law delta = delta_ss psi_l' - K (s - s_ss psi_l'), s that of `in_time` when the command acts, and z.
+
+    s is predicted from the state that is seen, the wheel angle there and the commands on their way, for a bend that
+    goes on as it will be at the end of the delay and the lag. It is exact: what `control.dlqr` gives for the plant
+    with all these states.
+    """
+    step, steady = plant.augmented, plant.steady_state()
+    A, B, _, _ = in_time(plant)
+    k = B.shape[1]
+    if integral:
+        with_z = np.zeros((plant.n, k + 1, k + 1))
+        with_z[:, :k, :k], with_z[:, k, 0], with_z[:, k, k] = A, plant.dt, 1.0
+        A, B = with_z, np.append(B, np.zeros((plant.n, 1)), axis=1)
+    past = np.zeros((plant.n, max(step.past, 1)))
+    for age in range(step.whole):
+        past[:, age] = -np.sum(K * B, axis=1)
+        K = np.einsum("ni,nij->nj", K, A)
+    if step.split:
+        past[:, step.whole] = -K[:, k - 1]
+    f_wheel = -K[:, 4] if plant.lag > 0 else None
+    held = past.sum(axis=1) + (0.0 if f_wheel is None else f_wheel)
+    return LinearLaw(
+        F=-K[:, :4],
+        preview_times=np.array([plant.delay - plant.age + plant.lag]),
+        G_yaw_rate=(steady.delta + K[:, 2] * steady.e_psi - held * steady.delta)[:, None],
+        G_heading=np.zeros((plant.n, 1)),
+        f_u=past[:, 0],
+        f_i=-K[:, k] if integral else None,
+        f_past=past[:, 1:] if step.past > 1 else None,
+        f_wheel=f_wheel,
+    )
+
+
+def _known(plant: Plant) -> tuple[float, float]:
+    """Lag, and the part of a sample in the delay."""
+    step = plant.augmented
+    return plant.lag, plant.delay - step.whole * plant.dt if step.split else 0.0
+
+
+def _scheduled(plant: Plant, solve: _Riccati, columns: slice) -> FloatArray:
+    what = f"LQR gains for {solve.what}"
+    return scheduled(_resolved(solve, what), plant.v, what, columns=columns)
 
 
 @functools.lru_cache(maxsize=256)
@@ -110,54 +140,44 @@ def _resolved(solve: _Riccati, what: str) -> _Riccati:
     try:
         scheduled(solve, np.empty(0), what)
     except LdcError:
+        if solve.refined:
+            raise
         return dataclasses.replace(solve, refined=True)
     return solve
 
 
 @dataclasses.dataclass(frozen=True)
 class _Riccati:
-    """(K, P) at given speeds, side by side."""
+    """(K, P) at given speeds, side by side; only K with an integral."""
 
     model: BicycleModel
     dt: float
     q: Weights
     r: float
+    q_i: float | None = None
+    lag: float = 0.0
+    part: float = 0.0
     refined: bool = False
 
+    @property
+    def what(self) -> str:
+        integral = "" if self.q_i is None else f"q_i = {self.q_i}, "
+        actuator = f", lag = {self.lag:g} s" if self.lag else ""
+        return f"q = {self.q}, {integral}r = {self.r}, dt = {self.dt:g} s{actuator}"
+
     def __call__(self, v: FloatArray) -> FloatArray:
-        step = self.model.discretize(v, self.dt)
-        what = f"q = {self.q}, r = {self.r}, dt = {self.dt:g} s"
-        rows = []
+        A, B, _, _ = in_time(Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.part))
+        k, rows = B.shape[1], []
+        q = (*self.q, *(k - 4) * (0.0,), *(() if self.q_i is None else (self.q_i,)))
+        full, inputs = np.zeros((len(q), len(q))), np.zeros(len(q))
+        full[k:, 0], full[k:, k:] = self.dt, 1.0
         for i in range(v.size):
-            where = f"at {v[i]:.3g} m/s for {what}"
-            K, P = _dlqr(step.A[i], step.B[i], self.q, self.r, where)
+            full[:k, :k], inputs[:k] = A[i], B[i]
+            where = f"at {v[i]:.3g} m/s for {self.what}"
+            K, P = _dlqr(full, inputs, q, self.r, where)
             if self.refined:
-                K, P = _refined(step.A[i], step.B[i], self.q, self.r, K, where)
-            rows.append(np.concatenate([K, P.ravel()]))
-        return np.array(rows)
-
-
-@dataclasses.dataclass(frozen=True)
-class _IntegralRiccati:
-    """K of the plant with the integral of e_y as a fifth state, at given speeds."""
-
-    model: BicycleModel
-    dt: float
-    q: Weights
-    q_i: float
-    r: float
-
-    def __call__(self, v: FloatArray) -> FloatArray:
-        step = self.model.discretize(v, self.dt)
-        what = f"q = {self.q}, q_i = {self.q_i}, r = {self.r}, dt = {self.dt:g} s"
-        A, B = np.zeros((5, 5)), np.zeros(5)
-        A[4, 0], A[4, 4] = self.dt, 1.0
-        rows = []
-        for i in range(v.size):
-            A[:4, :4], B[:4] = step.A[i], step.B[i]
-            where, q = f"at {v[i]:.3g} m/s for {what}", (*self.q, self.q_i)
-            K, _ = _dlqr(A, B, q, self.r, where)
-            rows.append(_refined(A, B, q, self.r, K, where)[0])
+                K, P = _refined(full, inputs, q, self.r, K, where)
+            rows.append(K if self.q_i is not None else np.concatenate([K, P.ravel()]))
         return np.array(rows)
 
 

@@ -1,9 +1,11 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, RecordedPath, SolverCalls, SteeringLaw
+from ldctoolkit.departure_plot import plot_departure
 from ldctoolkit.departures import DepartureParameters, Departures, DepartureSignals, rebuild_signals, reduce_signals
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
+from ldctoolkit.linear_steps import LinearSteps
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import (
     extract_departures,
@@ -16,7 +18,7 @@ from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Outcome, plot_departure, simulate
+from ldctoolkit.simulation import Outcome, simulate
 from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
@@ -33,6 +35,7 @@ __all__ = [
     "Gain",
     "LdcError",
     "LinearLaw",
+    "LinearSteps",
     "Outcome",
     "Plant",
     "Preview",

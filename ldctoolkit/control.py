@@ -4,6 +4,7 @@ A controller design is a frozen dataclass with declared gains. ``prepare(plant)`
 a law whose type says what it can do:
 
 - `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev + f_i z, arrays of n;
+  behind an actuator also with weights of earlier commands and of the wheels' steering angle;
 - `SteeringLaw`: any other law, one call a time step for all n scenarios at once, with explicit state;
 - `RecordedPath`: nobody intervenes, the departure runs as it was recorded.
 """
@@ -45,6 +46,8 @@ class EventStatus(enum.IntEnum):
     """It cannot be driven: a parameter is not finite or has the wrong sign, the speed leaves 1 to 90 m/s. S is NaN."""
     CRASHED = 6
     """The law ended the process that it ran in, in this scenario; the recorded path counts."""
+    BEYOND_DELTA_MAX = 7
+    """Driven to the end; at first the wheel was so far beyond the law's limit that no command could meet it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +85,12 @@ class LinearLaw:
         Weight of the previous command.
     f_i : (n,) [rad/(m s)], optional
         Weight of z, the integral of e_y as the law sees it: z = 0 at the trigger, and z + dt e_y at the next sample.
+    f_past : (n, q) [rad/rad], optional
+        Weights of the commands before the previous one, the latest first. Before the trigger every command is the
+        steering angle of the recorded path.
+    f_wheel : (n,) [rad/rad], optional
+        Weight of the steering angle of the wheels, as measured at the moment of the state that the law sees: now, or
+        `Plant.age` ago where the design knows the camera's delay.
     """
 
     F: FloatArray
@@ -90,6 +99,13 @@ class LinearLaw:
     G_heading: FloatArray
     f_u: FloatArray
     f_i: FloatArray | None = None
+    f_past: FloatArray | None = None
+    f_wheel: FloatArray | None = None
+
+    @property
+    def knows_actuator(self) -> bool:
+        """It sees more than state, lane and previous command, and is driven by the loop that drives any plant."""
+        return self.f_past is not None or self.f_wheel is not None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +167,7 @@ class SteeringLaw(abc.ABC):
         delta : (n,) [rad]
         state : object
         status : (n,) int8
-            `EventStatus.OK` or `EventStatus.SOLVER_FAILED`.
+            `EventStatus.OK`, `SOLVER_FAILED`, or `BEYOND_DELTA_MAX`.
         """
 
     def take(self, rows: IntArray, state: Any) -> tuple[SteeringLaw, Any] | None:  # noqa: ARG002

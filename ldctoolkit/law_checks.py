@@ -24,6 +24,9 @@ from ldctoolkit.control import (
 )
 from ldctoolkit.errors import InputError
 
+_OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)
+"""What a law may return for a command."""
+
 
 def check_controller(controller: object) -> Controller:
     """Return the design, with its class checked; its gains were when it was made.
@@ -102,8 +105,10 @@ def check_law(law: object, n: int, name: str) -> Law:
         p = times.size
         for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():
             _check_array(getattr(law, field), field, shape, where)
-        if law.f_i is not None:
-            _check_array(law.f_i, "f_i", (n,), where)
+        optional: dict[str, tuple[int | str, ...]] = {"f_i": (n,), "f_past": (n, "q"), "f_wheel": (n,)}
+        for field, allowed in optional.items():
+            if getattr(law, field) is not None:
+                _check_array(getattr(law, field), field, allowed, where)
     return law
 
 
@@ -141,12 +146,10 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     delta, status = _reals(result[0], "delta", where), _reals(result[2], "status", where)
     if delta.shape != (n,) or status.shape != (n,):
         raise InputError(f"{where}: step returned shapes {delta.shape}, {status.shape}; allowed: {(n,)}")
-    unknown = (status != EventStatus.OK) & (status != EventStatus.SOLVER_FAILED)
+    unknown = ~np.isin(status, _OF_A_STEP)
     if unknown.any():
-        raise InputError(
-            f"{where}: step returned status {status[unknown][0]}; "
-            f"allowed: EventStatus.OK ({EventStatus.OK:d}) or EventStatus.SOLVER_FAILED ({EventStatus.SOLVER_FAILED:d})"
-        )
+        allowed = ", ".join(f"EventStatus.{one.name} ({one:d})" for one in _OF_A_STEP)
+        raise InputError(f"{where}: step returned status {status[unknown][0]}; allowed: {allowed}")
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
 
 

@@ -29,10 +29,10 @@ DTLE_LIMIT: Final = -0.3
 Systems; Commission Implementing Regulation (EU) 2021/646."""
 
 A_Y_LIMIT: Final = 3.0
-"""Largest lateral acceleration [m/s^2] of a lane keeping action (ISO 11270:2014, 5.4)."""
+"""Largest lateral acceleration [m/s^2] that a lane keeping action may induce (ISO 11270:2014, 5.4)."""
 
 JERK_LIMIT: Final = 5.0
-"""Largest lateral jerk [m/s^3] of a lane keeping action, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
+"""Largest lateral jerk [m/s^3] that a lane keeping action may induce, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
 
 
 # ------------------------------------------------------------------------------------------------ of a scenario
@@ -96,18 +96,28 @@ class Companions:
     """Time since the departure's start at which the edge is first back inside after the trigger [s]; infinite where it
     is not back by the end."""
 
-    overshoot: FloatArray = field(metadata={"row": ScenarioMetric("m", "Opposite line crossed by", "back", 3)})
+    opposite_crossing: FloatArray = field(
+        metadata={"row": ScenarioMetric("m", "Opposite line crossed by", "back", 3, short="overshoot")}
+    )
     """How far the opposite edge gets beyond the opposite line [m]; 0 where it does not."""
 
-    a_y_peak: FloatArray = field(
-        metadata={"row": ScenarioMetric("m/s^2", "Peak a_y", "comfort", 2, limit=A_Y_LIMIT, short="ay")}
-    )
-    """Largest lateral acceleration [m/s^2]."""
+    a_y_peak: FloatArray = field(metadata={"row": ScenarioMetric("m/s^2", "Peak a_y", "comfort", 2, short="ay")})
+    """Largest lateral acceleration [m/s^2], that of the bend included."""
 
     jerk_peak: FloatArray = field(
-        metadata={"row": ScenarioMetric("m/s^3", "Peak lateral jerk", "comfort", 2, limit=JERK_LIMIT, short="jerk")}
+        metadata={"row": ScenarioMetric("m/s^3", "Peak lateral jerk", "comfort", 2, short="jerk")}
     )
     """Largest lateral jerk, as a moving average over 0.5 s [m/s^3]."""
+
+    a_y_added_peak: FloatArray = field(
+        metadata={"row": ScenarioMetric("m/s^2", "Peak added a_y", "comfort", 2, limit=A_Y_LIMIT, short="ay_added")}
+    )
+    """Largest excess of |a| over |y''| of the recorded path at the same time [m/s^2], with a = a_y - v^2 c."""
+
+    jerk_added_peak: FloatArray = field(
+        metadata={"row": ScenarioMetric("m/s^3", "Peak added jerk", "comfort", 2, limit=JERK_LIMIT, short="jerk_added")}
+    )
+    """The same of da/dt and y''', each as a moving average over 0.5 s [m/s^3]."""
 
     delta_peak: FloatArray = field(metadata={"row": ScenarioMetric("rad", "Steering angle", "steering", 2)})
     """Largest steering angle of the wheel [rad]."""
@@ -295,6 +305,7 @@ _RANKED: Final = _table(
     _count("diverged", "Departures that diverged"),
     _count("timed_out", "Departures that timed out"),
     _count("crashed", "Departures that crashed"),
+    _count("beyond_delta_max", "Takeovers beyond delta_max"),
     _count("failed_solves", "Failed solves [commands]"),
 )
 
@@ -316,16 +327,17 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
         "Needless interventions",
         "interventions",
         (),
-        lambda by: needless_share(by.acted, by.d_y, by.D_y),
+        lambda by: needless_share(by.acted, by.d_y),
     ),
     _share(
-        "overshoot_share",
+        "opposite_crossed_share",
         "Opposite line crossed",
         "back",
-        ("overshoot",),
-        lambda by, overshoot: overshoot_share(overshoot, by.acted),
+        ("opposite_crossing",),
+        lambda by, opposite_crossing: opposite_crossed_share(opposite_crossing, by.acted),
+        aliases=("overshoot_share",),
     ),
-    *_of("overshoot", "max", title="Opposite line crossed by at most"),
+    *_of("opposite_crossing", "max", title="Opposite line crossed by at most", alias="overshoot_max_m"),
     _share(
         "back_inside",
         "Back inside",
@@ -337,12 +349,14 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     *_of("t_back", "median"),
     *_of("a_y_peak", "mean", "p95", "max"),
     *_of("jerk_peak", "mean", "p95", "max"),
+    *_of("a_y_added_peak", "mean", "p95", "max"),
+    *_of("jerk_added_peak", "mean", "p95", "max"),
     _share(
         "comfortable",
         "Both limits of ISO 11270 kept",
         "comfort",
-        ("a_y_peak", "jerk_peak"),
-        lambda by, a_y_peak, jerk_peak: comfortable_share(a_y_peak, jerk_peak, by.acted),
+        ("a_y_added_peak", "jerk_added_peak"),
+        lambda by, a_y, jerk: comfortable_share(a_y, jerk, by.acted),
         better="more",
     ),
     *_of("delta_peak", "max"),
@@ -372,7 +386,7 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> reduction(np.array([0.25, 0.0]), np.array([1.0, 0.0]))
+    >>> reduction(np.array([0.25, 0.5]), np.array([1.0, 0.0]))
     array([0.75, 0.  ])
     """
     ratio = np.divide(S, S_uncorrected, out=np.ones_like(S), where=~(S_uncorrected <= 0))
@@ -444,14 +458,17 @@ def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float |
 
 
 def comfortable(
-    a_y_peak: npt.ArrayLike, jerk_peak: npt.ArrayLike, a_y_limit: float = A_Y_LIMIT, jerk_limit: float = JERK_LIMIT
+    a_y_added_peak: npt.ArrayLike,
+    jerk_added_peak: npt.ArrayLike,
+    a_y_limit: float = A_Y_LIMIT,
+    jerk_limit: float = JERK_LIMIT,
 ) -> BoolArray:
-    """Which scenarios stay within both limits: a_y_peak <= a_y_limit and jerk_peak <= jerk_limit.
+    """Which interventions induce no more than ISO 11270 allows: both added peaks within their limits.
 
     Parameters
     ----------
-    a_y_peak : (n,) or (d, n) [m/s^2]
-    jerk_peak : (n,) or (d, n) [m/s^3]
+    a_y_added_peak : (n,) or (d, n) [m/s^2]
+    jerk_added_peak : (n,) or (d, n) [m/s^3]
         As a moving average over 0.5 s.
     a_y_limit : float [m/s^2]
     jerk_limit : float [m/s^3]
@@ -471,24 +488,24 @@ def comfortable(
     >>> comfortable([3.0, 1.0, 4.0], [5.0, 6.0, 1.0])
     array([ True, False, False])
     """
-    a_y, jerk = _together(a_y_peak=a_y_peak, jerk_peak=jerk_peak)
+    a_y, jerk = _together(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
     result: BoolArray = (a_y <= _number("a_y_limit", a_y_limit)) & (jerk <= _number("jerk_limit", jerk_limit))
     return result
 
 
 def comfortable_share(
-    a_y_peak: npt.ArrayLike,
-    jerk_peak: npt.ArrayLike,
+    a_y_added_peak: npt.ArrayLike,
+    jerk_added_peak: npt.ArrayLike,
     triggered: npt.ArrayLike,
     a_y_limit: float = A_Y_LIMIT,
     jerk_limit: float = JERK_LIMIT,
 ) -> float | FloatArray:
-    """Share of the interventions that stay within the limits of lateral acceleration and jerk.
+    """Share of the interventions that induce no more lateral acceleration and jerk than allowed.
 
     Parameters
     ----------
-    a_y_peak : (n,) or (d, n) [m/s^2]
-    jerk_peak : (n,) or (d, n) [m/s^3]
+    a_y_added_peak : (n,) or (d, n) [m/s^2]
+    jerk_added_peak : (n,) or (d, n) [m/s^3]
     triggered : (n,) or (d, n) bool
     a_y_limit : float [m/s^2]
     jerk_limit : float [m/s^3]
@@ -508,43 +525,43 @@ def comfortable_share(
     >>> comfortable_share([3.0, 1.0, 0.0], [5.0, 6.0, 0.0], [True, True, False])
     0.5
     """
-    a_y, jerk, flags = _together(a_y_peak=a_y_peak, jerk_peak=jerk_peak, triggered=triggered)
+    a_y, jerk, flags = _together(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak, triggered=triggered)
     within = comfortable(a_y, jerk, a_y_limit, jerk_limit)
     return _fraction(within, np.isnan(a_y) | np.isnan(jerk), flags)
 
 
-def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> BoolArray:
-    """Which interventions were needless: triggered, though the recorded departure itself stays below D_y.
+def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> BoolArray:
+    """Which interventions were needless: triggered, though the recorded departure itself keeps the lane-edge limit.
 
     Parameters
     ----------
     triggered : (n,) or (d, n) bool
     d_y : (n,) [m]
         Peak of the recorded departure beyond the line.
-    D_y : float [m]
-        Depth from which a departure counts as deep; Table I: 0.5 m.
+    limit : float [m]
+        Distance to the lane edge that is still allowed, negative beyond the line.
 
     Returns
     -------
     (n,) or (d, n) bool
-        Triggered and d_y < D_y; False for a NaN.
+        Triggered and -d_y >= limit; False for a NaN.
 
     Raises
     ------
     InputError
-        For shapes that do not fit, or a D_y that is no number.
+        For shapes that do not fit, or a limit that is no number.
 
     Examples
     --------
-    >>> needless([True, True, False], [0.3, 0.6, 0.1], 0.5)
+    >>> needless([True, True, False], [0.3, 0.4, 0.1])
     array([ True, False, False])
     """
     depth, flags = _together(d_y=d_y, triggered=triggered)
-    result: BoolArray = flags & (depth < _number("D_y", D_y))
+    result: BoolArray = flags & (-depth >= _number("limit", limit))
     return result
 
 
-def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> float | FloatArray:
+def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
     """Share of all scenarios in which the intervention was needless.
 
     Parameters
@@ -552,8 +569,8 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> 
     triggered : (n,) or (d, n) bool
     d_y : (n,) [m]
         Peak of the recorded departure beyond the line.
-    D_y : float [m]
-        Depth from which a departure counts as deep; Table I: 0.5 m.
+    limit : float [m]
+        Distance to the lane edge that is still allowed, negative beyond the line.
 
     Returns
     -------
@@ -564,15 +581,15 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, D_y: float) -> 
     Raises
     ------
     InputError
-        For shapes that do not fit, or a D_y that is no number.
+        For shapes that do not fit, or a limit that is no number.
 
     Examples
     --------
-    >>> needless_share([True, True, False, False], [0.3, 0.6, 0.1, 0.9], 0.5)
+    >>> needless_share([True, True, False, False], [0.3, 0.4, 0.1, 0.9])
     0.25
     """
     depth, flags = _together(d_y=d_y, triggered=triggered)
-    return _fraction(needless(flags, depth, D_y), flags & np.isnan(depth))
+    return _fraction(needless(flags, depth, limit), flags & np.isnan(depth))
 
 
 def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
@@ -603,12 +620,12 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
     return _fraction(np.isfinite(time), np.isnan(time), flags)
 
 
-def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
-    """Share of the interventions that take the vehicle beyond the opposite line: overshoot > 0.
+def opposite_crossed_share(opposite_crossing: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
+    """Share of the interventions that take the vehicle beyond the opposite line: opposite_crossing > 0.
 
     Parameters
     ----------
-    overshoot : (n,) or (d, n) [m]
+    opposite_crossing : (n,) or (d, n) [m]
     triggered : (n,) or (d, n) bool
 
     Returns
@@ -623,10 +640,10 @@ def overshoot_share(overshoot: npt.ArrayLike, triggered: npt.ArrayLike) -> float
 
     Examples
     --------
-    >>> overshoot_share([0.2, 0.0, 0.0], [True, True, False])
+    >>> opposite_crossed_share([0.2, 0.0, 0.0], [True, True, False])
     0.5
     """
-    past, flags = _together(overshoot=overshoot, triggered=triggered)
+    past, flags = _together(opposite_crossing=opposite_crossing, triggered=triggered)
     return _fraction(past > 0, np.isnan(past), flags)
 
 

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, nearest
 
 SPEED_FLOOR = 1.0
 """Lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed."""
+
+SPEED_CEILING: Final = 90.0  # gains are scheduled up to it (`vehicle.speed_schedule.SPEED_RANGE`)
+_MOST_CURVATURE: Final = 0.2
+_MOST_ACCELERATION: Final = 40.0
+
+_LIMITS: Final = (
+    ("T", 600.0, "s"),
+    ("d_y", 10.0, "m"),
+    ("sigma_y", 10.0, "m"),
+    ("a_mean", _MOST_ACCELERATION, "m/s^2"),
+    ("sigma_v", 10.0, "m/s"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,9 +62,11 @@ class Scenarios(DepartureParameters):
         Parameters
         ----------
         T, d_y, v_mean, a_mean, c_0, dc, sigma_y, sigma_v : (n,)
-            The eight parameters in SI units, curvature in the outward frame.
-        side : (n,) int
-            +1 left, -1 right.
+            The eight parameters in SI units, curvature in the outward frame. The speed stays within 1 to 90 m/s, T
+            within 600 s, d_y and sigma_y within 10 m, a_mean and v_mean^2 times the curvature within 40 m/s^2, sigma_v
+            within 10 m/s, the curvature within 0.2 1/m: far beyond any departure, so that a slip of units is seen.
+        side : (n,) int or str
+            +1 or ``"left"``, -1 or ``"right"``.
 
         Returns
         -------
@@ -71,8 +86,16 @@ class Scenarios(DepartureParameters):
         """
         given = {"side": side, "T": T, "d_y": d_y, "sigma_y": sigma_y, "v_mean": v_mean, "a_mean": a_mean}
         given |= {"sigma_v": sigma_v, "c_0": c_0, "dc": dc}
+        made = cls.drawn(**given)
+        _check_limits(made)
+        return made
+
+    @classmethod
+    def drawn(cls, **given: npt.ArrayLike) -> Scenarios:
+        """As `from_arrays`, all nine by name, without its limits: for what a model draws and what was stored."""
+        arrays = [np.atleast_1d(_numbers(name, value)) for name, value in given.items()]
         try:
-            columns = np.broadcast_arrays(*[np.atleast_1d(np.asarray(value, dtype=float)) for value in given.values()])
+            columns = np.broadcast_arrays(*arrays)
         except ValueError as error:
             raise InputError(f"scenarios: the columns do not have one common length ({error})") from None
         if columns[0].ndim != 1:
@@ -83,24 +106,55 @@ class Scenarios(DepartureParameters):
         return cls(side=named.pop("side").astype(np.int64), index=np.arange(count, dtype=np.int64), **named)
 
 
-def _check(column: dict[str, npt.NDArray[np.float64]]) -> None:
-    def refuse(bad: npt.NDArray[np.bool_], name: str, allowed: str) -> None:
-        if bad.any():
-            row = int(np.argmax(bad))
-            more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
-            raise InputError(f"scenarios: {name}[{row}] = {column[name][row]:g}; allowed: {allowed}{more}")
+def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
+    """A column as floats; sides may be words."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise InputError(f"scenarios: {name}: rows of different lengths; allowed: one number a row") from None
+    sides = {"left": LEFT, "right": RIGHT}
+    if name == "side" and given.dtype.kind in "UO":
+        for i, word in enumerate(given.ravel().tolist()):
+            if word not in sides:
+                raise InputError(f"scenarios: side[{i}] = {word!r}; {nearest(str(word), sides)}")
+        given = np.where(given == "left", LEFT, RIGHT)
+    if given.dtype.kind not in "iuf":
+        for i, one in enumerate(given.ravel().tolist()):
+            if isinstance(one, bool) or not isinstance(one, int | float):
+                raise InputError(f"scenarios: {name}[{i}] = {one!r:.40}; allowed: numbers")
+    return given.astype(np.float64)
 
-    for name in column:
-        refuse(~np.isfinite(column[name]), name, "finite numbers")
-    refuse(~np.isin(column["side"], (LEFT, RIGHT)), "side", f"{LEFT} (left) or {RIGHT} (right)")
-    refuse(column["T"] <= 0, "T", "> 0 s")
+
+def _refuse(bad: npt.NDArray[np.bool_], name: str, values: npt.NDArray[Any], allowed: str) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
+        raise InputError(f"scenarios: {name}[{row}] = {values[row]:g}; allowed: {allowed}{more}")
+
+
+def _check(column: dict[str, FloatArray]) -> None:
+    for name, values in column.items():
+        _refuse(~np.isfinite(values), name, values, "finite numbers")
+    side, T, v_mean = column["side"], column["T"], column["v_mean"]
+    _refuse(~np.isin(side, (LEFT, RIGHT)), "side", side, f"{LEFT} (left) or {RIGHT} (right)")
+    _refuse(T <= 0, "T", T, "> 0 s")
     for name in ("d_y", "sigma_y", "sigma_v"):
-        refuse(column[name] < 0, name, ">= 0")
-    refuse(
-        slowest_speed(column["v_mean"], column["a_mean"], column["T"]) < SPEED_FLOOR,
-        "v_mean",
-        f"the speed v_mean +- a_mean T/2 stays at or above {SPEED_FLOOR} m/s over the whole departure",
-    )
+        _refuse(column[name] < 0, name, column[name], ">= 0")
+    allowed = f"the speed v_mean +- a_mean T/2 stays at or above {SPEED_FLOOR} m/s over the whole departure"
+    _refuse(slowest_speed(v_mean, column["a_mean"], T) < SPEED_FLOOR, "v_mean", v_mean, allowed)
+
+
+def _check_limits(made: Scenarios) -> None:
+    for name, most, unit in _LIMITS:
+        values = getattr(made, name)
+        _refuse(np.abs(values) > most, name, values, f"up to {most:g} {unit}")
+    v_mean, fastest = made.v_mean, 2.0 * made.v_mean - slowest_speed(made.v_mean, made.a_mean, made.T)
+    allowed = f"the speed v_mean +- a_mean T/2 stays at or below {SPEED_CEILING:g} m/s over the whole departure"
+    _refuse(fastest > SPEED_CEILING, "v_mean", v_mean, allowed)
+    for name, c in (("c_0", made.c_0), ("dc", made.c_0 + made.dc)):
+        bad = np.abs(c) > np.minimum(_MOST_CURVATURE, _MOST_ACCELERATION / v_mean**2)
+        allowed = f"a curvature up to {_MOST_CURVATURE} 1/m, with v_mean^2 times it up to {_MOST_ACCELERATION:g} m/s^2"
+        _refuse(bad, name, getattr(made, name), allowed)
 
 
 def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -6,13 +6,16 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Final, Literal, get_args
 
+import numpy.typing as npt
+
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.vehicle import BicycleModel, Convention, VehicleParameters
+from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameters
 
 InitialYawRate = Literal["path", "zero"]
-Start = Literal["printed", "steady"]
+Start = Literal["steady", "printed"]
+PlantKnowledge = Literal["nominal", "ideal"]
 
 SETTLE: Final = 3.0
 """How long [s] the loop goes on after the departure by default, to see whether it settles."""
@@ -36,16 +39,19 @@ class Setup:
     seed : int
         Of what is drawn for each scenario; with the scenario's number (`Scenarios.index`) it decides every draw.
     dt : float [s]
-        Sample time of the controller.
+        Sample time of the controller, up to 10.
     initial_yaw_rate : {"path", "zero"}
         de_psi/dt at the trigger: that of the recorded path, (d2y/dt2)/v, or zero.
-    start : {"printed", "steady"}
-        Heading error and steering angle at the trigger. The paper's e_psi = arctan(v_y/v) has no side slip and does not
-        fit the steering angle, that of a steady turn: the lateral acceleration jumps. ``"steady"`` starts in the turn
-        that has the recorded path's lateral acceleration, on the plant that is driven.
+    start : {"steady", "printed"}
+        Heading error and steering angle at the trigger: those of the steady turn with the recorded path's lateral
+        acceleration, on the plant that is driven. ``"printed"`` is the paper's: its e_psi = arctan(v_y/v) has no side
+        slip and does not fit the steering angle, so the lateral acceleration jumps.
     settle : float [s]
-        How long the loop goes on after the departure, 0 to 60, rounded up to whole samples: overshoot, acceleration
+        How long the loop goes on after the departure, 0 to 60, rounded up to whole samples: the way back, acceleration
         and steering are watched until then. S always ends at T.
+    plant_knowledge : {"nominal", "ideal"}
+        What a design may know of actuator and camera: their lag and delays, or nothing, as if there were none. Limits,
+        noise, bias and mismatch are never known.
 
     Raises
     ------
@@ -59,21 +65,25 @@ class Setup:
     >>> Setup(dt=0)
     Traceback (most recent call last):
     ...
-    ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0
+    ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0 and <= 10
     """
 
     vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
     convention: Convention = "consistent"
     options: PlantOptions = dataclasses.field(default_factory=PlantOptions)
     seed: int = 0
-    dt: float = declared(0.05, unit="s", above=0.0, usual=(1e-3, 1.0), description="sample time dt")
+    dt: float = declared(0.05, unit="s", above=0.0, most=10.0, usual=(1e-3, 1.0), description="sample time dt")
     initial_yaw_rate: InitialYawRate = dataclasses.field(
         default="path", metadata=declaration(choices=get_args(InitialYawRate), description="initial yaw rate")
     )
     start: Start = dataclasses.field(
-        default="printed", metadata=declaration(choices=get_args(Start), description="state at the trigger")
+        default="steady", metadata=declaration(choices=get_args(Start), description="state at the trigger")
     )
     settle: float = declared(SETTLE, unit="s", least=0.0, most=60.0, description="settling after the end")
+    plant_knowledge: PlantKnowledge = dataclasses.field(
+        default="nominal",
+        metadata=declaration(choices=get_args(PlantKnowledge), description="what laws know of actuator and camera"),
+    )
 
     def __post_init__(self) -> None:
         for name, kind in (("vehicle", VehicleParameters), ("options", PlantOptions)):
@@ -93,6 +103,10 @@ class Setup:
         """The nominal vehicle's linear model."""
         return BicycleModel(self.vehicle, self.convention)
 
+    def plant(self, v: npt.ArrayLike) -> Plant:
+        """What a design may know, at speeds v (n,) [m/s]."""
+        return known_plant(self.model, v, self.dt, self.options, self.plant_knowledge)
+
     def under(self, convention: Convention) -> Setup:
         """The same in a reading of the paper."""
         return dataclasses.replace(self, convention=convention)
@@ -100,6 +114,16 @@ class Setup:
     def on(self, options: PlantOptions) -> Setup:
         """The same on another plant."""
         return dataclasses.replace(self, options=options)
+
+
+def known_plant(
+    model: BicycleModel, v: npt.ArrayLike, dt: float, options: PlantOptions, plant_knowledge: PlantKnowledge
+) -> Plant:
+    """What a design may know, at speeds v (n,) [m/s]."""
+    if plant_knowledge == "ideal":
+        return Plant.build(model, v, dt)
+    age = options.sensors.delay
+    return Plant.build(model, v, dt, lag=options.actuator.lag, delay=options.actuator.delay + age, age=age)
 
 
 def simulation_options() -> Iterator[dataclasses.Field[object]]:

@@ -24,12 +24,11 @@ from studies.running.executors import Executor, make_executor
 from studies.running.pieces import Prefixes, schedule
 from studies.running.progress import Progress, default_progress
 from studies.search.search_run import run_search
-from studies.storage.folder_lock import locked, remove_leftovers
+from studies.storage.files import locked, remove_leftovers
 from studies.storage.manifest import Manifest
-from studies.storage.model_notes import model_notes
 from studies.storage.run_table import AllFailedError
 from studies.storage.store import FINALISTS, Store, make_folder
-from studies.storage.stored_model import write_model
+from studies.storage.stored_model import model_notes, write_model
 from studies.study_file.spec import Study
 
 _log = logging.getLogger("studies")

@@ -1,7 +1,6 @@
 """How well a fitted mixture describes events: numbers and warnings, no plots."""
 
-from ldctoolkit.diagnostics._calibration import kolmogorov_limit
-from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, box_share, model_marginal
+from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, box_share, kolmogorov_limit, model_marginal
 from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
 from ldctoolkit.diagnostics.parts import (
     Calibration,

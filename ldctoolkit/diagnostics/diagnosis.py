@@ -12,22 +12,154 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures
-from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
-from ldctoolkit.diagnostics._comparison import comparison_or_reason
-from ldctoolkit.diagnostics._events import checked_events
-from ldctoolkit.diagnostics._marginals import BINS, bin_edges, box_share, marginal, model_marginal, pair_densities
-from ldctoolkit.diagnostics.parts import Calibration, Component, Marginal, ModelDiagnostics, SideDiagnostics, Strip
-from ldctoolkit.diagnostics.thresholds import (
+from ldctoolkit.diagnostics._marginals import (
+    BINS,
+    bin_edges,
+    box_share,
+    calibrate,
+    kolmogorov_limit,
+    marginal,
+    model_marginal,
+    pair_densities,
+)
+from ldctoolkit.diagnostics.parts import (
     COMPARISON_STANDARD_ERRORS,
     FAR_OUTSIDE,
     ILL_CONDITIONED,
     LEAST_PROBABILITY,
+    Calibration,
+    Comparison,
+    Component,
+    Marginal,
+    ModelDiagnostics,
+    SideDiagnostics,
+    Strip,
     strip_is_off,
 )
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
-from ldctoolkit.mixture.checks import check_number, check_weights
+from ldctoolkit.mixture.checks import check_number, check_weights, inside_bounds
+from ldctoolkit.mixture.events import Events as Rows
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
+
+LEAST_EVENTS: Final = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Events:
+    """Events strictly inside the box."""
+
+    x: FloatArray  # (n, d): rows
+    weight: FloatArray  # (n,): events that each row stands for
+    weighted: bool  # whether the caller gave weights
+    outside: tuple[tuple[str, int], ...]  # (str, int): rows left out since they lie outside a bound, per parameter
+
+    @property
+    def share(self) -> FloatArray:
+        """Weights that sum to one."""
+        out: FloatArray = self.weight / self.weight.sum()
+        return out
+
+    @property
+    def effective(self) -> float:
+        """Kish's effective number of events."""
+        return float(self.weight.sum() ** 2 / (self.weight**2).sum())
+
+
+def checked_events(
+    distribution: Distribution, names: tuple[str, ...], X: npt.ArrayLike, weights: npt.ArrayLike | None
+) -> Events:
+    """Check, leave out what is outside the box, and move what is on a bound just inside, as the fit does."""
+    try:
+        x = np.array(X, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("X: not a table of numbers; allowed: (n, d), one row an event") from None
+    d = distribution.dimension
+    if x.ndim != 2 or x.shape[1] != d:
+        raise InputError(f"X: shape {x.shape}; allowed: (n, {d}), the columns {', '.join(names)}")
+    if not np.isfinite(x).all():
+        row, j = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
+        raise InputError(f"X: {names[j]} = {float(x[row, j])!r} in row {row}; allowed: finite numbers")
+    weight = np.ones(x.shape[0]) if weights is None else check_weights(weights, x.shape[0], "weights")
+    low, high = distribution.transform.lower, distribution.transform.upper
+    beyond = (x < low) | (x > high)
+    keep = ~beyond.any(axis=1) & (weight > 0.0)
+    counts = tuple((names[j], int(beyond[:, j].sum())) for j in np.flatnonzero(beyond.any(axis=0)))
+    x, weight = x[keep], weight[keep]
+    if x.shape[0] < LEAST_EVENTS:
+        raise InputError(
+            f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
+        )
+    inside = inside_bounds(Rows(x, weight), low, high, names, keep_constant=True)
+    return Events(inside.events.x, weight, weights is not None, counts)
+
+
+MOST_EVENTS: Final = 20_000
+"""Events of both halves together: the standard error is then some 0.005 nats, and more would only cost time."""
+
+_SETTINGS: Final = {"n_init": 2, "tol": 1e-5, "max_iter": 100}
+
+
+def compare_transforms(
+    mixture: BoundedGaussianMixture,
+    names: tuple[str, ...],
+    x: FloatArray,
+    weight: FloatArray | None,
+    seed: int,
+) -> Comparison:
+    """Fit both mixtures to one random half of the events and score them on the other half."""
+    rng = np.random.default_rng([seed, 2])
+    chosen = rng.permutation(x.shape[0])[:MOST_EVENTS]
+    fit_rows, test_rows = np.sort(chosen[: chosen.size // 2]), np.sort(chosen[chosen.size // 2 :])
+    transform, K = mixture.distribution.transform, mixture.distribution.weights.size
+    scores: list[FloatArray] = []
+    kinds: tuple[str, ...] = ()
+    for wanted in (None, "auto"):
+        fitted = BoundedGaussianMixture(
+            K,
+            lower=transform.lower,
+            upper=transform.upper,
+            random_state=seed,
+            prior_strength=mixture.prior_strength,
+            step=mixture.step,
+            transform=wanted,
+            names=names,
+            n_jobs=mixture.n_jobs,
+            **_SETTINGS,  # type: ignore[arg-type]
+        ).fit(x[fit_rows], sample_weight=None if weight is None else weight[fit_rows])
+        scores.append(fitted.score_samples(x[test_rows]))
+        kinds = fitted.distribution.transform.kinds
+    share = np.full(test_rows.size, 1.0 / test_rows.size) if weight is None else weight[test_rows]
+    share = share / share.sum()
+    difference = scores[1] - scores[0]
+    mean = float(share @ difference)
+    return Comparison(
+        K=K,
+        events_fit=fit_rows.size,
+        events_held_out=test_rows.size,
+        transforms=tuple((name, kind) for name, kind in zip(names, kinds, strict=True) if kind != "none"),
+        bounded=float(share @ scores[0]),
+        transformed=float(share @ scores[1]),
+        difference=mean,
+        standard_error=float(np.sqrt((share**2) @ (difference - mean) ** 2)),
+    )
+
+
+def comparison_or_reason(
+    mixture: BoundedGaussianMixture, names: tuple[str, ...], x: FloatArray, weight: FloatArray | None, seed: int
+) -> tuple[Comparison | None, str]:
+    """The comparison, or why there is none."""
+    transform = mixture.distribution.transform
+    if not (np.isfinite(transform.lower) | np.isfinite(transform.upper)).any():
+        return None, "no parameter has a finite bound, so there is nothing to transform"
+    half, free = min(x.shape[0], MOST_EVENTS) // 2, mixture.n_parameters()
+    if half < free:
+        return None, f"half of the events, {half}, are fewer than the {free} parameters of the mixture"
+    try:
+        return compare_transforms(mixture, names, x, weight, seed), ""
+    except LdcError as error:
+        return None, f"half of the events could not be fitted ({error})"
+
 
 Progress = Callable[[str, int, int], None]
 
@@ -298,27 +430,7 @@ def weighted_quantile(column: FloatArray, weight: FloatArray, share: float) -> f
 def strips(
     distribution: Distribution, names: tuple[str, ...], x: FloatArray, weight: FloatArray, effective_events: float
 ) -> tuple[tuple[Strip, ...], tuple[tuple[str, str], ...]]:
-    """Strips at the bounds that events come near to, and the names of the bounds that they do not.
-
-    Parameters
-    ----------
-    distribution : Distribution
-        The mixture.
-    names : tuple of str
-        Its d parameters.
-    x : (n, d)
-        Events inside the box.
-    weight : (n,)
-        Summing to one.
-    effective_events : float
-        Kish's effective number, for the standard errors.
-
-    Returns
-    -------
-    strips : tuple of Strip
-    far : tuple of (str, str)
-        Parameter and end of the bounds that events do not come near to, see `NEAR`.
-    """
+    """Strips at the bounds that events come near to, and the names of the bounds that they do not."""
     found: list[Strip] = []
     far: list[tuple[str, str]] = []
     for j, name in enumerate(names):

@@ -24,37 +24,19 @@ _DEEPEST: Final = -1e13
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
-    """One component made ready for drawing.
+    """One component made ready for drawing."""
 
-    Attributes
-    ----------
-    mu, lower, upper : (d,)
-        Mean before truncation, and the box.
-    bounded, free : (p,), (d - p,) int
-        Dimensions with a finite bound, and the others.
-    factor : (p, p)
-        Of the covariance of the bounded ones.
-    box : Separation
-        That component alone.
-    slope, rest : (p, d - p), (d - p, d - p)
-        The free ones are mu + slope^T z + rest times noise.
-    log_p : float
-        ln P.
-    plain : bool
-        Whether plain rejection is used.
-    """
-
-    mu: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    bounded: IntArray
-    free: IntArray
-    factor: FloatArray
-    box: Separation | None
-    slope: FloatArray
-    rest: FloatArray
-    log_p: float
-    plain: bool
+    mu: FloatArray  # (d,): mean before truncation, and the box
+    lower: FloatArray  # (d,)
+    upper: FloatArray  # (d,)
+    bounded: IntArray  # (p,): dimensions with a finite bound, and the others
+    free: IntArray  # (p,)
+    factor: FloatArray  # (p, p): of the covariance of the bounded ones
+    box: Separation | None  # that component alone
+    slope: FloatArray  # (p, d - p): the free ones are mu + slope^T z + rest times noise
+    rest: FloatArray  # (p, d - p): the free ones are mu + slope^T z + rest times noise
+    log_p: float  # ln P
+    plain: bool  # whether plain rejection is used
 
     @classmethod
     def of(
@@ -76,13 +58,7 @@ class Sampler:
         return cls(mu, lower, upper, bounded, free, factor, box, slope, rest, log_p, plain)
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Points (n, d), strictly inside the box.
-
-        Raises
-        ------
-        ModelError
-            If the box is so unlikely that no proposal reaches it (proposals are capped).
-        """
+        """Points (n, d), strictly inside the box."""
         d = self.mu.size
         out = np.empty((n, d))
         if n == 0:

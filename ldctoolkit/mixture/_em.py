@@ -20,8 +20,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._expectation import Components, Statistics, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._maximisation import LEAST_LOG_PROBABILITY, Prior, Step, maximise, predicted_gain
-from ldctoolkit.mixture._split_merge import best_moves
-from ldctoolkit.mixture._starts import local_covariance, start_from_clusters
+from ldctoolkit.mixture._split_merge import best_moves, local_covariance, start_from_clusters
 from ldctoolkit.mixture.events import Events, Profile, sums_of
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, moment_points
 
@@ -110,27 +109,6 @@ def fit_components(
 ) -> EMResult:
     """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
 
-    Parameters
-    ----------
-    events : Events
-        Rows and weights.
-    profile : Profile
-        Theirs.
-    s : EMSettings
-        Settings.
-    start : Components, optional
-        Where to go on from, in place of the short runs.
-    tell : callable
-        Gets one line now and then.
-
-    Raises
-    ------
-    InputError
-        If a component shrinks onto so few distinct events that its covariance is singular: without a prior the
-        likelihood has no maximum there.
-
-    Notes
-    -----
     The points and the order of integration are frozen during a run, so the likelihood is one smooth function. The
     prior's target is frozen too: for a short run the clusters' covariances, for the final run the covariances of the
     events around each component at its start.
@@ -331,22 +309,7 @@ class Leap:
 
 
 def leap(first: Point, second: Point, third: Point, *, longest: float, points: int) -> Leap | None:
-    """A point beyond the third of three successive ones.
-
-    Parameters
-    ----------
-    first, second, third : Point
-        Of the same K components, in the same order of integration.
-    longest : float
-        Largest length s that is trusted.
-    points : int
-        Lattice points.
-
-    Returns
-    -------
-    Leap or None
-        None where nothing longer than the way to the third point leaves components that can be integrated.
-    """
+    """A point beyond the third of three successive ones."""
     G = np.linalg.cholesky(second.truncated.Sigma)
     centre = second.truncated.mean
     places = [_whitened(p, G, centre, second.weights) for p in (first, second, third)]

@@ -11,46 +11,22 @@ from ldctoolkit.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class Components:
-    """Parameters of K components in the coordinates of the data.
+    """Parameters of K components in the coordinates of the data."""
 
-    Attributes
-    ----------
-    weights : (K,)
-        eta_k, the share of events.
-    mu : (K, d)
-        Means before truncation.
-    Sigma : (K, d, d)
-        Covariances before truncation.
-    log_p : (K,)
-        Logarithm of the probability of the box.
-    """
-
-    weights: FloatArray
-    mu: FloatArray
-    Sigma: FloatArray
-    log_p: FloatArray
+    weights: FloatArray  # (K,): eta_k, the share of events
+    mu: FloatArray  # (K, d): means before truncation
+    Sigma: FloatArray  # (K, d, d): covariances before truncation
+    log_p: FloatArray  # (K,): logarithm of the probability of the box
 
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Sums of an E-step.
+    """Sums of an E-step."""
 
-    Attributes
-    ----------
-    log_likelihood : float
-        Sum of ln f over the events.
-    counts : (K,)
-        Expected events N_k.
-    mean : (K, d)
-        Weighted means.
-    scatter : (K, d, d)
-        Weighted covariances about those means.
-    """
-
-    log_likelihood: float
-    counts: FloatArray
-    mean: FloatArray
-    scatter: FloatArray
+    log_likelihood: float  # sum of ln f over the events
+    counts: FloatArray  # (K,): expected events N_k
+    mean: FloatArray  # (K, d): weighted means
+    scatter: FloatArray  # (K, d, d): weighted covariances about those means
 
 
 def natural(c: Components) -> FloatArray:

@@ -32,22 +32,7 @@ _MOST: Final = 6
 
 
 def correlation_of(events: Events, profile: Profile) -> FloatArray:
-    """Correlations (d, d) of the events' columns, by one pass.
-
-    Parameters
-    ----------
-    events : Events
-        Rows and weights.
-    profile : Profile
-        Theirs.
-
-    Examples
-    --------
-    >>> from ldctoolkit.mixture.events import Events, profile_of
-    >>> events = Events(np.array([[0.0, 1.0], [1.0, 0.0], [2.0, -1.0]]))
-    >>> correlation_of(events, profile_of(events)).round(9).tolist()
-    [[1.0, -1.0], [-1.0, 1.0]]
-    """
+    """Correlations (d, d) of the events' columns, by one pass."""
     d = events.dimension
     i, j = np.triu_indices(d)
     _, sums = sums_of(events, profile.mean, profile.scale, np.zeros((1, 1 + d + i.size)))
@@ -65,30 +50,7 @@ def fit_warnings(
     passes: int,
     names: Sequence[str] | None = None,
 ) -> tuple[str, ...]:
-    """Sentences, the gravest first; none where nothing is to be said.
-
-    Parameters
-    ----------
-    distribution : Distribution
-        As it was fitted.
-    profile : Profile
-        Of the events, in the distribution's coordinates.
-    correlation : (d, d)
-        Of the events' columns, see `correlation_of`.
-    stop_reason : {"converged", "max_iter", "stuck", "collapsed"}
-        Why the fit ended.
-    passes : int
-        Passes it took.
-    names : sequence of str, optional
-        Column names.
-
-    Returns
-    -------
-    tuple of str
-        For a fit that did not converge; components that cannot be sampled, hold fewer events than they have
-        parameters, lie far outside the box or have hardly any width; columns that are nearly the same, hardly vary or
-        whose spread is one event's.
-    """
+    """Sentences, the gravest first; none where nothing is to be said."""
     out = [_stopped(stop_reason, passes)] if stop_reason != "converged" else []
     out += _of_components(distribution, profile)
     out += _of_columns(profile, correlation, names)

@@ -230,24 +230,7 @@ _NO_SUMS: Final = np.empty((0, 0))
 def statistics_of_rows(
     x: FloatArray, weight: FloatArray | None, location: FloatArray, scale: FloatArray, theta: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Log-likelihood and feature sums of some rows.
-
-    Parameters
-    ----------
-    x : (m, d)
-        Rows.
-    weight : (m,), optional
-        Events that each row stands for.
-    location, scale : (d,)
-        The components live in (x - location)/scale.
-    theta : (K, F)
-        Coefficients of the features in ln(eta_k g_k/P_k).
-
-    Returns
-    -------
-    log_likelihood : float
-    sums : (K, F)
-    """
+    """Log-likelihood and feature sums of some rows."""
     K = theta.shape[0]
     padded = _paired(theta)
     sums = np.zeros(padded.shape)

@@ -44,18 +44,10 @@ less and less: at -1e5 a component is an exponential to 1 part in 1e5, and it ca
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """Pseudo-events per component.
+    """Pseudo-events per component."""
 
-    Attributes
-    ----------
-    strength : float
-        n0, their number.
-    covariance : (K, d, d)
-        S0.
-    """
-
-    strength: float
-    covariance: FloatArray
+    strength: float  # n0, their number
+    covariance: FloatArray  # (K, d, d): S0
 
     def value(self, Sigma: FloatArray) -> FloatArray:
         """Log penalty per component, (K,), at most zero: zero at Sigma = S0."""
@@ -82,28 +74,7 @@ def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray
 def maximise(
     stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, points: int
 ) -> tuple[TruncatedNormal, BoolArray]:
-    """New components; those whose objective cannot be raised stay as they are.
-
-    Parameters
-    ----------
-    stats : Statistics
-        Of the E-step at `now`.
-    prior : Prior
-        Pseudo-events.
-    now : TruncatedNormal
-        K components; its order of integration is kept.
-    step : {"newton", "lee_scott"}
-        See the module.
-    points : int
-        Lattice points.
-
-    Returns
-    -------
-    components : TruncatedNormal
-        K components.
-    moved : (K,) bool
-        False where no step was found.
-    """
+    """New components; those whose objective cannot be raised stay as they are."""
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
     makers: list[Callable[[Statistics, Prior, TruncatedNormal], _NewtonPath | _LeeScottPath]]

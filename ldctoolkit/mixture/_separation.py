@@ -25,8 +25,161 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._tilt import minimax_tilt
 from ldctoolkit.mixture._univariate import Restricted, log_mass
+
+_STEPS: Final = 60
+_TOLERANCE: Final = 1e-9
+_ACCEPTED: Final = 1e-6
+"""Gradient, relative to the terms it is the sum of, above which the tilt counts as not found."""
+
+_INNER_STEPS: Final = 80
+_CAREFUL_STEPS: Final = 100
+_LEAST_GAIN: Final = 1e-11
+"""What a further step may still add to psi, relative to it."""
+
+
+def _tilt_terms(
+    strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray, mu: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log weight psi (K,), its gradient (K, 2p) and the truncated variances (K, p)."""
+    c = np.einsum("kij,kj->ki", strict, x)
+    low, high = a - c, b - c
+    inner = Restricted.of(low - mu, high - mu)
+    mean, variance = inner.moments()
+    psi = np.sum(0.5 * mu**2 - x * mu + inner.log_mass, axis=1)
+    by_x = -mu + np.einsum("kij,ki->kj", strict, mean)
+    by_mu = inner.mean_between(low, high, mu) - x
+    return psi, np.concatenate([by_x, by_mu], axis=1), variance
+
+
+def minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tilt mu (K, p) and log weight psi (K,) at the saddle point; a zero row and infinity where it was not found.
+
+    Damped Newton on the gradient for all components at once; what it does not solve (nearly opposite variables in a
+    far corner) is left to `_careful`.
+    """
+    K, p = a.shape
+    m = p - 1  # x_p and mu_p stay zero
+    free = np.r_[0:m, p : p + m]
+    eye = np.eye(m)
+    # start: every variable at its truncated mean given the ones before it
+    x = np.zeros((K, p))
+    for j in range(m):
+        c = np.einsum("ki,ki->k", strict[:, j], x)
+        x[:, j], _ = Restricted.of(a[:, j] - c, b[:, j] - c).moments()
+    start = x.copy()
+    mu = np.zeros((K, p))
+    psi, gradient, variance = _tilt_terms(strict, a, b, x, mu)
+    norm = np.linalg.norm(gradient[:, free], axis=1)
+    # not below the rounding of the terms themselves, which grow with the distance to the box
+    scale = 1.0 + np.abs(x).max(axis=1)
+    open_ = norm > _TOLERANCE * scale
+    for _ in range(_STEPS):
+        if not open_.any():
+            break
+        k = np.flatnonzero(open_)
+        J = np.zeros((k.size, 2 * m, 2 * m))
+        s, d = strict[k], variance[k] - 1.0
+        J[:, :m, :m] = np.einsum("kia,ki,kib->kab", s[:, :, :m], d, s[:, :, :m])
+        cross = d[:, :m, None] * s[:, :m, :m] - eye
+        J[:, m:, :m] = cross
+        J[:, :m, m:] = cross.transpose(0, 2, 1)
+        J[:, m:, m:] = eye * variance[k][:, :m, None]
+        try:
+            step = np.linalg.solve(J, -gradient[k][:, free][:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:
+            break
+        t = np.ones(k.size)
+        waiting = np.arange(k.size)
+        for _ in range(30):
+            kk = k[waiting]
+            x_new, mu_new = x[kk].copy(), mu[kk].copy()
+            x_new[:, :m] += t[waiting, None] * step[waiting, :m]
+            mu_new[:, :m] += t[waiting, None] * step[waiting, m:]
+            psi_new, gradient_new, variance_new = _tilt_terms(strict[kk], a[kk], b[kk], x_new, mu_new)
+            norm_new = np.linalg.norm(gradient_new[:, free], axis=1)
+            good = norm_new < (1.0 - 1e-3 * t[waiting]) * norm[kk]
+            done = kk[good]
+            x[done], mu[done], psi[done] = x_new[good], mu_new[good], psi_new[good]
+            gradient[done], variance[done], norm[done] = gradient_new[good], variance_new[good], norm_new[good]
+            waiting = waiting[~good]
+            t[waiting] *= 0.5
+            if waiting.size == 0:
+                break
+        scale = 1.0 + np.abs(x).max(axis=1)
+        open_[k] = norm[k] > _TOLERANCE * scale[k]
+        open_[k[waiting]] = False  # no further descent: judged below
+    failed = ~(norm <= _ACCEPTED * scale)
+    for k_failed in np.flatnonzero(failed):
+        one = slice(k_failed, k_failed + 1)
+        found = _careful(strict[one], a[one], b[one], start[one])
+        if found is not None:
+            mu[one], psi[one], failed[k_failed] = *found, False
+    return np.where(failed[:, None], 0.0, mu), np.where(failed, np.inf, psi)
+
+
+def _careful(strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Saddle point of one component by Newton on the concave min over mu of psi(x; mu), from x within the box.
+
+    That function falls to minus infinity towards the box's faces, so a step that raises it stays inside.
+    """
+    m = a.shape[1] - 1
+    eye = np.eye(m)
+    mu = _best_tilt(strict, a, b, x)
+    psi, gradient, variance = _tilt_terms(strict, a, b, x, mu)
+    for _ in range(_CAREFUL_STEPS):
+        s, d = strict[0, :, :m], variance[0] - 1.0
+        cross = d[:m, None] * s[:m] - eye
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            curvature = (s * d[:, None]).T @ s - cross.T @ (cross / variance[0, :m, None])
+        if not np.isfinite(curvature).all():
+            return None
+        try:
+            step = np.linalg.solve(curvature, -gradient[0, :m])
+        except np.linalg.LinAlgError:
+            return None
+        gain = 0.5 * float(step @ gradient[0, :m])
+        if not gain > _LEAST_GAIN * (1.0 + abs(float(psi[0]))):
+            # what psi could still gain is added: it must not exceed the peak that sampling is told
+            return mu, psi + abs(gain)
+        t = 1.0
+        while t > 1e-9:
+            x_new = x.copy()
+            x_new[0, :m] += t * step
+            c = (strict @ x_new[:, :, None])[:, :m, 0]
+            if np.all((x_new[:, :m] > a[:, :m] - c) & (x_new[:, :m] < b[:, :m] - c)):
+                mu_new = _best_tilt(strict, a, b, x_new)
+                psi_new, gradient_new, variance_new = _tilt_terms(strict, a, b, x_new, mu_new)
+                if psi_new[0] > psi[0]:
+                    break
+            t *= 0.5
+        else:
+            return None
+        x, mu, psi, gradient, variance = x_new, mu_new, psi_new, gradient_new, variance_new
+    return None
+
+
+def _best_tilt(strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray) -> FloatArray:
+    """The mu that makes each conditional mean equal to x: Newton between bounds that hold for any interval."""
+    m = a.shape[1] - 1
+    c = (strict @ x[:, :, None])[:, :m, 0]
+    low, high, wanted = a[:, :m] - c, b[:, :m] - c, x[:, :m]
+    left, right = wanted - 1.0 / (wanted - low) - 1.0, wanted + 1.0 / (high - wanted) + 1.0
+    mu = np.where(wanted - low < high - wanted, left + 1.0, right - 1.0)
+    for _ in range(_INNER_STEPS):
+        inner = Restricted.of(low - mu, high - mu)
+        _, variance = inner.moments()
+        excess = inner.mean_between(low, high, mu) - wanted
+        if np.all(np.abs(excess) <= 1e-15 * (1.0 + np.abs(wanted))):
+            break
+        left, right = np.where(excess < 0.0, mu, left), np.where(excess > 0.0, mu, right)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = mu - excess / variance
+        mu = np.where((newton > left) & (newton < right), newton, 0.5 * (left + right))
+    out = np.zeros_like(x)
+    out[:, :m] = mu
+    return out
+
 
 _CACHED: Final = 16_384
 """Points times components handled at once, so that they stay in the second cache; it changes no number."""
@@ -34,59 +187,27 @@ _CACHED: Final = 16_384
 
 @dataclasses.dataclass(frozen=True)
 class Separation:
-    """K boxes made ready for one-variable-at-a-time integration.
+    """K boxes made ready for one-variable-at-a-time integration."""
 
-    Attributes
-    ----------
-    order : (K, p) int
-        Variables in the order in which they are integrated.
-    factor : (K, p, p)
-        G with x - mu = G z and G G^T = Sigma; its rows are in the caller's order of variables.
-    strict : (K, p, p)
-        Cholesky factor in the integration order, rows over their diagonal, without the diagonal.
-    lower, upper : (K, p)
-        Bounds in the integration order over the factor's diagonal.
-    tilt : (K, p)
-        Minimax tilt; the last entry is zero, and so is the whole row where Newton's method failed.
-    log_peak : (K,)
-        Largest value of the log weight psi over the box at that tilt; infinite where Newton's method failed.
-    """
-
-    order: IntArray
-    factor: FloatArray
-    strict: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    tilt: FloatArray
-    log_peak: FloatArray
+    order: IntArray  # (K, p): variables in the order in which they are integrated
+    factor: FloatArray  # (K, p, p): g with x - mu = G z and G G^T = Sigma
+    strict: FloatArray  # (K, p, p)
+    lower: FloatArray  # (K, p): bounds in the integration order over the factor's diagonal
+    upper: FloatArray  # (K, p): bounds in the integration order over the factor's diagonal
+    tilt: FloatArray  # (K, p): minimax tilt
+    log_peak: FloatArray  # (K,): largest value of the log weight psi over the box at that tilt
 
 
 @dataclasses.dataclass(frozen=True)
 class WhitenedMoments:
-    """Results of the integration in whitened coordinates z.
+    """Results of the integration in whitened coordinates z."""
 
-    Attributes
-    ----------
-    log_p : (K,)
-        Logarithm of the probability of the box.
-    mean : (K, p)
-        E z inside the box.
-    second : (K, p, p)
-        E z z^T inside the box.
-    covariance : (K, p, p)
-        Covariance of z inside the box, without the cancellation of a far mean.
-    points : (K, p, n)
-        Weighted points inside the box.
-    weights : (K, n)
-        Their weights, summing to one.
-    """
-
-    log_p: FloatArray
-    mean: FloatArray
-    second: FloatArray
-    covariance: FloatArray
-    points: FloatArray
-    weights: FloatArray
+    log_p: FloatArray  # (K,): logarithm of the probability of the box
+    mean: FloatArray  # (K, p): e z inside the box
+    second: FloatArray  # (K, p, p): e z z^T inside the box
+    covariance: FloatArray  # (K, p, p): covariance of z inside the box, without the cancellation of a far mean
+    points: FloatArray  # (K, p, n): weighted points inside the box
+    weights: FloatArray  # (K, n): their weights, summing to one
 
 
 def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArray) -> IntArray:
@@ -112,22 +233,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
 
 
 def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order: IntArray | None = None) -> Separation:
-    """Order, factorise and tilt.
-
-    Parameters
-    ----------
-    covariance : (K, p, p)
-        Positive definite.
-    lower, upper : (K, p)
-        Bounds minus the component's mean.
-    order : (K, p) int, optional
-        A given order: frozen during a fit, where a change of order would make the likelihood jump.
-
-    Raises
-    ------
-    InputError
-        If a covariance is not positive definite.
-    """
+    """Order, factorise and tilt."""
     K, p = lower.shape
     order = integration_order(covariance, lower, upper) if order is None else order
     rows = np.arange(K)[:, None]
@@ -152,21 +258,6 @@ def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order
 def integrate(box: Separation, points: int) -> WhitenedMoments:
     """Probability and moments by the frozen lattice; the last variable is integrated analytically.
 
-    Parameters
-    ----------
-    box : Separation
-        K boxes.
-    points : int
-        Lattice points, an odd prime.
-
-    Returns
-    -------
-    WhitenedMoments
-        The last coordinate of `points` is drawn too (for the Fisher matrix), the moments use its conditional
-        expectation instead.
-
-    Notes
-    -----
     Each variable is drawn from a distribution whose mean and variance given the ones before it are known. The moments
     are therefore sums of known ones and of differences from them, and those differences are weighted by how far the
     weights are from their average (control variates): where the weights are nearly equal, a far box or a weak
@@ -262,22 +353,12 @@ variables: 4,093 points, 6e-3 by the first order and 4e-2 by the second; 16,381 
 
 @dataclasses.dataclass(frozen=True)
 class Lattice:
-    """n points in the unit cube and their weights.
+    """n points in the unit cube and their weights."""
 
-    Attributes
-    ----------
-    u, v : (dimension, n)
-        Coordinates and one minus them, so that neither end loses digits.
-    weight : (n,)
-        Weights, summing to one, for integrands of all variables but the last.
-    last : (n,)
-        What the last variable multiplies `weight` by for integrands of all variables.
-    """
-
-    u: FloatArray
-    v: FloatArray
-    weight: FloatArray
-    last: FloatArray
+    u: FloatArray  # (dimension, n): coordinates and one minus them, so that neither end loses digits
+    v: FloatArray  # (dimension, n)
+    weight: FloatArray  # (n,): weights, summing to one, for integrands of all variables but the last
+    last: FloatArray  # (n,): what the last variable multiplies `weight` by for integrands of all variables
 
 
 def generator(n: int, dimension: int) -> tuple[int, ...]:
@@ -285,11 +366,6 @@ def generator(n: int, dimension: int) -> tuple[int, ...]:
 
     An entry is used once only: a repeated one would make two coordinates equal. The sums over points are convolutions
     over the multiplicative group modulo n, done by Fourier transform.
-
-    Examples
-    --------
-    >>> generator(1021, 3)
-    (1, 374, 228)
     """
     gamma = _GAMMA.get(n, 0.3)
     k = np.arange(n)

@@ -18,30 +18,15 @@ KINDS: Final = ("none", "log", "logit", "auto")
 
 @dataclasses.dataclass(frozen=True)
 class Transform:
-    """One monotone, increasing map a dimension.
-
-    Attributes
-    ----------
-    kinds : tuple of {"none", "log", "logit"}
-        ``"log"`` is ln(x - lower) above a lower bound and -ln(upper - x) below an upper one, ``"logit"`` is
-        ln((x - lower)/(upper - x)) between two.
-    lower, upper : (d,)
-        The box in the data's units.
-    """
+    """One monotone, increasing map a dimension."""
 
     kinds: tuple[Kind, ...]
-    lower: FloatArray
-    upper: FloatArray
+    lower: FloatArray  # (d,): the box in the data's units
+    upper: FloatArray  # (d,): the box in the data's units
 
     @classmethod
     def of(cls, wanted: str | Sequence[str] | None, lower: FloatArray, upper: FloatArray) -> Transform:
-        """The caller's wish, checked against the bounds.
-
-        Raises
-        ------
-        InputError
-            For an unknown name, another number of names than columns, or a map that the bounds do not allow.
-        """
+        """The caller's wish, checked against the bounds."""
         d = lower.size
         names = (
             ["none"] * d if wanted is None else [wanted] * d if isinstance(wanted, str) else [str(w) for w in wanted]

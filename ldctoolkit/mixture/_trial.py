@@ -32,18 +32,10 @@ class Failure:
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """Log-densities of held-out rows.
+    """Log-densities of held-out rows."""
 
-    Attributes
-    ----------
-    value : (m,)
-        ln f of each row [nats], or a difference of two.
-    weight : (m,)
-        Events that each row stands for.
-    """
-
-    value: FloatArray
-    weight: FloatArray
+    value: FloatArray  # (m,): ln f of each row [nats], or a difference of two
+    weight: FloatArray  # (m,): events that each row stands for
 
     @property
     def mean(self) -> float:
@@ -82,15 +74,9 @@ Outcome = Trial | Failure
 
 @dataclasses.dataclass(frozen=True)
 class Trials:
-    """Fits one K after the other; it can be pickled.
+    """Fits one K after the other; it can be pickled."""
 
-    Attributes
-    ----------
-    held : (m,), optional
-        Rows to hold out, ascending.
-    """
-
-    held: IntArray | None
+    held: IntArray | None  # (m,): rows to hold out, ascending
 
     def __call__(self, events: Events, model: BoundedGaussianMixture) -> Outcome:
         """Fit one K to the events; the model is changed."""
@@ -116,13 +102,7 @@ class Trials:
 
 
 def split_rows(events: Events, share: float, seed: int) -> IntArray:
-    """Rows to hold out, ascending: as many as the share says, drawn with the seed.
-
-    Raises
-    ------
-    InputError
-        If the share is not between 0 and 1, or too few are left on either side.
-    """
+    """Rows to hold out, ascending: as many as the share says, drawn with the seed."""
     if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0.0 < share < 1.0:
         raise InputError(f"held_out_share: {share!r}; allowed: a number between 0 and 1")
     rows = events.rows
@@ -176,20 +156,7 @@ class Criteria:
 
 
 def criteria_of(events: Events, distribution: Distribution) -> Criteria:
-    """Criteria of a mixture on events inside its box.
-
-    Parameters
-    ----------
-    events : Events
-        Rows, with their weights if any.
-    distribution : Distribution
-        The mixture; all its weights are positive.
-
-    Returns
-    -------
-    Criteria
-        A pass over the blocks gives it; nothing is kept per event.
-    """
+    """Criteria of a mixture on events inside its box."""
     from ldctoolkit.mixture._kernels import statistics_of_rows  # here: the compiler is slow to import
 
     # components live in (y - location)/scale, y the transform's

@@ -30,27 +30,11 @@ BLOCK: Final = 8192
 
 @dataclasses.dataclass(frozen=True)
 class Events:
-    """Events in memory; they are not copied.
+    """Events in memory; they are not copied."""
 
-    Attributes
-    ----------
-    x : (n, d)
-        One row an event.
-    weight : (n,), optional
-        Events that each row stands for.
-    threads : int, optional
-        Blocks worked on at a time; all cores this process may use by default. It changes no number.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> profile_of(Events(np.array([[1.0], [3.0]]))).mean.tolist()
-    [2.0]
-    """
-
-    x: FloatArray
-    weight: FloatArray | None = None
-    threads: int | None = None
+    x: FloatArray  # (n, d): one row an event
+    weight: FloatArray | None = None  # (n,): events that each row stands for
+    threads: int | None = None  # blocks worked on at a time
 
     @property
     def rows(self) -> int:
@@ -88,17 +72,7 @@ class Events:
 
 
 def sums_of(events: Events, location: FloatArray, scale: FloatArray, theta: FloatArray) -> tuple[float, FloatArray]:
-    """Log-likelihood and feature sums (K, F) of all rows: the work of one E-step.
-
-    Parameters
-    ----------
-    events : Events
-        Rows and weights.
-    location, scale : (d,)
-        The components live in (x - location)/scale.
-    theta : (K, F)
-        Coefficients of the features in ln(eta_k g_k/P_k).
-    """
+    """Log-likelihood and feature sums (K, F) of all rows: the work of one E-step."""
     from ldctoolkit.mixture._kernels import statistics_of_rows  # here: the compiler is slow to import
 
     total, sums = 0.0, np.zeros_like(theta)
@@ -110,27 +84,15 @@ def sums_of(events: Events, location: FloatArray, scale: FloatArray, theta: Floa
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """What a fit must know of the events before its first pass; profiles of blocks add up.
+    """What a fit must know of the events before its first pass; profiles of blocks add up."""
 
-    Attributes
-    ----------
-    rows, used : int
-        Rows, and those with a weight above zero.
-    events : float
-        Sum of the weights; the number of rows without any.
-    mean, square : (d,)
-        Weighted mean, and weighted sum of squares about it.
-    least, most : (d,)
-        Smallest and largest value.
-    """
-
-    rows: int
+    rows: int  # rows, and those with a weight above zero
     used: int
-    events: float
-    mean: FloatArray
-    square: FloatArray
-    least: FloatArray
-    most: FloatArray
+    events: float  # sum of the weights; the number of rows without any
+    mean: FloatArray  # (d,): weighted mean, and weighted sum of squares about it
+    square: FloatArray  # (d,)
+    least: FloatArray  # (d,): smallest and largest value
+    most: FloatArray  # (d,): smallest and largest value
 
     @classmethod
     def of_block(cls, x: FloatArray, weight: FloatArray | None) -> Profile:
@@ -171,13 +133,7 @@ def _weighted(w: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def profile_of(events: Events) -> Profile:
-    """Counts, means, spreads and ranges of all rows.
-
-    Raises
-    ------
-    InputError
-        If there is no row, or no row with a weight above zero.
-    """
+    """Counts, means, spreads and ranges of all rows."""
     parts = events.map_blocks(Profile.of_block)
     if not parts:
         raise InputError("X: no rows; allowed: at least one event")

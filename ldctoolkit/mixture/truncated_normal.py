@@ -25,13 +25,7 @@ _MANY_POINTS: Final = 16381
 
 
 def moment_points(bounded: int) -> int:
-    """Lattice points that give the accuracy promised by `TruncatedNormal` for so many bounded dimensions.
-
-    Examples
-    --------
-    >>> moment_points(5), moment_points(8)
-    (4093, 16381)
-    """
+    """Lattice points that give the accuracy promised by `TruncatedNormal` for so many bounded dimensions."""
     return MOMENT_POINTS if bounded <= 6 else _MANY_POINTS
 
 

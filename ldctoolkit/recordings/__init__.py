@@ -7,17 +7,15 @@ departures table. The formats, the rules and the reasons for refusing a candidat
 """
 
 from ldctoolkit.recordings.account import Account, Origin
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.departures_table import read_departures, write_departures
 from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
 from ldctoolkit.recordings.extract import extract_departures, merge_results
 from ldctoolkit.recordings.extract_part import extract_part
-from ldctoolkit.recordings.opened import OpenedRecordings, open_recordings
-from ldctoolkit.recordings.part_result import PartResult
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.opened import OpenedRecordings, open_recordings, read_recordings
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.read import read_recordings
 from ldctoolkit.recordings.recording import Label, Problem, Recording
-from ldctoolkit.recordings.result import Extraction, Provenance, Refused
+from ldctoolkit.recordings.result import Extraction, PartResult, Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import (
     RecordingPart,

@@ -11,9 +11,8 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
-from ldctoolkit.recordings.recording import Label
+from ldctoolkit.recordings.recording import Label, RecordingTable
 from ldctoolkit.recordings.source_file import printable
-from ldctoolkit.recordings.table import RecordingTable
 
 WIDTH_STEP: Final = 0.1
 """Width of a bin of the lane-width histogram [m]."""

@@ -14,9 +14,9 @@ import numpy as np
 from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT, Departures
 from ldctoolkit.errors import InputError, RecordingError, nearest
-from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.opened import check_file
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.read import check_file
 from ldctoolkit.recordings.result import Provenance, Refused
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.whole_file import whole_file

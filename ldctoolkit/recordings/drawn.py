@@ -70,22 +70,7 @@ class Drawn:
 
 
 def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
-    """The departures to keep of n found ones.
-
-    Parameters
-    ----------
-    departures : Departures
-        n departures.
-    signals : DepartureSignals
-        Of the same.
-    sources : list of str
-        Source of each, n of them.
-
-    Returns
-    -------
-    Drawn
-        Up to 12 of each kind, source and side.
-    """
+    """The departures to keep of n found ones."""
     found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
     lots = [_lot(name, time) for name, time in found]
     depths = [(-depth, name, time) for depth, (name, time) in zip(departures.d_y.tolist(), found, strict=True)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals
-from ldctoolkit.recordings.table import RecordingTable
+from ldctoolkit.recordings.recording import RecordingTable
 
 REASONS: Final = (
     "lane_change",
@@ -41,25 +41,13 @@ LANE_JUMP: Final = (0.7, 1.3)
 
 @dataclasses.dataclass(frozen=True)
 class Runs:
-    """Stretches of usable samples with the edge beyond one line, nothing joined across a break.
+    """Stretches of usable samples with the edge beyond one line, nothing joined across a break."""
 
-    Attributes
-    ----------
-    side : (n,) int
-        `LEFT` or `RIGHT`.
-    first, last : (n,) int
-        First and last sample beyond the line, as indices into the table.
-    reason : (n,) int
-        Index into `REASONS` of what cut the run, or `ACCEPTED` for a run with both crossings.
-    candidate : (n,) int
-        Candidate that the run belongs to. Runs that meet at one break are one manoeuvre, hence one candidate.
-    """
-
-    side: IntArray
-    first: IntArray
-    last: IntArray
-    reason: IntArray
-    candidate: IntArray
+    side: IntArray  # (n,): `LEFT` or `RIGHT`
+    first: IntArray  # (n,): first and last sample beyond the line, as indices into the table
+    last: IntArray  # (n,)
+    reason: IntArray  # (n,): index into `REASONS` of what cut the run, or `ACCEPTED` for a run with both crossings
+    candidate: IntArray  # (n,): candidate that the run belongs to
 
 
 def median_steps(table: RecordingTable) -> FloatArray:
@@ -80,26 +68,7 @@ def median_steps(table: RecordingTable) -> FloatArray:
 def breaks(
     table: RecordingTable, place: IntArray, gap_limit: FloatArray, max_jump: float
 ) -> tuple[BoolArray, IntArray]:
-    """What lies between each usable sample and the next.
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples.
-    place : (k,) int
-        The usable samples.
-    gap_limit : (r,) [s]
-        Longest time step of each recording that is not a gap.
-    max_jump : float [m]
-        Largest step of the offset.
-
-    Returns
-    -------
-    same : (k - 1,) bool
-        Both samples belong to one recording.
-    cause : (k - 1,) int
-        Index into `REASONS`, or `ACCEPTED` where nothing breaks; only defined where `same`.
-    """
+    """What lies between each usable sample and the next."""
     recording = table.recording_index[place]
     same = recording[1:] == recording[:-1]
     step = np.abs(np.diff(table.lane_offset[place]))
@@ -120,24 +89,7 @@ def breaks(
 def find_runs(
     table: RecordingTable, place: IntArray, edges: dict[int, FloatArray], same: BoolArray, cause: IntArray
 ) -> Runs:
-    """All runs of a table, in the order of their first sample (left before right).
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples.
-    place : (k,) int
-        The usable samples.
-    edges : dict of side to (m,) [m]
-        Distance of the edge beyond the line on each side.
-    same, cause : (k - 1,)
-        From `breaks`.
-
-    Returns
-    -------
-    Runs
-        n runs.
-    """
+    """All runs of a table, in the order of their first sample (left before right)."""
     k = place.size
     joined = same & (cause == _NONE)
     # what stands before and after each usable sample; at a recording's ends, unusable samples outrank the end itself
@@ -186,30 +138,7 @@ def _candidates(first: IntArray, last: IntArray, from_break: BoolArray, to_break
 def signals_of_runs(
     table: RecordingTable, runs: Runs, chosen: IntArray, edges: dict[int, FloatArray], curvature: FloatArray
 ) -> tuple[DepartureSignals, FloatArray, IntArray]:
-    """Signals of runs that have both crossings, in the outward frame.
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples.
-    runs : Runs
-        All runs.
-    chosen : (n,) int
-        The runs wanted; each has a usable neighbour on both sides.
-    edges : dict of side to (m,) [m]
-        Distance of the edge beyond the line on each side.
-    curvature : (m,) [1/m]
-        Positive to the left.
-
-    Returns
-    -------
-    signals : DepartureSignals
-        n events, crossings interpolated linearly between the samples around them.
-    start_time : (n,) [s]
-        Time of the crossing outwards.
-    source : (rows,) int
-        Sample that each row of the signals comes from; a crossing's is the neighbour inside the lane.
-    """
+    """Signals of runs that have both crossings, in the outward frame."""
     first, last, side = runs.first[chosen], runs.last[chosen], runs.side[chosen]
     length = last - first + 3
     offsets = np.concatenate([[0], np.cumsum(length)])

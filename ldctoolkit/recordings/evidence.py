@@ -5,16 +5,101 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.recordings.recording import Recording
-from ldctoolkit.recordings.table import LARGEST, RecordingTable
-from ldctoolkit.recordings.units import unit_counts
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.recordings.recording import LARGEST, Recording, RecordingTable
+
+
+def unit_counts(
+    table: RecordingTable, usable: BoolArray, median_step: FloatArray, vehicle_width: float
+) -> tuple[tuple[str, int], ...]:
+    """Count samples and recordings beyond limits."""
+    offset, width = np.abs(table.lane_offset[usable]), table.lane_width[usable]
+    speed = table.speed[usable]
+    steps = median_step[np.isfinite(median_step)]
+    beyond = {
+        "speed > 60": speed > 60.0,
+        "speed > 42": speed > 42.0,
+        "speed > 1000": speed > 1000.0,
+        "speed < 0": speed < 0.0,
+        "width > 1000": width > 1000.0,
+        "width > 100": width > 100.0,
+        "width > 6": width > 6.0,
+        "width < 2": width < 2.0,
+        "width <= vehicle": width <= vehicle_width,
+        "offset > 10": offset > 10.0,
+        "offset > width": offset > width,
+        "step > 2": steps > 2.0,
+        "step < 0.002": steps < 0.002,
+    }
+    if table.curvature is not None:
+        beyond["curvature > 0.2"] = np.abs(table.curvature[usable]) > 0.2
+    elif table.yaw_rate is not None:
+        beyond["yaw rate > 1.5"] = np.abs(table.yaw_rate[usable]) > 1.5
+    counts = {name: int(np.count_nonzero(mask)) for name, mask in beyond.items()}
+    return tuple({"samples": speed.size, "recordings": steps.size, **counts}.items())
+
+
+def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
+    """Warnings in words, none when everything is plausible."""
+
+    def share(name: str, of: str = "samples") -> float:
+        return counts.get(name, 0) / max(counts.get(of, 0), 1)
+
+    found = []
+    if share("speed > 1000") > 0.5:
+        found.append("column 'speed': most values are above 1000; the unit looks like mm/s, m/s is needed")
+    elif share("speed > 60") > 0.01:
+        found.append(
+            f"column 'speed': {share('speed > 60'):.0%} of the samples are above 60 m/s (216 km/h); the unit looks "
+            "like km/h, m/s is needed (divide by 3.6)"
+        )
+    elif share("speed > 42") > 0.5:  # a city driven at 50 km/h stays below 60 in either unit
+        found.append(
+            "column 'speed': most samples are above 42 m/s (150 km/h); if the unit is km/h, divide by 3.6: m/s is "
+            "needed"
+        )
+    if share("speed < 0") > 0.5:
+        found.append("column 'speed': most values are negative; speed along the road is positive")
+    if share("width > 1000") > 0.5:
+        found.append("column 'lane_width': most values are above 1000; the unit looks like mm, m is needed")
+    elif share("width > 100") > 0.5:
+        found.append("column 'lane_width': most values are above 100; the unit looks like cm, m is needed")
+    elif share("width > 6") > 0.5:
+        found.append("column 'lane_width': most lanes are wider than 6 m; is the unit feet? m is needed")
+    elif share("width < 2") > 0.5:
+        found.append("column 'lane_width': most lanes are narrower than 2 m; full width in m is needed, not half")
+    elif share("width <= vehicle") > 0.5:
+        found.append(f"vehicle width {vehicle_width} m: most lanes are no wider than that")
+    if share("offset > 10") > 0.5:
+        found.append("column 'lane_offset': most values are beyond 10; the unit looks like mm or cm, m is needed")
+    elif share("offset > width") > 0.05 and share("width < 2") <= 0.5:
+        found.append(
+            f"column 'lane_offset': in {share('offset > width'):.0%} of the samples the vehicle's centre is further "
+            "than a lane width from the lane's centre; the offset is measured in m from the centre of the vehicle's "
+            "own lane"
+        )
+    if share("step > 2", "recordings") > 0.5:
+        found.append("column 't': the time step is above 2 in most recordings; the unit looks like ms, s is needed")
+    if share("step < 0.002", "recordings") > 0.5:
+        found.append("column 't': the time step is below 0.002 in most recordings; is the unit minutes or hours?")
+    if share("curvature > 0.2") > 0.01:
+        found.append(
+            f"column 'curvature': {share('curvature > 0.2'):.0%} of the samples are beyond 0.2 1/m (a radius under "
+            "5 m); is it a radius or in 1/km? 1/m is needed"
+        )
+    if share("yaw rate > 1.5") > 0.01:
+        found.append(
+            f"column 'yaw_rate': {share('yaw rate > 1.5'):.0%} of the samples are beyond 1.5 rad/s; the unit looks "
+            "like deg/s, rad/s is needed"
+        )
+    return found
+
 
 FLAT: Final = 1e-6
 """A lane that bends less [1/m] counts as straight."""
@@ -37,39 +122,17 @@ TURN_SPEED: Final = 8.0
 
 @dataclasses.dataclass(frozen=True)
 class Evidence:
-    """Sums and counts over r recordings.
+    """Sums and counts over r recordings."""
 
-    Attributes
-    ----------
-    units : tuple of (str, int)
-        From `unit_counts`.
-    kinds : tuple of str
-        Where the curvature comes from: "measured", "yaw_rate", "none"; sorted.
-    lanes : bool
-        All of them have a column `lane`.
-    turns : (4,)
-        Windows, and over them the sums of h^2, h r and r^2 of the turns by heading h and by yaw rate r.
-    bends : (2,) int
-        Usable samples with a yaw rate or curvature, and those of them that are not straight.
-    names : (r,) str
-        Names of the recordings.
-    fingerprints : (r,) str
-        Digest of offset, width and speed of each; empty for short ones.
-    median_widths : (r,) [m]
-        Median lane width of each, before any scaling; NaN where it has no usable sample.
-    notes : tuple of (str, int)
-        What recordings lack, in words, and how many lack it.
-    """
-
-    units: tuple[tuple[str, int], ...]
-    kinds: tuple[str, ...]
-    lanes: bool
-    turns: FloatArray
-    bends: IntArray
-    names: npt.NDArray[np.str_]
-    fingerprints: npt.NDArray[np.str_]
-    median_widths: FloatArray
-    notes: tuple[tuple[str, int], ...] = ()
+    units: tuple[tuple[str, int], ...]  # (str, int): from `unit_counts`
+    kinds: tuple[str, ...]  # where the curvature comes from: "measured", "yaw_rate", "none"; sorted
+    lanes: bool  # all of them have a column `lane`
+    turns: FloatArray  # (4,)
+    bends: IntArray  # (2,): usable samples with a yaw rate or curvature, and those of them that are not straight
+    names: npt.NDArray[np.str_]  # (r,): names of the recordings
+    fingerprints: npt.NDArray[np.str_]  # (r,): digest of offset, width and speed of each; empty for short ones
+    median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
+    notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, in words, and how many lack it
 
 
 def no_evidence() -> Evidence:

@@ -8,17 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.recordings.criteria import Criteria
-from ldctoolkit.recordings.evidence import TURN_WINDOW, Evidence
+from ldctoolkit.recordings.evidence import TURN_WINDOW, Evidence, unit_warnings
 from ldctoolkit.recordings.extract_part import SCALE, SOURCE, extract_items, extract_part
-from ldctoolkit.recordings.find_departures import REASONS
+from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.opened import OpenedRecordings
-from ldctoolkit.recordings.part_result import PartResult, joined_results
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.result import Extraction, Provenance, Refused
+from ldctoolkit.recordings.result import Extraction, PartResult, Provenance, Refused, joined_results
 from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.units import unit_warnings
 
 VEHICLE_WIDTH = 1.9
 """Width [m] of a vehicle that nothing is known of."""
@@ -193,26 +190,7 @@ def warnings_in_words(
     yaw_rate_factor: float = 1.0,
     labelled: bool = True,
 ) -> tuple[str, ...]:
-    """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        Of all recordings.
-    vehicle_width : float [m]
-        Width that was taken.
-    nominal_lane_width : float [m] or None
-        Lane width that recordings were scaled to.
-    yaw_rate_factor : float
-        Factor that yaw rates were multiplied with.
-    labelled : bool
-        The format has a place for the label of the lane, so that it can be missed.
-
-    Returns
-    -------
-    tuple of str
-        One sentence each.
-    """
+    """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible."""
     found = unit_warnings(dict(evidence.units), vehicle_width)
     if "none" in evidence.kinds:
         where = "" if evidence.kinds == ("none",) else " in some recordings"

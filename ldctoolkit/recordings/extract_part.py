@@ -12,15 +12,13 @@ from ldctoolkit.departure_columns import ExtraColumn
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.account import Origin, accounts_of
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.drawn import drawn_of
 from ldctoolkit.recordings.evidence import evidence_of
-from ldctoolkit.recordings.find_departures import find_departures
-from ldctoolkit.recordings.part_result import PartResult, joined_results
+from ldctoolkit.recordings.find_departures import Criteria, find_departures
 from ldctoolkit.recordings.preparation import Preparation, prepare
-from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.recording import Problem, Recording, RecordingTable
+from ldctoolkit.recordings.result import PartResult, joined_results
 from ldctoolkit.recordings.sources import RecordingPart, part_name
-from ldctoolkit.recordings.table import RecordingTable
 
 BATCH: Final = 500_000
 """Samples that are searched together; no number depends on it."""
@@ -71,11 +69,6 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
     """Departures of recordings.
 
     A recording that cannot be prepared is a problem of the result.
-
-    Raises
-    ------
-    InputError
-        For an item of another kind.
     """
     results: list[PartResult] = []
     batch: list[Recording] = []

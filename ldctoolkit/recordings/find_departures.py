@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, no_departures, reduce_signals
-from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.errors import InputError
 from ldctoolkit.recordings.events import (
     ACCEPTED,
     CODE,
@@ -23,62 +24,68 @@ from ldctoolkit.recordings.events import (
     median_steps,
     signals_of_runs,
 )
-from ldctoolkit.recordings.table import RecordingTable, usable_samples
+from ldctoolkit.recordings.recording import RecordingTable, usable_samples
+
+
+@dataclasses.dataclass(frozen=True)
+class Criteria:
+    """What counts as a departure.
+
+    Attributes
+    ----------
+    vehicle_width : float [m]
+        Width over the wheels' outer edges.
+    min_duration, max_duration : float [s]
+        Both allowed values included.
+    min_speed : float [m/s]
+        The mean speed lies above.
+    max_gap : float [s] or None
+        Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s.
+    max_jump : float [m]
+        Largest step of the offset from one sample to the next.
+    """
+
+    vehicle_width: float = 1.9
+    min_duration: float = 0.5
+    max_duration: float = 10.0
+    min_speed: float = 5.0
+    max_gap: float | None = None
+    max_jump: float = 0.6
+
+    def __post_init__(self) -> None:
+        def refuse(name: str, good: bool, allowed: str) -> None:
+            if not good:
+                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
+
+        refuse("vehicle_width", 0.5 <= self.vehicle_width <= 4.0, "0.5 to 4 m")
+        refuse("min_duration", 0.0 <= self.min_duration < math.inf, "0 s or more")
+        refuse("max_duration", self.min_duration < self.max_duration < math.inf, "more than min_duration, finite")
+        refuse("min_speed", 0.0 <= self.min_speed < math.inf, "0 m/s or more")
+        refuse("max_gap", self.max_gap is None or 0.0 < self.max_gap < math.inf, "more than 0 s, or None")
+        refuse("max_jump", self.max_jump > 0.0, "more than 0 m")
+
 
 __all__ = ["ACCEPTED", "REASONS", "Found", "find_departures"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What was found in a table of m samples of r recordings.
+    """What was found in a table of m samples of r recordings."""
 
-    Attributes
-    ----------
-    departures : Departures
-        n departures.
-    owner : (n,) int
-        Index of the recording of each.
-    signals : DepartureSignals
-        Of the n departures.
-    reason, side, recording : (c,) int
-        Of each candidate: index into `REASONS` or `ACCEPTED`; side of its first crossing; index of its recording.
-    read, driven : (r,) [s]
-        Time between neighbours, and between usable neighbours, without gaps.
-    usable : (m,) bool
-        Samples that could be used.
-    median_step : (r,) [s]
-        Median time step; NaN for a recording with fewer than two times.
-    """
-
-    departures: Departures
-    owner: IntArray
-    signals: DepartureSignals
-    reason: IntArray
-    side: IntArray
-    recording: IntArray
-    read: FloatArray
-    driven: FloatArray
-    usable: BoolArray
-    median_step: FloatArray
+    departures: Departures  # n departures
+    owner: IntArray  # (n,): index of the recording of each
+    signals: DepartureSignals  # of the n departures
+    reason: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
+    side: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
+    recording: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
+    read: FloatArray  # (r,) [s]: time between neighbours, and between usable neighbours, without gaps
+    driven: FloatArray  # (r,) [s]
+    usable: BoolArray  # (m,): samples that could be used
+    median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
 
 
 def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> Found:
-    """Find the departures of one table.
-
-    Parameters
-    ----------
-    table : RecordingTable
-        m samples of r recordings.
-    criteria : Criteria
-        What counts as a departure.
-    gap_limit : float [s], optional
-        Longest time step that is no gap; from the criteria, or from each recording's median step by default.
-
-    Returns
-    -------
-    Found
-        Departures, candidates, times.
-    """
+    """Find the departures of one table."""
     usable = usable_samples(table)
     if not usable.all():  # infinities and absurd numbers would only raise floating point warnings further on
         table = _blanked(table, usable)
@@ -243,35 +250,10 @@ def curvature_from_yaw_rate(
 ) -> FloatArray:
     """Curvature that explains the yaw rate best, by least squares over a moving window.
 
-    Parameters
-    ----------
-    yaw_rate, speed : (m,) [rad/s], [m/s]
-        Signals, positive to the left.
-    usable : (m,) bool
-        Samples that may be used; the result is NaN elsewhere.
-    first_of_stretch : (m,) bool
-        True where nothing before this sample may be used with it (a recording starts, or a gap ends).
-    half_width : (m,) int
-        Samples to either side that the window takes.
-
-    Returns
-    -------
-    (m,) [1/m]
-        Curvature, positive to the left.
-
-    Notes
-    -----
     The model is r = c v with c constant over the window, so c = sum(r v) / sum(v^2). Each sample weighs with its v^2,
     hence slow samples, whose r/v is noise, hardly count, and the sum of v^2 is not allowed below that of
     `SPEED_FLOOR`. The window shrinks at a stretch's ends and never reaches across them. The yaw rate is the
     vehicle's, not the lane's: during a departure it holds the vehicle's own turning too, which the window averages.
-
-    Examples
-    --------
-    >>> r, v = np.full(5, 0.02), np.full(5, 20.0)
-    >>> on, first = np.ones(5, bool), np.array([True, False, False, False, False])
-    >>> curvature_from_yaw_rate(r, v, on, first, np.full(5, 2)).round(6).tolist()
-    [0.001, 0.001, 0.001, 0.001, 0.001]
     """
     result = np.full(yaw_rate.shape, np.nan)
     place = np.flatnonzero(usable)

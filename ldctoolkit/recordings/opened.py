@@ -1,16 +1,104 @@
-"""Opening recordings of any known format."""
+"""Recordings opened and read: the reader that the given paths are for, or several together."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
+import stat
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.sources import AUTO, RecordingReader, RecordingSource, recognised_by, recording_reader, shown
-from ldctoolkit.recordings.together import ReadersTogether
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.sources import (
+    AUTO,
+    FoundParts,
+    RecordingPart,
+    RecordingReader,
+    RecordingSource,
+    find_tables,
+    recognised_by,
+    recording_reader,
+    shown,
+    shown_names,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadersTogether:
+    """Readers with the same vehicle width and step, for paths that hold files of each."""
+
+    readers: tuple[RecordingReader, ...]  # two or more, by name
+
+    @property
+    def name(self) -> str:
+        """Names of all of them."""
+        return " + ".join(reader.name for reader in self.readers)
+
+    @property
+    def title(self) -> str:
+        """Titles of all of them."""
+        return "; ".join(reader.title for reader in self.readers)
+
+    @property
+    def vehicle_width(self) -> float:
+        """The same for all [m]."""
+        return self.readers[0].vehicle_width
+
+    @property
+    def step(self) -> float | None:
+        """The same for all [s]."""
+        return self.readers[0].step
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """What each of them finds."""
+        said = ((reader.name, reader.recognise(paths)) for reader in self.readers)
+        return "; ".join(f"{name}: {words}" for name, words in said if words)
+
+    def open(self, paths: Sequence[Path]) -> FoundParts[RecordingPart]:
+        """Look through the paths with each; each passes over the others' files."""
+        sources: list[RecordingSource] = []
+        errors: list[RecordingError] = []
+        unread: list[Problem] = []
+        owner: dict[str, str] = {}
+        for reader in self.readers:
+            try:
+                source = reader.open(paths)
+            except RecordingError as error:
+                errors.append(error)
+                unread.append(Problem(_file_for(reader, paths), "", str(error)))
+                continue
+            sources.append(source)
+            for file in source.files:
+                if owner.setdefault(file.sha256, reader.name) != reader.name:
+                    raise RecordingError(
+                        f"{file.name}: several readers know such files ({self.recognise(paths)}); choose one with "
+                        "--format"
+                    )
+        if not sources:
+            raise errors[0]
+        names = [{file.name for file in source.files} for source in sources]
+        read = set().union(*names)
+        problems = [
+            problem
+            for source, own in zip(sources, names, strict=True)
+            for problem in source.problems
+            if problem.file in own or problem.file not in read  # else a file that another one is for
+        ]
+        parts = tuple(part for source in sources for part in source.parts)
+        files = tuple(file for source in sources for file in source.files)
+        return FoundParts(parts, files, (*problems, *unread))
+
+
+def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
+    """Name of the first file that a reader knows, or else of the first path."""
+    found = [path for path, _ in find_tables(paths)]
+    for path, name in zip(found, shown_names(found), strict=True):
+        if reader.recognise([path]):
+            return name
+    return paths[0].name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,3 +197,62 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
         raise RecordingError(f"{shown(paths)}: several readers know such files ({said}); choose one with --format")
     return ReadersTogether(readers), said
+
+
+def read_recordings(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, format: str = AUTO
+) -> Iterator[Recording]:
+    r"""Read driving recordings, and stop at the first fault.
+
+    `open_recordings` goes on with what is sound, and names what is not.
+
+    Parameters
+    ----------
+    paths : path or iterable of paths
+        Files or folders of one kind.
+    format : str
+        Name of a reader; "auto" looks at columns and folders.
+
+    Returns
+    -------
+    iterator of Recording
+        Whole recordings in the order of the files; the content is read, and checked, while iterating.
+
+    Raises
+    ------
+    RecordingError
+        As `open_recordings`; while iterating, for content that cannot be used, naming file and place.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = pathlib.Path(folder.name, "drive.csv")
+    >>> _ = path.write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\na,0.1,0.2,3.6,25\n")
+    >>> [(recording.name, recording.samples) for recording in read_recordings(path)]
+    [('a', 2)]
+    >>> folder.cleanup()
+    """
+    return _sound(open_recordings(paths, format=format))
+
+
+def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
+    source = opened.source
+    for item in itertools.chain(source.problems, *(part.read() for part in source.parts)):
+        if isinstance(item, Problem):
+            raise RecordingError(str(item))
+        yield item
+
+
+def check_file(path: Path, needed: str) -> None:
+    """Refuse a path that is not a file; `needed` says in the message what it should be."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        raise RecordingError(f"{path}: does not exist; {needed} is needed") from None
+    except (OSError, ValueError) as error:  # no permission, name too long, a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError(f"{path}: cannot be read: {reason}") from None
+    if not stat.S_ISREG(mode):
+        state = "is a folder" if stat.S_ISDIR(mode) else "is not a regular file"
+        raise RecordingError(f"{path}: {state}; {needed} is needed")

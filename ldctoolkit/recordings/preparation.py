@@ -11,34 +11,15 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
-from ldctoolkit.recordings.recording import Recording
+from ldctoolkit.recordings.recording import LARGEST, Recording, usable_samples
 from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
-from ldctoolkit.recordings.table import LARGEST, usable_samples
 
 MAX_JUMP: Final = 0.6
 """Offsets [m] further apart are a jump: no value between them is made up, so that it is seen as one later on."""
 
 
 class WindowMedians:
-    """One value a window ``low:high`` of samples; the windows are laid once for all columns.
-
-    Parameters
-    ----------
-    low, high : (k,) int
-        First sample of each window, and the one after its last.
-    filled : (k,) bool
-        Windows that hold samples.
-    bridged : (k,) bool
-        Empty windows whose value is interpolated between the samples around, ``low - 1`` and ``low``.
-    centre : (k,) [s]
-        Times in the middle of the windows.
-
-    Examples
-    --------
-    >>> windows = WindowMedians(np.array([0, 3]), np.array([3, 5]), np.ones(2, bool), np.zeros(2, bool), np.arange(2.0))
-    >>> windows.of(np.array([1.0, 9.0, 2.0, 0.5, 0.25]), np.arange(5.0), None).tolist()
-    [2.0, 0.375]
-    """
+    """One value a window ``low:high`` of samples; the windows are laid once for all columns."""
 
     def __init__(
         self, low: IntArray, high: IntArray, filled: BoolArray, bridged: BoolArray, centre: FloatArray
@@ -54,25 +35,7 @@ class WindowMedians:
             self._below, self._above = (begin + (count - 1) // 2)[filled], (begin + count // 2)[filled]
 
     def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None, max_jump: float = MAX_JUMP) -> FloatArray:
-        """Value of each window.
-
-        Parameters
-        ----------
-        values : (m,)
-            The column.
-        t : (m,) [s]
-            Times of its samples.
-        near : (k,), optional
-            Where the two middle values of a window are more than `max_jump` apart, the one nearer to this is taken
-            instead of their mean.
-        max_jump : float
-            In the unit of the values.
-
-        Returns
-        -------
-        (k,)
-            NaN where a window is neither filled nor bridged.
-        """
+        """Value of each window."""
         result = np.full(self._low.size, np.nan)
         filled, bridged = self._filled, self._bridged
         if self._single:
@@ -110,45 +73,9 @@ _NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
 def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_jump: float = MAX_JUMP) -> Recording:
     """The same recording at multiples of a time step after its first sample.
 
-    Parameters
-    ----------
-    recording : Recording
-        m samples.
-    step : float [s]
-        New time step.
-    max_gap : float [s]
-        Longest time between two usable samples that values are interpolated across.
-    max_jump : float [m]
-        Offsets further apart are a jump.
-
-    Returns
-    -------
-    Recording
-        Each value is the median of the usable samples within half a step to either side, ends included. Where there is
-        none, it is interpolated linearly if the usable samples around are at most `max_gap` apart, their lane is the
-        same and their offsets do not jump; else the sample is not valid if the source has unusable samples there, and
-        left out if it has nothing.
-
-    Raises
-    ------
-    InputError
-        If the step or the gap is not positive.
-    RecordingError
-        If the recording lasts for so many steps that they cannot be told apart.
-
-    Notes
-    -----
     Samples that already lie at the multiples keep their values, and their times, to the last bit. Of two middle offsets
     of a window that are a jump apart, the one nearer to the nearest sample's is taken, not their mean. Where the lane
     changes in a window, only samples in the nearest sample's lane count.
-
-    Examples
-    --------
-    >>> t = np.array([0.0, 0.03, 0.07, 0.1, 0.2])
-    >>> x = np.array([0.0, 0.1, 0.3, 0.4, 9.0])
-    >>> one = Recording("a", t, x, np.full(5, 3.6), np.full(5, 25.0), np.ones(5, bool))
-    >>> resample(one, 0.1).lane_offset.tolist()
-    [0.05, 0.35, 9.0]
     """
     for name, value in (("step", step), ("max_gap", max_gap)):
         if not 0.0 < value < np.inf:
@@ -308,30 +235,7 @@ class Preparation:
 
 
 def prepare(recording: Recording, preparation: Preparation, max_jump: float = MAX_JUMP) -> Recording:
-    """One recording in the common form.
-
-    Parameters
-    ----------
-    recording : Recording
-        As its reader gave it.
-    preparation : Preparation
-        What to do.
-    max_jump : float [m]
-        Offsets further apart are a jump, which resampling leaves one; a criterion of the search.
-
-    Returns
-    -------
-    Recording
-        Missing yaw rates filled in from the heading, scaled, then resampled; `lane_scale` tells the factor.
-
-    Examples
-    --------
-    >>> t = np.arange(3) * 0.1
-    >>> one = Recording("a", t, np.full(3, 0.5), np.full(3, 2.8), np.full(3, 25.0), np.ones(3, bool))
-    >>> prepared = prepare(one, Preparation(step=0.1, nominal_lane_width=3.5))
-    >>> prepared.lane_scale, prepared.lane_offset.tolist()
-    (1.25, [0.625, 0.625, 0.625])
-    """
+    """One recording in the common form."""
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
@@ -373,26 +277,7 @@ NONE: Final = "no yaw rate: the lane counts as straight"
 
 
 def with_yaw_rate(recording: Recording) -> Recording:
-    """The recording with the heading's slope for missing yaw rates.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its `yaw_rate` may hold NaN; None, or a recorded curvature, leaves it as it is.
-
-    Returns
-    -------
-    Recording
-        With a note if anything was filled in, and `yaw_rate_measured` False there. Without a single yaw rate in the end
-        it has none, and says so.
-
-    Examples
-    --------
-    >>> t, one = np.arange(40) * 0.1, np.ones(40)
-    >>> recording = Recording("a", t, 0 * one, 3.6 * one, 25 * one, one > 0, yaw_rate=np.nan * one, heading=0.02 * t)
-    >>> with_yaw_rate(recording).yaw_rate.round(6)[:2].tolist()
-    [0.02, 0.02]
-    """
+    """The recording with the heading's slope for missing yaw rates."""
     rate = recording.yaw_rate
     if rate is None or recording.curvature is not None:
         return recording

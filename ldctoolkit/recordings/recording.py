@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
@@ -197,3 +198,68 @@ class Recording:
             values = getattr(self, name)
             taken[name] = None if values is None else values[rows]
         return dataclasses.replace(self, **taken)
+
+
+__all__ = ["LARGEST", "BoolArray", "FloatArray", "IntArray", "RecordingTable", "measured", "usable_samples"]
+
+LARGEST: Final = 1e9
+"""A number of this size or more is not a measurement in any unit; its sample is invalid."""
+
+
+def measured(values: FloatArray) -> FloatArray:
+    """NaN for numbers of absurd size, which are none; sums of such would overflow."""
+    kept: FloatArray = np.where(np.abs(values) < LARGEST, values, np.nan)
+    return kept
+
+
+def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
+    """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
+    usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
+    bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
+    for column in (samples.lane_offset, samples.lane_width, samples.speed, bend):
+        if column is not None:
+            usable &= np.abs(column) < LARGEST  # False for NaN
+    return usable
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingTable:
+    """r whole recordings of m samples in all, in flat arrays."""
+
+    names: npt.NDArray[np.str_]  # (r,): identifier of each recording
+    offsets: IntArray  # (r + 1,): recording i owns the samples ``offsets[i]:offsets[i + 1]``
+    t: FloatArray  # (m,) [s]: time on the recording's own clock, not falling inside a recording
+    lane_offset: FloatArray  # (m,) [m]: vehicle's centre from the lane's centre, positive to the left
+    lane_width: FloatArray  # (m,) [m]: width of the lane that the vehicle is in
+    speed: FloatArray  # (m,) [m/s]: speed along the road
+    valid: BoolArray  # (m,): false where the source itself says that the sample cannot be used
+    curvature: FloatArray | None = None  # (m,) [1/m]: lane curvature, positive to the left (ISO 8855)
+    yaw_rate: FloatArray | None = None  # (m,) [rad/s]: yaw rate, positive to the left
+    lane: IntArray | None = None  # (m,): label of the lane; only equality counts
+    turn_signal: IntArray | None = None  # (m,): +1 left, -1 right, 0 none
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, m."""
+        return int(self.t.size)
+
+    @property
+    def recording_index(self) -> IntArray:
+        """Index of the recording that each sample belongs to, (m,)."""
+        return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
+
+
+MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
+"""In lower case, without blanks around them."""
+
+
+REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
+NO_ROWS: Final = "a header but no rows; at least one sample is needed"
+
+
+class TableFault(RecordingError):
+    """What is wrong with a recording table, and where: "line 7", or empty for the file as a whole."""
+
+    def __init__(self, place: str, what: str) -> None:
+        super().__init__(f"{place}: {what}" if place else what)
+        self.place, self.what = place, what

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from typing import Final
 
 import numpy as np
@@ -19,26 +20,7 @@ LEAST_SPREAD: Final = 1e-4
 
 
 def merge_repeated(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """One sample a time: the mean of those that share it.
-
-    Parameters
-    ----------
-    t : (n,) [s]
-        Times that do not fall.
-    values : (n,)
-        Finite.
-
-    Returns
-    -------
-    t, values : (k,)
-        Times that increase.
-
-    Examples
-    --------
-    >>> t, values = merge_repeated(np.array([0.0, 1.0, 1.0]), np.array([5.0, 6.0, 8.0]))
-    >>> t.tolist(), values.tolist()
-    ([0.0, 1.0], [5.0, 7.0])
-    """
+    """One sample a time: the mean of those that share it."""
     if t.size < 2 or (t[1:] > t[:-1]).all():
         return t, values
     first = np.flatnonzero(np.append(True, t[1:] > t[:-1]))
@@ -46,32 +28,7 @@ def merge_repeated(t: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 
 
 def values_at(at: FloatArray, t: FloatArray, values: FloatArray, *, longest: float, beyond: float) -> FloatArray:
-    """Linear interpolation in time that knows where nothing is known.
-
-    Parameters
-    ----------
-    at : (m,) [s]
-        Times asked for.
-    t : (k,) [s]
-        Times that increase.
-    values : (k,)
-        Finite.
-    longest : float [s]
-        Longest step of `t` that is interpolated over.
-    beyond : float [s]
-        So far beyond a sample, where nothing can be interpolated, its value holds.
-
-    Returns
-    -------
-    (m,)
-        NaN where nothing is known.
-
-    Examples
-    --------
-    >>> at = np.array([0.5, 1.2, 5.0])
-    >>> values_at(at, np.array([0.0, 1.0, 9.0]), np.array([20.0, 22.0, 30.0]), longest=2.5, beyond=0.5).tolist()
-    [21.0, 22.0, nan]
-    """
+    """Linear interpolation in time that knows where nothing is known."""
     if t.size == 0:
         return np.full(at.shape, np.nan)
     right = np.searchsorted(t, at, side="right")
@@ -84,30 +41,7 @@ def values_at(at: FloatArray, t: FloatArray, values: FloatArray, *, longest: flo
 
 
 def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: float) -> FloatArray:
-    """Slope of the straight line, by least squares, through the samples around each sample.
-
-    Parameters
-    ----------
-    t : (k,) [s]
-        Times that increase.
-    values : (k,)
-        Finite.
-    half : float [s]
-        Half the window.
-    longest : float [s]
-        A longer step of `t` is a gap; no window reaches across it.
-
-    Returns
-    -------
-    (k,) [1/s]
-        Slope; NaN where a window holds one time only.
-
-    Examples
-    --------
-    >>> t = np.array([0.0, 0.1, 0.2, 5.0])
-    >>> local_slope(t, 3.0 * t, half=0.25, longest=0.5).round(9).tolist()
-    [3.0, 3.0, 3.0, nan]
-    """
+    """Slope of the straight line, by least squares, through the samples around each sample."""
     gap = np.diff(t) > longest + ROUNDING
     stretch = np.append(0, np.cumsum(gap)) if t.size else np.empty(0, dtype=np.int64)
     count = np.ones(t.size)
@@ -125,3 +59,32 @@ def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: floa
     spread = sums[2] - sums[0] ** 2 / count
     enough: BoolArray = spread > LEAST_SPREAD
     return np.where(enough, (sums[3] - sums[0] * sums[1] / count) / np.where(enough, spread, 1.0), np.nan)
+
+
+def rising_rows(t: FloatArray) -> BoolArray:
+    """As many rows as possible whose times do not fall; of several choices the one with the earliest rows."""
+    kept = np.ones(t.size, dtype=bool)
+    if (t[1:] >= t[:-1]).all():
+        return kept
+    # a row that is in order with every other one is in each longest choice; only the rest needs the search
+    odd = np.flatnonzero((t < np.maximum.accumulate(t)) | (t > np.minimum.accumulate(t[::-1])[::-1]))
+    kept[odd] = _longest(t[odd].tolist())
+    return kept
+
+
+def _longest(times: list[float]) -> list[bool]:
+    """The same by patience sorting from the end, n log n."""
+    latest: list[float] = []  # minus the latest time that a choice of each length can begin with
+    lengths = []  # of the longest choice that begins with the row; from the end
+    for time in reversed(times):
+        length = bisect.bisect_right(latest, -time)
+        lengths.append(length + 1)
+        latest[length : length + 1] = [-time]
+    needed, before = len(latest), -float("inf")
+    kept = []
+    for time, length in zip(times, reversed(lengths), strict=True):
+        taken = length == needed and time >= before
+        kept.append(taken)
+        if taken:
+            needed, before = needed - 1, time
+    return kept

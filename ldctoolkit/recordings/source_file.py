@@ -33,13 +33,7 @@ class SourceFile:
 
 
 def printable(text: str) -> str:
-    r"""A text on one line that can be shown and stored; names of files may hold line ends and bytes that are no text.
-
-    Examples
-    --------
-    >>> printable("a.csv"), printable("a\nb"), printable("\udcff.csv")
-    ('a.csv', 'a\\nb', '\\udcff.csv')
-    """
+    r"""A text on one line, to show and store; names of files may hold line ends and bytes that are no text."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

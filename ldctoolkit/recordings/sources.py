@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib.metadata
-from collections.abc import Iterator, Sequence
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -84,21 +87,11 @@ P = TypeVar("P", bound=RecordingPart)
 
 @dataclasses.dataclass(frozen=True)
 class FoundParts(Generic[P]):
-    """A `RecordingSource` as plain data.
+    """A `RecordingSource` as plain data."""
 
-    Attributes
-    ----------
-    parts : tuple of RecordingPart
-        In a fixed order.
-    files : tuple of SourceFile
-        What was found, with digests.
-    problems : tuple of Problem
-        What was seen while looking.
-    """
-
-    parts: tuple[P, ...]
-    files: tuple[SourceFile, ...]
-    problems: tuple[Problem, ...]
+    parts: tuple[P, ...]  # in a fixed order
+    files: tuple[SourceFile, ...]  # what was found, with digests
+    problems: tuple[Problem, ...]  # what was seen while looking
 
 
 @runtime_checkable
@@ -196,15 +189,7 @@ def recording_reader(name: str) -> RecordingReader:
 
 
 def recognised_by(paths: Sequence[Path]) -> list[tuple[RecordingReader, str]]:
-    """Readers that these paths are for, by name, and what each found.
-
-    Raises
-    ------
-    RecordingError
-        If no reader knows them.
-    LdcError
-        If a reader fails over them.
-    """
+    """Readers that these paths are for, by name, and what each found."""
     found = []
     for reader in map(recording_reader, reader_names()):
         try:
@@ -224,3 +209,57 @@ def recognised_by(paths: Sequence[Path]) -> list[tuple[RecordingReader, str]]:
 def shown(paths: Sequence[Path]) -> str:
     """A few paths by their names, for messages."""
     return ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
+
+
+DEPTH: Final = 2
+"""Folders inside a folder are looked into this many levels down."""
+
+_TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re.IGNORECASE)
+
+
+def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
+    """Files named by the user, and files in named folders that may be tables; each once."""
+    found: dict[str, tuple[Path, bool]] = {}
+    for path in paths:
+        named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
+        inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
+        for one in inside:
+            place = place_of(one)
+            known = found.get(place)
+            found[place] = (known[0] if known else one, named or (known is not None and known[1]))
+    return list(found.values())
+
+
+def place_of(path: Path) -> str:
+    """Where a file is, whatever links lead there."""
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # a NUL in the name; opening it tells
+        return str(path)
+
+
+def _walk(folder: Path, depth: int) -> Iterator[Path]:
+    try:
+        inside = sorted(folder.iterdir(), key=lambda one: one.name)
+    except OSError:
+        return
+    for one in inside:
+        if os.path.isdir(one):  # noqa: PTH112
+            if depth > 0 and not one.name.startswith("."):
+                yield from _walk(one, depth - 1)
+        elif not one.name.startswith(".") and os.path.isfile(one):  # noqa: PTH113
+            yield one
+
+
+def shown_names(paths: Sequence[Path]) -> list[str]:
+    """Names to tell files apart by: as few of the last folders as it takes."""
+    whole = [path.absolute().parts for path in paths]
+    names = [parts[-1] for parts in whole]
+    for length in range(2, max(map(len, whole), default=1) + 1):
+        count = Counter(names)
+        if len(count) == len(names):
+            break
+        names = [
+            "/".join(parts[-length:]) if count[name] > 1 else name for name, parts in zip(names, whole, strict=True)
+        ]
+    return names

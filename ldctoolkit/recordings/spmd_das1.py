@@ -16,15 +16,22 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.table import LARGEST, measured
-from ldctoolkit.recordings.trips.look_through import look_through, recognised
-from ldctoolkit.recordings.trips.table_header import TableLayout, check_columns, read_header
-from ldctoolkit.recordings.trips.table_text import Cells
-from ldctoolkit.recordings.trips.trip_index import Stretch, TripIndex
-from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips, told
+from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex
+from ldctoolkit.recordings.trip_tables import (
+    TableLayout,
+    TripTable,
+    batches,
+    check_columns,
+    collect_trips,
+    look_through,
+    read_header,
+    read_trips,
+    recognised,
+    told,
+)
 
 TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
 
@@ -46,22 +53,12 @@ WSU: Final = (
 
 @dataclasses.dataclass(frozen=True)
 class Das1Part:
-    """Some trips of a lane table, and where the other table holds them.
+    """Some trips of a lane table, and where the other table holds them."""
 
-    Attributes
-    ----------
-    key : str
-        Names the lane table and the first trip.
-    lane, wsu : TripTable
-        The two tables.
-    trips : tuple of (tuple of Stretch, tuple of Stretch)
-        Each trip's place in both.
-    """
-
-    key: str
-    lane: TripTable
-    wsu: TripTable
-    trips: tuple[TripPlace, ...]
+    key: str  # names the lane table and the first trip
+    lane: TripTable  # the two tables
+    wsu: TripTable  # the two tables
+    trips: tuple[TripPlace, ...]  # (tuple of Stretch, tuple of Stretch): each trip's place in both
 
     @property
     def bytes(self) -> int:
@@ -69,13 +66,7 @@ class Das1Part:
         return sum(map(trip_bytes, self.trips))
 
     def read(self) -> Iterator[Recording | Problem]:
-        """What could not be used, then recordings in the order of the lane table.
-
-        Raises
-        ------
-        RecordingError
-            If a table cannot be read or has changed since it was looked through.
-        """
+        """What could not be used, then recordings in the order of the lane table."""
         lane = read_trips(self.lane, [one for one, _ in self.trips], self.lane.spelled(LANE), time="Time")
         wsu = read_trips(self.wsu, [one for _, one in self.trips], self.wsu.spelled(WSU), time="Time")
         yield from lane.problems
@@ -138,29 +129,7 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
 def nearest_rows(
     trip: IntArray, t: FloatArray, other_trip: IntArray, other_t: FloatArray, tolerance: float
 ) -> IntArray:
-    """For each row, the row of the other table of the same trip that is nearest in time.
-
-    Parameters
-    ----------
-    trip, t : (m,) int, (m,)
-        Trip and time of each row, sorted by both.
-    other_trip, other_t : (k,) int, (k,)
-        The same of the other table, sorted by both.
-    tolerance : float
-        Largest distance in time, itself included; in the unit of the times.
-
-    Returns
-    -------
-    (m,) int
-        Row of the other table; -1 where none is near. Of two that are as near the earlier one counts, of rows with one
-        time the first.
-
-    Examples
-    --------
-    >>> one = np.zeros(3, dtype=int)
-    >>> nearest_rows(one, np.array([0.0, 10.0, 20.0]), one, np.array([1.0, 2.0, 14.0]), 5.0).tolist()
-    [0, 2, -1]
-    """
+    """For each row, the row of the other table of the same trip that is nearest in time."""
     none = np.full(t.size, -1, dtype=np.int64)
     if t.size == 0 or other_t.size == 0:
         return none
@@ -210,44 +179,20 @@ _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
 
 @dataclasses.dataclass(frozen=True)
 class SpmdDas1:
-    """The reader ``spmd-das1``.
+    """The reader ``spmd-das1``."""
 
-    Attributes
-    ----------
-    name, title : str
-        How it is called.
-    vehicle_width : float [m]
-        Twice the distance of 0.91 m from centre to edge that published queries of these tables use.
-    step : float [s]
-        The tables' own.
-    part_bytes : int
-        About how much text a part reads.
-
-    Examples
-    --------
-    >>> SpmdDas1().step
-    0.1
-    """
-
-    name: str = "spmd-das1"
-    title: str = "SPMD tables DataLane and DataWsu"
-    vehicle_width: float = 1.82
-    step: float | None = 0.1
-    part_bytes: int = PART_BYTES
+    name: str = "spmd-das1"  # how it is called
+    title: str = "SPMD tables DataLane and DataWsu"  # how it is called
+    vehicle_width: float = 1.82  # [m]
+    step: float | None = 0.1  # [s]: the tables' own
+    part_bytes: int = PART_BYTES  # about how much text a part reads
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
         return recognised(paths, _named, lambda path: _kind(read_header(path).columns))
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
-        """Look through the tables for where each trip lies.
-
-        Raises
-        ------
-        RecordingError
-            If there is no lane table or no other table, or no trip in the lane tables. Trips of these alone give
-            recordings without a speed.
-        """
+        """Look through the tables for where each trip lies."""
         found, problems = look_through(paths, _named, _layout_of)
         tables = {kind: [(one.table, one.index) for one in found if one.layout.kind == kind] for kind in _COLUMNS}
         files = tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import re
 from collections.abc import Iterator, Sequence
@@ -12,17 +13,105 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.recording import Problem, Recording, measured
 from ldctoolkit.recordings.source_file import SourceFile
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.spmd import das2_columns as names
-from ldctoolkit.recordings.spmd.das2_columns import layout_of
-from ldctoolkit.recordings.table import measured
-from ldctoolkit.recordings.trips.look_through import look_through, recognised
-from ldctoolkit.recordings.trips.table_header import TableLayout
-from ldctoolkit.recordings.trips.table_text import Cells
-from ldctoolkit.recordings.trips.trip_index import Stretch
-from ldctoolkit.recordings.trips.trip_rows import TripTable, batches, collect_trips, read_trips
+from ldctoolkit.recordings.trip_index import Cells, Stretch
+from ldctoolkit.recordings.trip_tables import (
+    TableLayout,
+    TripTable,
+    batches,
+    check_columns,
+    collect_trips,
+    look_through,
+    read_header,
+    read_trips,
+    recognised,
+)
+
+KEY: Final = ("DeviceID", "Trip")
+LEFT: Final = "LaneTrack_Distance_Left_Marker"
+RIGHT: Final = "LaneTrack_Distance_Right_Marker"
+WIDTH: Final = "LaneTrack_Lane_Width"
+LEFT_PROBABILITY: Final = "LaneTrack_Probability_Left_Exist"
+RIGHT_PROBABILITY: Final = "LaneTrack_Probability_Right_Exists"
+SPEED: Final = "InVehicle_Longitudinal_Speed"
+YAW_RATE: Final = "InVehicle_Yaw_Rate"
+LEFT_SIGNAL: Final = "InVehicle_Turn_Signal_Left"
+RIGHT_SIGNAL: Final = "InVehicle_Turn_Signal_Right"
+GPS_VALID: Final = "GPS_Valid"
+GPS_HEADING: Final = "GPS_Heading"
+GPS_SPEED: Final = "GPS_Speed"
+
+REQUIRED: Final = ("Time", LEFT, RIGHT, LEFT_PROBABILITY, RIGHT_PROBABILITY, SPEED)
+OPTIONAL: Final = (WIDTH, YAW_RATE, LEFT_SIGNAL, RIGHT_SIGNAL, GPS_VALID, GPS_HEADING, GPS_SPEED)
+
+POSITIONS: Final = (
+    "DeviceID", "Trip", "Time", "GPS_Elevation", "GPS_Fix_Quality", "GPS_Hdop", "GPS_Heading", "GPS_Latitude",
+    "GPS_Longitude", "GPS_Number_Satellites", "GPS_Pdop", "GPS_Speed", "GPS_UTC_Time", "GPS_Valid", "DAS_Roll_Rate",
+    "DAS_Pitch_Rate", "InVehicle_ABS_State", "InVehicle_Brake_Status", "InVehicle_Headlight_Status",
+    "InVehicle_Longitudinal_Accel", "InVehicle_Longitudinal_Speed", "InVehicle_PRNDL",
+    "InVehicle_Stability_Control_Status", "InVehicle_Steering_Position", "InVehicle_Throttle_Position",
+    "InVehicle_Traction_Control_Status", "InVehicle_Turn_Signal_Left", "InVehicle_Turn_Signal_Right",
+    "InVehicle_Wiper_Status", "InVehicle_Yaw_Rate", "LaneTrack_Crossing_Left", "LaneTrack_Crossing_Right",
+    "LaneTrack_Distance_Left_Marker", "LaneTrack_Distance_Right_Marker", "LaneTrack_Lane_Width",
+    "LaneTrack_Probability_Left_Exist", "LaneTrack_Probability_Right_Exists", "LaneTrack_Shift_Aborted",
+    "LaneTrack_Shift_Left", "LaneTrack_Shift_Right", "LaneTrack_Shift_Successful",
+    "LaneTrack_Type_LeftLane_LeftMarker", "LaneTrack_Type_LeftLane_RightMarker", "LaneTrack_Type_RightLane_LeftMarker",
+    "LaneTrack_Type_RightLane_RightMarker",
+    "Video_Frame", "Video_Front", "Video_Overlay", "Object_Left_F", "Object_Right_F", "Object_Left_B", "Object_Right_B",
+    "DVISwitchState",
+)  # fmt: skip
+"""Names of the columns in the order of the one-day table. The two-month table has no header."""
+
+CELLS: Final = (45, 53)
+"""Cells of a row: the table comes with and without the last eight columns, also both in one file."""
+
+LOOKED_AT: Final = 20
+"""A table without a header is told by so many first lines, of which the first may be an odd one."""
+
+
+def layout_of(path: Path) -> TableLayout | None:
+    """How a file's rows are laid out; None if it is another table."""
+    header = read_header(path)
+    lower = {name.lower() for name in header.columns}
+    if {LEFT.lower(), RIGHT.lower()} & lower:
+        check_columns(header.columns, KEY, REQUIRED, OPTIONAL)
+        usual = [name.lower() for name in header.columns] == [name.lower() for name in POSITIONS[: len(header.columns)]]
+        cells = tuple(sorted({*CELLS, len(header.columns)})) if usual else (len(header.columns),)
+        return TableLayout(_padded(header.columns, cells), header.begin, cells=cells)
+    return _without_header(path)
+
+
+def _padded(columns: Sequence[str], cells: Sequence[int]) -> tuple[str, ...]:
+    return (*columns, *POSITIONS[len(columns) : max(cells)])
+
+
+def _without_header(path: Path) -> TableLayout | None:
+    try:
+        with path.open("rb") as stream:
+            lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
+    begin = len(codecs.BOM_UTF8) if lines[0].startswith(codecs.BOM_UTF8) else 0
+    lines[0] = lines[0][begin:]
+    filled = [line for line in lines if line.strip()]
+    counts = [line.count(b",") + 1 if _has_key(line) else 0 for line in filled]
+    # a line may be at fault, but most must look right
+    if 2 * sum(count in CELLS for count in counts) <= len(filled):
+        return None
+    return TableLayout(POSITIONS, begin, line=1, cells=CELLS)
+
+
+def _has_key(line: bytes) -> bool:
+    """Whether a line begins with three numbers: device, trip, time."""
+    try:
+        for cell in line.split(b",", 3)[:3]:
+            float(cell.strip(b' \t"'))
+    except ValueError:
+        return False
+    return True
+
 
 PART_BYTES: Final = 32 << 20
 """Text that is read in one go."""
@@ -37,24 +126,12 @@ lane's, and the width is an assumed one (12 feet)."""
 
 @dataclasses.dataclass(frozen=True)
 class Das2Part:
-    """Some trips of a table.
+    """Some trips of a table."""
 
-    Attributes
-    ----------
-    key : str
-        Names the file and the first trip.
-    table : TripTable
-        The file.
-    cells : tuple of int
-        Allowed numbers of cells in a row.
-    trips : tuple of tuple of Stretch
-        Where each trip lies.
-    """
-
-    key: str
-    table: TripTable
-    cells: tuple[int, ...]
-    trips: tuple[tuple[Stretch, ...], ...]
+    key: str  # names the file and the first trip
+    table: TripTable  # the file
+    cells: tuple[int, ...]  # allowed numbers of cells in a row
+    trips: tuple[tuple[Stretch, ...], ...]  # where each trip lies
 
     @property
     def bytes(self) -> int:
@@ -63,11 +140,11 @@ class Das2Part:
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the order of the table; problems come first."""
-        wanted = self.table.spelled((*names.REQUIRED, *names.OPTIONAL))
+        wanted = self.table.spelled((*REQUIRED, *OPTIONAL))
         rows = read_trips(self.table, self.trips, wanted, time="Time", cells=self.cells)
         yield from rows.problems
         columns = signals_of(rows.cells)
-        missing = [name for name in names.OPTIONAL if name not in wanted]
+        missing = [name for name in OPTIONAL if name not in wanted]
         notes = (f"no column {', '.join(missing)}",) if missing else ()
         ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1))
         for stretches, begin, end in zip(self.trips, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
@@ -96,64 +173,41 @@ def signals_of(cells: Cells) -> dict[str, Any]:
             return np.full(cells.row.size, np.nan)
         return measured(cells[name])
 
-    left, right, told = column(names.LEFT) / 1000.0, column(names.RIGHT) / 1000.0, column(names.WIDTH) / 1000.0
+    left, right, told = column(LEFT) / 1000.0, column(RIGHT) / 1000.0, column(WIDTH) / 1000.0
     width = right - left
     agree = ~(told > 0.0) | (np.abs(width - told) <= WIDTH_TOLERANCE)  # without a told width nothing contradicts
-    seen = np.minimum(column(names.LEFT_PROBABILITY), column(names.RIGHT_PROBABILITY)) >= USABLE_PROBABILITY
-    gps = column(names.GPS_VALID) == 1.0
-    speed = column(names.SPEED)
-    signal = (column(names.LEFT_SIGNAL) > 0.0).astype(np.int64) - (column(names.RIGHT_SIGNAL) > 0.0)
+    seen = np.minimum(column(LEFT_PROBABILITY), column(RIGHT_PROBABILITY)) >= USABLE_PROBABILITY
+    gps = column(GPS_VALID) == 1.0
+    speed = column(SPEED)
+    signal = (column(LEFT_SIGNAL) > 0.0).astype(np.int64) - (column(RIGHT_SIGNAL) > 0.0)
     return {
         "t": cells["Time"] / 1000.0,
         "lane_offset": 0.5 * (left + right),
         "lane_width": width,
-        "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(names.GPS_SPEED), np.nan)),
+        "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(GPS_SPEED), np.nan)),
         "valid": seen & agree & (width > 0.0),
-        "yaw_rate": np.radians(column(names.YAW_RATE)) if names.YAW_RATE in cells.names else None,
-        "heading": np.where(gps, -np.radians(column(names.GPS_HEADING)), np.nan),
+        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells.names else None,
+        "heading": np.where(gps, -np.radians(column(GPS_HEADING)), np.nan),
         "turn_signal": signal.astype(np.int64),
     }
 
 
 @dataclasses.dataclass(frozen=True)
 class SpmdDas2:
-    """The reader ``spmd-das2``.
+    """The reader ``spmd-das2``."""
 
-    Attributes
-    ----------
-    name, title : str
-        How it is called.
-    vehicle_width : float [m]
-        Twice the distance of 0.91 m from centre to edge that published queries of these tables use.
-    step : float [s]
-        The table's own.
-    part_bytes : int
-        About how much text a part reads.
-
-    Examples
-    --------
-    >>> SpmdDas2().step
-    0.1
-    """
-
-    name: str = "spmd-das2"
-    title: str = "SPMD table HV_Primary"
-    vehicle_width: float = 1.82
-    step: float | None = 0.1
-    part_bytes: int = PART_BYTES
+    name: str = "spmd-das2"  # how it is called
+    title: str = "SPMD table HV_Primary"  # how it is called
+    vehicle_width: float = 1.82  # [m]
+    step: float | None = 0.1  # [s]: the table's own
+    part_bytes: int = PART_BYTES  # about how much text a part reads
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found if there is such a table among the files or in the folders."""
         return recognised(paths, _named, _kind)
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
-        """Look through the tables for where each trip lies.
-
-        Raises
-        ------
-        RecordingError
-            If there is no such table, or no trip in any.
-        """
+        """Look through the tables for where each trip lies."""
         found, problems = look_through(paths, _named, _layout_and_words)
         trips, odd = collect_trips([(one.table, one.index) for one in found])
         problems += odd
@@ -186,7 +240,7 @@ def _kind(path: Path) -> str:
 def _layout_and_words(path: Path) -> tuple[TableLayout | None, str]:
     """How a file's rows are laid out, or why it is no such table."""
     layout = layout_of(path)
-    cells = " or ".join(map(str, names.CELLS))
+    cells = " or ".join(map(str, CELLS))
     words = f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
     return layout, "" if layout else words
 

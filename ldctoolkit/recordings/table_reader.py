@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,22 +12,106 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.plain.table_fault import REQUIRED, TableFault
-from ldctoolkit.recordings.plain.table_names import (
-    BLOCK_BYTES,
-    SUFFIXES,
-    check_header,
-    header_names,
-    place_word,
-    repeated_names,
-)
-from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.recording import NO_ROWS, REQUIRED, Problem, Recording, TableFault
 from ldctoolkit.recordings.source_file import SourceFile, source_file
-from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.trips.table_files import place_of, shown_names
+from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
+
+BLOCK_BYTES: Final = 16 << 20
+"""About how much text is parsed at once."""
+
+HEADER_BYTES: Final = 1 << 16
+"""A header is looked for in so many first bytes."""
+
+MOST_REPEATED: Final = 20
+"""So many recordings that two files hold are told one by one."""
+
+
+def header_names(path: Path) -> tuple[str, ...]:
+    r"""Names in a file's header, whatever parts them; empty if there is none. Raises nothing."""
+    name = path.name.lower()
+    try:
+        if not name.endswith(SUFFIXES) or not path.is_file():
+            return ()
+        if name.endswith(".parquet"):
+            from ldctoolkit.recordings.csv_text import parquet_names
+
+            return tuple(parquet_names(path))
+        with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
+            first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is told when it is read
+    except (OSError, EOFError, ValueError, zlib.error, RecordingError):
+        return ()
+    utf_16 = first[:2] in (b"\xff\xfe", b"\xfe\xff")
+    line = first.decode("utf-16" if utf_16 else "utf-8-sig", "replace").split("\n", 1)[0]
+    for mark in ";\t|":
+        line = line.replace(mark, ",")
+    return tuple(part.strip().strip('"').strip() for part in line.split(","))
+
+
+def check_header(path: Path) -> None:
+    """Refuse a file whose header lacks a column, or that has no rows at all."""
+    from ldctoolkit.recordings.csv_text import check_columns, csv_blocks, is_parquet, parquet_names
+
+    if is_parquet(path):
+        check_columns(parquet_names(path))
+    elif next(csv_blocks(path, HEADER_BYTES), None) is None:
+        raise TableFault("", NO_ROWS)
+
+
+def repeated_names(
+    paths: Sequence[Path], shown: Sequence[str]
+) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
+    """Recordings that more than one file holds: the first file's rows are taken."""
+    first: dict[str, tuple[int, int]] = {}
+    left_out: list[set[str]] = [set() for _ in paths]
+    problems: list[Problem] = []
+    more = 0
+    for i, path in enumerate(paths):
+        word = place_word(path)
+        for name, row in _names(path).items():
+            j, other = first.setdefault(name, (i, row))
+            if i == j:
+                continue
+            left_out[i].add(name)
+            if len(problems) == MOST_REPEATED:
+                more += 1
+                continue
+            what = f"recording {name!r} is also in {shown[j]}, {place_word(paths[j])} {other}; these rows are left out"
+            problems.append(Problem(shown[i], f"{word} {row}", what))
+    if more:
+        problems.append(
+            Problem(shown[-1], "", f"{more} more recordings are in an earlier file, too; they are left out")
+        )
+    return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
+
+
+def place_word(path: Path) -> str:
+    """What a place in a file is called."""
+    return "row" if path.name.lower().endswith(".parquet") else "line"
+
+
+def _names(path: Path) -> dict[str, int]:
+    """First row of each recording of a file, as far as it can be read; its faults are told when it is read in full."""
+    import polars as pl
+
+    from ldctoolkit.recordings.csv_text import ROW, blocks_of
+
+    found: dict[str, int] = {}
+    name = pl.col("recording").fill_null("")
+    try:
+        for block in blocks_of(path, BLOCK_BYTES, [], ("recording",)):
+            first = block.filter((name != name.shift(1)).fill_null(True) & (name != ""))
+            for label, row in first.select("recording", ROW).iter_rows():
+                found.setdefault(label, row)
+    except (RecordingError, OSError):
+        pass
+    return found
+
 
 KNOWN_BY: Final = 3
 """A file with so many of the five columns that are needed is meant as a recording table."""
@@ -39,30 +125,14 @@ LARGEST_TIME: Final = 1e20
 
 @dataclasses.dataclass(frozen=True)
 class TablePart:
-    """One file of recordings.
+    """One file of recordings."""
 
-    Attributes
-    ----------
-    path : str
-        The file.
-    key : str
-        Its place among the source's files, and its name.
-    bytes : int
-        Its size.
-    left_out : tuple of str
-        Recordings that another file holds, too.
-    shown : str
-        Its name in messages: with as few folders as tell it apart from the others; by default its own name.
-    block_bytes : int
-        About how much text is parsed at once.
-    """
-
-    path: str
-    key: str
-    bytes: int
-    left_out: tuple[str, ...] = ()
-    shown: str = ""
-    block_bytes: int = BLOCK_BYTES
+    path: str  # the file
+    key: str  # its place among the source's files, and its name
+    bytes: int  # its size
+    left_out: tuple[str, ...] = ()  # recordings that another file holds, too
+    shown: str = ""  # its name in messages: with as few folders as tell it apart from the others
+    block_bytes: int = BLOCK_BYTES  # about how much text is parsed at once
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shown", self.shown or Path(self.path).name)
@@ -88,7 +158,7 @@ class TablePart:
 
     def _items(self) -> Iterator[Recording | Problem]:
         """Recordings and problems, as they come."""
-        from ldctoolkit.recordings.plain.frames import frames, whole_recordings
+        from ldctoolkit.recordings.csv_text import frames, whole_recordings
 
         faults: list[TableFault] = []
         seen: dict[str, int] = {}
@@ -108,7 +178,7 @@ class TablePart:
 
     def _recordings(self, frame: pl.DataFrame, seen: dict[str, int]) -> Iterator[Recording | Problem]:
         """Those of a frame; `seen` has the first row of each that came before."""
-        from ldctoolkit.recordings.plain.table_values import FAULT, ROW, columns_of
+        from ldctoolkit.recordings.csv_text import FAULT, ROW, columns_of
 
         word = place_word(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
@@ -167,13 +237,7 @@ class TableReader:
         return f"{found} recording table{'s' * (found > 1)}" if found else ""
 
     def open(self, paths: Sequence[Path]) -> FoundParts[TablePart]:
-        """Look through files, or folders that hold them.
-
-        Raises
-        ------
-        RecordingError
-            If nothing can be used.
-        """
+        """Look through files, or folders that hold them."""
         problems: list[Problem] = []
         found: dict[Path, SourceFile] = {}
         twins: dict[str, str] = {}
@@ -235,7 +299,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
 def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
     """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
-    from ldctoolkit.recordings.plain.table_values import FAULT
+    from ldctoolkit.recordings.csv_text import FAULT
 
     for block in blocks:
         nameless = block["recording"].fill_null("") == ""

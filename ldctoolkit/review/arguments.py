@@ -9,6 +9,7 @@ import numpy.typing as npt
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.setup import PlantKnowledge, known_plant
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.bicycle import checked_speeds
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
@@ -17,7 +18,13 @@ LONGEST: Final = 200
 """Samples of delay of the actuator, or of the camera, up to which the loop is worked out: each one is a state."""
 
 
-def review_plant(model: BicycleModel, dt: float, options: PlantOptions, speeds: npt.ArrayLike) -> Plant:
+def review_plant(
+    model: BicycleModel,
+    dt: float,
+    options: PlantOptions,
+    speeds: npt.ArrayLike,
+    plant_knowledge: PlantKnowledge = "nominal",
+) -> Plant:
     """The nominal vehicle of a review at its speeds.
 
     Parameters
@@ -27,6 +34,7 @@ def review_plant(model: BicycleModel, dt: float, options: PlantOptions, speeds: 
     options : PlantOptions
         Its delays are checked.
     speeds : (n,) [m/s]
+    plant_knowledge : {"nominal", "ideal"}
 
     Returns
     -------
@@ -53,7 +61,7 @@ def review_plant(model: BicycleModel, dt: float, options: PlantOptions, speeds: 
                 f"{name}.delay: {delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples; allowed: at most {LONGEST}"
             )
     options.sensors.in_samples(dt)
-    return Plant.build(model, v, dt)
+    return known_plant(model, v, dt, options, plant_knowledge)
 
 
 def positive(name: str, value: object, unit: str) -> float:

@@ -21,6 +21,7 @@ from ldctoolkit.review.limits import Situation, limit_findings
 from ldctoolkit.review.loop_checks import loop_findings
 from ldctoolkit.review.loop_numbers import LoopNumbers, loop_numbers
 from ldctoolkit.review.notes import bend_notes, bound_notes, law_findings, plant_notes
+from ldctoolkit.setup import PlantKnowledge
 from ldctoolkit.vehicle import BicycleModel
 
 SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
@@ -75,6 +76,7 @@ def review(
     a_y: float = BEND,
     y_s: float = 0.0,
     delta_prev: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    plant_knowledge: PlantKnowledge = "nominal",
     thresholds: Thresholds | None = None,
 ) -> Review:
     """Check a design before it is run: poles, margins, sampling, limits, conditioning, bends.
@@ -98,6 +100,8 @@ def review(
     delta_prev : ((m,), (m,)) or (float, float), optional
         Steering angles [rad] at triggers, and the speeds [m/s] there; by default the angle that holds the bend, at the
         speed where that is most.
+    plant_knowledge : {"nominal", "ideal"}
+        Whether the design knows the lag and the delays of actuator and camera, as in `Setup`.
     thresholds : Thresholds, optional
         Where findings start.
 
@@ -126,7 +130,7 @@ def review(
     dt, a_y = positive("dt", dt, "s"), positive("a_y", a_y, "m/s^2")
     if not is_number(plain(y_s)) or y_s < 0:
         raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
-    plant = review_plant(model, dt, options, speeds)
+    plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v = plant.v
     identity = _identity(controller)
     view = linear_view(controller, plant)

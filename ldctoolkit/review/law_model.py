@@ -1,8 +1,8 @@
 """A law as a linear system at straight, centred driving: exactly for linear laws, numerically for all others.
 
-Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r), where r is the lane's yaw rate in a bend of constant
-curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time. At each
-sample delta = C s + D u and s+ = A s + B u.
+Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel), where r is the lane's yaw rate in a bend of constant
+curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time; the wheels'
+steering angle is for linear laws only. At each sample delta = C s + D u and s+ = A s + B u.
 
 A `SteeringLaw` is asked for its answers to small pulses, up and down, at one sample of a run that is quiet otherwise;
 half the difference is its pulse response. The first answer gives D. Where later ones are not zero the law has a memory,
@@ -48,9 +48,9 @@ class LawModel:
     Attributes
     ----------
     A : (k, k)
-    B : (k, 6)
+    B : (k, 7)
     C : (k,)
-    D : (6,)
+    D : (7,)
     """
 
     A: FloatArray
@@ -130,13 +130,15 @@ def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw |
 def _exact(law: LinearLaw, plant: Plant) -> LinearView:
     n = plant.n
     bend = law.G_yaw_rate.sum(axis=1) + law.G_heading @ law.preview_times
-    D = np.column_stack([law.F, law.f_u, bend])
-    f_i = np.zeros(n) if law.f_i is None else law.f_i
-    k = int(f_i.any())
-    integral = np.zeros((k, 6))
-    integral[:, :1] = plant.dt
-    models = tuple(LawModel(np.eye(k), integral, f_i[i : i + 1][:k], D[i]) for i in range(n))
-    finite = np.isfinite(D).all(axis=1) & np.isfinite(f_i)
+    D = np.column_stack([law.F, law.f_u, bend, np.zeros(n) if law.f_wheel is None else law.f_wheel])
+    f_i = np.zeros((n, 0)) if law.f_i is None or not law.f_i.any() else law.f_i[:, None]
+    C = f_i if law.f_past is None else np.append(f_i, law.f_past, axis=1)
+    # the integral, then earlier commands, each the one after it a sample later
+    k, z = C.shape[1], f_i.shape[1]
+    A, B = np.eye(k, k=-1), np.zeros((k, 7))
+    A[:z, :z], A[z : z + 1, :z], B[:z, 0], B[z : z + 1, 4] = 1.0, 0.0, plant.dt, 1.0
+    models = tuple(LawModel(A, B, C[i], D[i]) for i in range(n))
+    finite = np.isfinite(D).all(axis=1) & np.isfinite(C).all(axis=1)
     return LinearView(models, True, np.ones(n, dtype=np.bool_), finite, np.zeros(n), np.zeros(n))
 
 
@@ -194,7 +196,7 @@ def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> F
 def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
     """Commands while the first sample shows the inputs (q, n, 6), and later ones nothing; (samples, q, n)."""
     q, n, name = inputs.shape[0], plant.n, controller.name
-    law = _prepared(controller, Plant.build(plant.model, np.tile(plant.v, q), plant.dt))
+    law = _prepared(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
         raise LdcError(f"controller {name!r}: prepare gives laws of different kinds for other speeds")
     first = inputs.reshape(q * n, 6)
@@ -215,10 +217,10 @@ def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: in
 
 def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
     """The smallest system with a pulse response (samples, 6) to pulses of the size `PULSE`, and what it leaves out."""
-    D, later = response[0], response[1:]
+    D, later = np.append(response[0] / PULSE, 0.0), response[1:]
     scale = np.abs(response).max()
     if not np.abs(later).max() > _MEMORY * scale:
-        return LawModel(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros(0), D / PULSE), 0.0
+        return LawModel(np.zeros((0, 0)), np.zeros((0, 7)), np.zeros(0), D), 0.0
     half = later.shape[0] // 2
     hankel = np.array([later[i : i + half].ravel() for i in range(half)])
     shifted = np.array([later[i + 1 : i + 1 + half].ravel() for i in range(half)])
@@ -231,4 +233,4 @@ def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
     for i in range(later.shape[0]):
         told[i] = C @ state
         state = A @ state
-    return LawModel(A, B / PULSE, C, D / PULSE), float(np.abs(told - later).max() / scale)
+    return LawModel(A, np.append(B / PULSE, np.zeros((k, 1)), axis=1), C, D), float(np.abs(told - later).max() / scale)

@@ -91,7 +91,7 @@ def loop_numbers(
     view : LinearView
         Its law as linear systems, finite.
     plant : Plant
-        Nominal vehicle at n speeds.
+        Nominal vehicle at n speeds, with what the law knows of the actuator.
     options : PlantOptions
         Actuator and camera are read.
     bend : (n,) [rad/s]
@@ -160,7 +160,7 @@ def _errors(controller: Controller, view: LinearView, plant: Plant, inputs: Floa
     without = np.array([not model.A.size for model in view.models])
     if view.exact or not without.any():
         return errors
-    terms = inputs * np.array([model.D for model in view.models])
+    terms = inputs * np.array([model.D[:6] for model in view.models])
     apart = np.abs(first_answers(controller, plant, inputs) - terms.sum(axis=2))
     apart = np.where(np.isnan(apart), math.inf, apart)
     return np.where(without, apart / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
@@ -174,14 +174,21 @@ def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray
 
 
 def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
-    """The camera at each speed; a period of p samples ages a frame by up to p - 1 more, half of it on average."""
+    """The camera at each speed; a period of p samples ages a frame by up to p - 1 more, half of it on average.
+
+    What the law knows of actuator and camera, its filter knows too.
+    """
     sensors = options.sensors
     period, delay = sensors.in_samples(plant.dt)
     delay += math.ceil((period - 1) / 2)
     gains: list[FloatArray | None] = [None] * plant.n
     if sensors.kalman is not None:
-        from ldctoolkit.simulation.kalman import filter_gain
+        from ldctoolkit.vehicle.kalman import filter_gain
 
         gains = list(filter_gain(plant, sensors.kalman, 1))
-    step = plant.step
-    return [Camera(delay, gains[i], step.A[i], step.B[i], step.E_0[i] + step.E_1[i]) for i in range(plant.n)]
+    age, matrices = round(plant.age / plant.dt), ("A", "B", "B_old", "E_0", "E_1")
+    steps = [
+        dataclasses.replace(plant.augmented, **{name: getattr(plant.augmented, name)[i : i + 1] for name in matrices})
+        for i in range(plant.n)
+    ]
+    return [Camera(delay, age, gain, step) for gain, step in zip(gains, steps, strict=True)]

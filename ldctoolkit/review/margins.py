@@ -167,8 +167,8 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), _BEYOND * nyquist, 2 * _FREQUENCIES)
     own = np.minimum(omega, nyquist)  # beyond, a sampled law only repeats itself
     x = np.linalg.solve(1j * omega[:, None, None] * np.eye(4) - A, np.asarray(B, dtype=complex)[None, :, None])[..., 0]
-    K = controller.response(np.exp(1j * own * dt))[:, 0, :4]
-    gain = np.abs(np.einsum("mi,mi->m", K, x)) / np.abs(1.0 + 1j * omega * lag)
+    K = controller.response(np.exp(1j * own * dt))[:, 0, :5]
+    gain = np.abs(np.einsum("mi,mi->m", K[:, :4], x) + K[:, 4]) / np.abs(1.0 + 1j * omega * lag)
     above = np.flatnonzero(gain >= 1.0)
     if not above.size:
         return 0.0

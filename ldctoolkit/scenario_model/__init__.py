@@ -2,9 +2,15 @@
 
 from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
 from ldctoolkit.scenario_model.fit import fit_scenario_model
-from ldctoolkit.scenario_model.given import Given, conditions
-from ldctoolkit.scenario_model.merged import merged_provenance, read_all_departures
-from ldctoolkit.scenario_model.model import ScenarioModel, bundled_models, load_model
+from ldctoolkit.scenario_model.model import (
+    Given,
+    ScenarioModel,
+    bundled_models,
+    conditions,
+    load_model,
+    merged_provenance,
+    read_all_departures,
+)
 from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
 from ldctoolkit.scenario_model.source_summary import SourceSummary, summarize
 

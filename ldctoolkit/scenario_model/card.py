@@ -146,12 +146,6 @@ class ModelProvenance:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of what a fit's numbers come from.
-
-    Examples
-    --------
-    >>> list(software_versions())
-    ['ldctoolkit', 'python', 'numpy', 'scipy', 'numba']
-    """
+    """Versions of what a fit's numbers come from."""
     packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "numba")}
     return {"ldctoolkit": __version__, "python": platform.python_version()} | packages

@@ -14,20 +14,22 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import Selection, select_components
-from ldctoolkit.mixture.bounded_events import InsideBounds, inside_bounds
-from ldctoolkit.mixture.checks import check_number, check_weights
+from ldctoolkit.mixture.checks import InsideBounds, check_number, check_weights, inside_bounds
 from ldctoolkit.mixture.events import Events, profile_of
 from ldctoolkit.recordings import Criteria
-from ldctoolkit.scenario_model.bounds import Bounds, Box, box_of, wanted_bounds
 from ldctoolkit.scenario_model.card import ModelProvenance, SideSummary, software_versions
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.parts import SideModel, check_usable
 from ldctoolkit.scenario_model.settings import (
+    Bounds,
+    Box,
     SideSettings,
+    box_of,
     check_transform,
     component_numbers,
     fit_settings,
     transforms,
+    wanted_bounds,
 )
 from ldctoolkit.scenario_model.source_summary import summarize_events
 from ldctoolkit.version import __version__
@@ -253,13 +255,7 @@ def _curve(values: FloatArray) -> tuple[float, ...]:
 def carried_components(
     components: int | tuple[int, ...], events: SideEvents
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """The K that the events of a side carry, and what to say if these are not all.
-
-    Raises
-    ------
-    InputError
-        If they carry none of a range.
-    """
+    """The K that the events of a side carry, and what to say if these are not all."""
     n, d, label = events.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
@@ -311,21 +307,11 @@ def _select(
 
 @dataclasses.dataclass(frozen=True)
 class SideEvents:
-    """What the mixture of a side is fitted to.
+    """What the mixture of a side is fitted to."""
 
-    Attributes
-    ----------
-    label : str
-        ``"left"`` or ``"right"``.
-    inside : InsideBounds
-        The parameters that vary, none on a bound.
-    box : Box
-        Of all eight parameters.
-    """
-
-    label: str
-    inside: InsideBounds
-    box: Box
+    label: str  # ``"left"`` or ``"right"``
+    inside: InsideBounds  # the parameters that vary, none on a bound
+    box: Box  # of all eight parameters
 
     @property
     def events(self) -> Events:
@@ -361,14 +347,7 @@ class SideEvents:
 
 
 def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:
-    """Look at the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside.
-
-    Raises
-    ------
-    InputError
-        For a value that is not finite or outside its bounds (naming parameter, event and count), equal events, or a
-        transform that the box does not allow.
-    """
+    """Look at the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
     x = events.x
     for j in range(x.shape[1]):
         _check(x, j, np.isfinite(x[:, j]), "finite numbers", label)

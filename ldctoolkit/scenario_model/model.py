@@ -5,24 +5,128 @@ from __future__ import annotations
 import dataclasses
 import importlib.resources
 import json
+import math
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import ModelError, UnknownNameError, nearest
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Departures, joined_departures
+from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError, nearest
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
+from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model import json_form as form
-from ldctoolkit.scenario_model._reader import read_text
 from ldctoolkit.scenario_model.card import ModelProvenance
-from ldctoolkit.scenario_model.given import Condition, Given, conditions, mixture_conditions
+from ldctoolkit.scenario_model.json_form import read_text
 from ldctoolkit.scenario_model.parts import SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
+
+Given = Mapping[str, float | tuple[float | None, float | None]]
+"""Parameter -> its value, or (lower, upper) between which it lies; None is open. SI units."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """One parameter between two values, or at one."""
+
+    name: str  # of the parameter
+    low: float  # infinite where open; equal for one value
+    high: float  # infinite where open; equal for one value
+
+    def __str__(self) -> str:
+        unit = PARAMETER_UNITS[PARAMETER_NAMES.index(self.name)]
+        if self.low == self.high:
+            return f"{self.name} = {self.low:g} {unit}"
+        if math.isinf(self.high):
+            return f"{self.name} above {self.low:g} {unit}"
+        if math.isinf(self.low):
+            return f"{self.name} below {self.high:g} {unit}"
+        return f"{self.name} from {self.low:g} to {self.high:g} {unit}"
+
+
+def conditions(given: Given | None) -> tuple[Condition, ...]:
+    """The conditions in the order of `PARAMETER_NAMES`; those that are open on both sides are left out.
+
+    Parameters
+    ----------
+    given : mapping, optional
+        Parameter -> value or (lower, upper).
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter, or what is neither a number nor an ascending pair.
+
+    Examples
+    --------
+    >>> [str(condition) for condition in conditions({"c_0": 0.001, "v_mean": (25, 35), "T": (3, None)})]
+    ['T above 3 s', 'v_mean from 25 to 35 m/s', 'c_0 = 0.001 1/m']
+    """
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(f"given: {given!r}; allowed: a mapping of parameters")
+    found = {}
+    for name, wanted in (given or {}).items():
+        if name not in PARAMETER_NAMES:
+            raise InputError(f"given: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+        low, high = _ends(name, wanted)
+        if low > -math.inf or high < math.inf:
+            found[name] = Condition(name, low, high)
+    return tuple(found[name] for name in PARAMETER_NAMES if name in found)
+
+
+def _ends(name: str, wanted: Any) -> tuple[float, float]:
+    allowed = "allowed: a number, or (lower, upper) with lower < upper, None for open"
+    pair = (wanted, wanted) if _is_number(wanted) and math.isfinite(wanted) else wanted
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+    ends = []
+    for end, fill in zip(pair, (-math.inf, math.inf), strict=True):
+        if end is not None and not _is_number(end):
+            raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+        ends.append(fill if end is None else float(end))
+    low, high = ends
+    one_value = pair is not wanted or low == high
+    if not low <= high or (one_value and not math.isfinite(low)):
+        raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+    return low, high
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def mixture_conditions(
+    wanted: tuple[Condition, ...], side: SideModel, label: str
+) -> dict[int, float | tuple[float, float]]:
+    """Column of the side's mixture -> value or (lower, upper)."""
+    constants = dict(side.constants)
+    lower, upper = side.bounds()
+    out: dict[int, float | tuple[float, float]] = {}
+    for condition in wanted:
+        low, high = condition.low, condition.high
+        if condition.name in constants:
+            value = constants[condition.name]
+            if not low <= value <= high:
+                raise InputError(
+                    f"given[{condition.name!r}]: {condition}; allowed: {value:g}, as in every {label} departure of "
+                    "this model"
+                )
+            continue
+        j = side.names.index(condition.name)
+        a, b = float(lower[j]), float(upper[j])
+        if (not a < low < b) if low == high else (high <= a or low >= b):
+            raise InputError(
+                f"given[{condition.name!r}]: {condition}; allowed: between {a:g} and {b:g}, the bounds of the {label} "
+                "departures of this model"
+            )
+        out[j] = low if low == high else (max(low, a), min(high, b))
+    return out
+
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
@@ -153,7 +257,7 @@ class ScenarioModel:
             check_number(name, number, 0, integer=True)
         parts = [self._draw(side, int(n), int(seed), wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
-        return Scenarios.from_arrays(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
+        return Scenarios.drawn(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
 
     def _source(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Source:
         """What the events of a side are drawn from."""
@@ -300,3 +404,70 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")
     raise UnknownNameError(f"scenario model {name!r}: neither a bundled model nor a file; {nearest(name, names)}")
+
+
+def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
+    """Read departures tables, in this order, as one.
+
+    Raises
+    ------
+    RecordingError
+        As `read_departures`; for tables of different criteria or preparations, or of the same recordings.
+    """
+    given = [Path(path).absolute() for path in paths]
+    for path in given:
+        if given.count(path) > 1:
+            raise RecordingError(f"{path.name}: given more than once; allowed: every table once")
+    tables = [read_departures(path) for path in paths]
+    names = [Path(path).name for path in paths]
+    provenance = merged_provenance(names, [found for _, found in tables])
+    if len(tables) == 1:
+        return tables[0][0], provenance
+    return joined_departures([departures for departures, _ in tables]), provenance
+
+
+def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:
+    """Where the departures of several tables come from; `names` are the tables', for messages.
+
+    Raises
+    ------
+    RecordingError
+        If the criteria or the preparations differ, or a recording is in two tables.
+    """
+    first = found[0]
+    if len(found) == 1:
+        return first
+    seen: dict[str, str] = {}
+    for name, one in zip(names, found, strict=True):
+        for kind in ("criteria", "preparation"):
+            theirs = dataclasses.asdict(getattr(first, kind))
+            for key, value in dataclasses.asdict(getattr(one, kind)).items():
+                if value != theirs[key]:
+                    raise RecordingError(
+                        f"{name}: extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}; "
+                        f"allowed: tables of the same {kind}"
+                    )
+        for source in one.sources:
+            # empty files are all alike
+            if source.bytes and seen.setdefault(source.sha256, name) != name:
+                raise RecordingError(
+                    f"{name}: holds departures of {source.name}, as does {seen[source.sha256]}; "
+                    "allowed: every recording once"
+                )
+    refused = [dataclasses.asdict(one.refused) for one in found]
+    kinds = {one.curvature for one in found}
+    readers = {one.reader for one in found}
+    return Provenance(
+        criteria=first.criteria,
+        refused=Refused(**{reason: sum(one[reason] for one in refused) for reason in refused[0]}),
+        sources=tuple(source for one in found for source in one.sources),
+        recordings=sum(one.recordings for one in found),
+        samples=sum(one.samples for one in found),
+        invalid_samples=sum(one.invalid_samples for one in found),
+        hours=sum(one.hours for one in found),
+        curvature=first.curvature if len(kinds) == 1 else "mixed",
+        warnings=tuple(dict.fromkeys(warning for one in found for warning in one.warnings)),
+        reader=first.reader if len(readers) == 1 else "mixed",
+        preparation=first.preparation,
+        problems=tuple(problem for one in found for problem in one.problems),
+    )

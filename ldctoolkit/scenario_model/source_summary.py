@@ -96,13 +96,7 @@ class SourceSummary:
 
 
 def pair_number(i: int, j: int, d: int) -> int:
-    """Place of the pair i < j among (0, 1), (0, 2), ..., (d-2, d-1).
-
-    Examples
-    --------
-    >>> [pair_number(i, j, 4) for i in range(4) for j in range(i + 1, 4)]
-    [0, 1, 2, 3, 4, 5]
-    """
+    """Place of the pair i < j among (0, 1), (0, 2), ..., (d-2, d-1)."""
     return i * (2 * d - i - 1) // 2 + j - i - 1
 
 

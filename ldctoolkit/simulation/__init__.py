@@ -1,10 +1,8 @@
 """The closed loop: trigger, simulation of all scenarios at once, outcomes."""
 
-from ldctoolkit.simulation.closed_loop import BOUND, drive, drive_many
-from ldctoolkit.simulation.departure_plot import plot_departure
+from ldctoolkit.simulation.loop import drive, drive_many, simulate
 from ldctoolkit.simulation.outcome import Outcome, Run, Trajectories, Window
-from ldctoolkit.simulation.simulate import simulate
-from ldctoolkit.simulation.takeover import Takeover
+from ldctoolkit.simulation.takeover import BOUND, Takeover
 
 __all__ = [
     "BOUND",
@@ -15,6 +13,5 @@ __all__ = [
     "Window",
     "drive",
     "drive_many",
-    "plot_departure",
     "simulate",
 ]

@@ -6,20 +6,74 @@ import dataclasses
 import html
 import math
 from collections.abc import Iterator, Sequence
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import metrics
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import EventStatus
+from ldctoolkit.control import EventStatus, SolverCalls
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.simulation.solver_log import SolverLog
 from ldctoolkit.simulation.takeover import Takeover
 
 Window = Literal["departure", "control"]
+
+
+@dataclasses.dataclass(frozen=True)
+class SolverLog:
+    """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver.
+
+    Attributes
+    ----------
+    row : (k,) int
+        The scenario: in a run its place among the triggered ones, in an outcome its row number.
+    sample : (k,) int
+        0 is the trigger.
+    status : (k,) int
+        How the call ended, in the law's own numbers: its docstring names them.
+    iterations : (k,) int
+    primal_residual, dual_residual : (k,)
+        In the law's own units; NaN where the solver does not tell.
+    """
+
+    row: IntArray
+    sample: IntArray
+    status: IntArray
+    iterations: IntArray
+    primal_residual: FloatArray
+    dual_residual: FloatArray
+
+    @classmethod
+    def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> Self:
+        """From the calls of each sample, with their scenarios and the sample's number."""
+        row = _whole([rows for rows, _, _ in calls])
+        sample = _whole([np.full(rows.size, sample) for rows, sample, _ in calls])
+        order = np.lexsort((sample, row))  # stable: two calls for one command stay in their order
+        made = [one for *_, one in calls]
+        return cls(
+            row=row[order],
+            sample=sample[order],
+            status=_whole([one.status for one in made])[order],
+            iterations=_whole([one.iterations for one in made])[order],
+            primal_residual=_real([one.primal_residual for one in made])[order],
+            dual_residual=_real([one.dual_residual for one in made])[order],
+        )
+
+    def renamed(self, rows: IntArray) -> SolverLog:
+        """The same with the scenarios' numbers from `rows`."""
+        renamed = dataclasses.replace(self, row=rows[self.row])
+        order = np.lexsort((renamed.sample, renamed.row))
+        return SolverLog(**{f.name: getattr(renamed, f.name)[order] for f in dataclasses.fields(renamed)})
+
+
+def _whole(parts: list[IntArray]) -> IntArray:
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts]).astype(np.int64)
+
+
+def _real(parts: list[FloatArray]) -> FloatArray:
+    return np.concatenate([np.zeros(0), *parts])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,14 +119,14 @@ class Outcome:
     t_s : (n,) [s]
         Trigger time, infinite where never triggered.
     companions : Companions
-        Depth, overshoot, acceleration, jerk and steering, arrays of n.
+        Depth, way back, acceleration, jerk and steering, arrays of n.
     failed_solves : (n,) int
         Commands that came from the fallback law.
     law_seconds : float [s]
         Wall time that the law's own steps took, all scenarios together; 0 for a linear law, which has none. The one
         number here that is not reproducible.
     trajectories : Trajectories or None
-        On request; None where nobody intervened, since there is no path but the recorded one.
+        On request; None where no control acted, since there is no path but the recorded one.
     solver_log : SolverLog
         Every solver call of a law that has a solver: scenario, sample, status, iterations, residuals.
     side : (n,) int or None
@@ -127,7 +181,7 @@ class Run:
     ----------
     takeover : Takeover
     area : (m,) [m s] or None
-        Integral of |e_y| from the trigger to T; None where nobody intervened.
+        Integral of |e_y| from the trigger to T; None where no control acted.
     status : (m,) int8
     failed_solves : (m,) int
     companions : Companions
@@ -150,7 +204,7 @@ class Run:
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
-        """What holds in a scenario that nobody drives: a row of `fill` each, before it is filled.
+        """What holds in a scenario that is not driven: a row of `fill` each, before it is filled.
 
         Parameters
         ----------
@@ -235,6 +289,7 @@ _NAMES = {
     EventStatus.TIMED_OUT: "timed out",
     EventStatus.INVALID: "cannot be driven",
     EventStatus.CRASHED: "crashed",
+    EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
 _FAILURES = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 

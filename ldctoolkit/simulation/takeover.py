@@ -16,16 +16,15 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from ldctoolkit.option_checks import checked_number
-from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.paths.random_streams import RandomStream, normals
+from ldctoolkit.paths.uncorrected import UncorrectedPath, harmless
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation.kalman import filter_gain
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.mismatch import TrueVehicles, true_vehicles
-from ldctoolkit.simulation.random_streams import RandomStream, normals
-from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from ldctoolkit.vehicle import Plant, discretize
-from ldctoolkit.vehicle.parameters import GRAVITY
+from ldctoolkit.vehicle.kalman import filter_gain
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
+from ldctoolkit.vehicle.true_vehicles import TrueVehicles, true_vehicles
 
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
@@ -37,17 +36,14 @@ JERK_WINDOW = 0.5
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
 
-# fixed-point steps from the small angles to the large ones of saturating tyres
-_ITERATIONS = 8
-
 # step [s] of the difference quotient of the recorded speed
 _SPEED_STEP = 1e-4
 
+# scenarios whose recorded paths are looked at together
+_AT_ONCE = 1024
+
 # longest substep of the Runge-Kutta method, in units of the fastest time constant
 _REACH = 0.25
-
-STIFF = 8
-"""Substeps a sample above which even the ideal plant takes them: about two of the fastest time constants."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,6 +139,29 @@ class Takeover:
         columns = {name: measured.get(name, np.zeros(T.size)) for name in COMPANION_UNITS}
         return Companions(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
+    def recorded_peaks(self) -> tuple[FloatArray, FloatArray]:
+        """Largest lateral acceleration and jerk of the recorded path at the samples from the trigger on, and at T.
+
+        Returns
+        -------
+        a_y : (m,) [m/s^2]
+            Of y'' + v^2 c.
+        jerk : (m,) [m/s^3]
+            Moving average over 0.5 s; before the trigger a_y counts as constant, as it does in the metrics of a design.
+        """
+        peaks = np.empty((2, self.m))
+        for first in range(0, self.m, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            path, start = self.driven.take(some), self.start[some, None]
+            samples = start + self.setup.dt * np.arange(self.full_steps[some].max() + 2)
+            t = np.minimum(samples, path.scenarios.T[:, None])
+            now, then = (
+                path.lateral_acceleration(at) + path.speed(at) ** 2 * path.curvature(at)
+                for at in (t, np.maximum(t - JERK_WINDOW, start))
+            )
+            peaks[:, some] = np.abs(now).max(axis=1), np.abs(now - then).max(axis=1) / JERK_WINDOW
+        return peaks[0], peaks[1]
+
     @property
     def slowest(self) -> FloatArray:
         """Lowest speed of the plant from the trigger on, (m,) [m/s]."""
@@ -186,9 +205,9 @@ class Takeover:
         model, options, dt, seed = setup.model, setup.options, setup.dt, setup.seed
         offset = model.parameters.edge_offset
         whole = UncorrectedPath.of(scenarios, options.residuals, seed)
-        valid = drivable(whole)
+        valid = whole.drivable()
         # rows that cannot be driven are carried along as a departure that never triggers
-        path = whole if valid.all() else UncorrectedPath.of(_harmless(scenarios, valid), options.residuals, seed)
+        path = whole if valid.all() else UncorrectedPath.of(harmless(scenarios, valid), options.residuals, seed)
         t_s = path.crossing_time(y_s)
         T = path.scenarios.T
         S_uncorrected = path.area(T) + offset * T
@@ -205,7 +224,7 @@ class Takeover:
         lateral = 2.0 * (model.parameters.C_af + model.parameters.C_ar) / model.parameters.m
         stiffness = np.ceil(dt * lateral / np.where(triggered, at_trigger, np.inf) / _REACH)
         if options.drives_exactly:
-            stiffness = np.where(stiffness > STIFF, stiffness, 0.0)
+            stiffness = np.where(stiffness > data.STIFF, stiffness, 0.0)
         order = np.lexsort((-full, -stiffness, ~triggered))
         rows = order[: int(triggered.sum())]
         driven, start, full_steps = path.take(rows), t_s[rows], full[rows]
@@ -214,8 +233,7 @@ class Takeover:
 
         v = driven.speed(start)
         vehicles = true_vehicles(model.parameters, options.mismatch, options.tyres, driven.scenarios, seed)
-        e_psi, yaw_error, delta_0 = _attitude(driven, vehicles, setup, start)
-        x_0 = np.column_stack([driven.lateral(start) + offset, driven.lateral_rate(start), e_psi, yaw_error])
+        x_0, delta_0 = _state(driven, vehicles, setup, start)
         return cls(
             scenarios=scenarios,
             setup=setup,
@@ -233,8 +251,15 @@ class Takeover:
             delta_0=delta_0,
             full_steps=full_steps,
             rest=rest,
-            plant=Plant.build(model, v, dt),
+            plant=setup.plant(v),
         )
+
+
+def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,)."""
+    e_psi, yaw_error, delta = _attitude(path, car, setup, t)
+    offset = setup.vehicle.edge_offset
+    return np.column_stack([path.lateral(t) + offset, path.lateral_rate(t), e_psi, yaw_error]), delta
 
 
 def _attitude(
@@ -245,61 +270,9 @@ def _attitude(
     lane = v * path.curvature(t)
     yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
     if setup.start == "printed":
-        delta = car.steady_state(v, setup.convention).delta * (lane + bend / v)
-        return np.arctan2(rate, v), yaw_error, delta
+        return np.arctan2(rate, v), yaw_error, car.steady_state(v, setup.convention).delta * (lane + bend / v)
     dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
-    if setup.options.tyres.ideal:
-        # e_psi and delta from the two force balances (Rajamani's eq. 2.45): e_y'' that of the path, e_psi'' = 0
-        A, B, E = car.matrices(v, setup.convention)
-        A[:, 1, 2] += dv
-        system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
-        known = np.stack([A[:, i, 1] * rate + A[:, i, 3] * yaw_error + E[:, i] * lane for i in (1, 3)], axis=-1)
-        wanted = np.stack([bend, np.zeros_like(v)], axis=-1)
-        e_psi, delta = np.linalg.solve(system, (wanted - known)[..., None])[..., 0].T
-        return e_psi, yaw_error, delta
-    wheelbase, shape = car.l_f + car.l_r, setup.options.tyres.shape
-
-    def slip(stiffness: FloatArray, arm: float, share: FloatArray) -> FloatArray:
-        """Slip angle at which an axle uses this share of its friction; beyond it, that of the largest force."""
-        load = car.mu * car.m * GRAVITY * arm / (2.0 * wheelbase)
-        return np.tan(np.arcsin(np.clip(share, -1.0, 1.0)) / shape) * shape * load / stiffness
-
-    # without yaw acceleration both axles use the same share; it hardly depends on the angles that follow from it
-    omega, v_y, e_psi, delta = lane + yaw_error, np.zeros_like(v), rate / v, np.zeros_like(v)
-    for _ in range(_ITERATIONS):
-        sine, cosine = np.sin(e_psi), np.cos(e_psi)
-        across = (bend - dv * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
-        share = (v * omega + across) / (car.mu * GRAVITY)
-        v_y = car.l_r * omega - v * np.tan(slip(car.C_ar, car.l_f, share))
-        delta = np.arctan((v_y + car.l_f * omega) / v) + slip(car.C_af, car.l_r, share / np.cos(delta))
-        e_psi = np.arcsin(np.clip(rate / np.hypot(v, v_y), -1.0, 1.0)) - np.arctan2(v_y, v)
-    return e_psi, yaw_error, delta
-
-
-def drivable(path: UncorrectedPath) -> npt.NDArray[np.bool_]:
-    """Scenarios whose numbers are finite and have their signs, and whose speed stays where the plant and gains are."""
-    p = path.scenarios
-    finite = np.isfinite(p.matrix()).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        sound = finite & (p.T > 0) & (p.d_y >= 0) & (p.sigma_y >= 0) & (p.sigma_v >= 0)
-        slowest = slowest_speed(p.v_mean, p.a_mean, p.T)
-        fast = sound & (slowest >= SPEED_FLOOR) & (2.0 * p.v_mean - slowest <= SPEED_RANGE[1])
-    if path.modes_v.shape[1] and fast.any():
-        rows = np.flatnonzero(fast)
-        some = path.take(rows)
-        fast[rows] = some.slowest_speed(np.zeros(rows.size), some.scenarios.T) >= SPEED_FLOOR
-    return np.asarray(fast, dtype=bool)
-
-
-def _harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
-    """The same with a flat departure in place of the rows that cannot be driven."""
-    flat = {"T": 1.0, "v_mean": 20.0}
-    columns = {
-        field.name: np.where(valid, getattr(scenarios, field.name), flat.get(field.name, 0.0))
-        for field in dataclasses.fields(scenarios)
-        if field.name not in ("side", "index")
-    }
-    return dataclasses.replace(scenarios, **columns)
+    return car.turn(v, dv, rate, bend, lane, yaw_error, setup.options.tyres, setup.convention)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -323,7 +296,9 @@ class Tables:
     @classmethod
     def of(cls, over: Takeover) -> Self:
         """Everything that designs share."""
-        setting = data.setting_row(over.setup, modes=over.driven.modes_v.shape[1], bound=BOUND, window=JERK_WINDOW)
+        setting = data.setting_row(
+            over.setup, over.plant, modes=over.driven.modes_v.shape[1], bound=BOUND, window=JERK_WINDOW
+        )
         return cls(over, setting, _scene(over))
 
     @functools.cached_property
@@ -353,11 +328,21 @@ class Tables:
         room: FloatArray = self.spare.room
         return room
 
+    @functools.cached_property
+    def recorded(self) -> FloatArray:
+        """With residuals, y'' of the recorded path at the samples up to T and a jerk window before, (m, k, 2)."""
+        over, dt = self.over, self.over.setup.dt
+        if not (over.driven.modes_y.size or over.driven.modes_v.size):
+            return np.zeros((0, 0, 2))
+        samples = np.arange(over.full_steps.max() + math.ceil(JERK_WINDOW / dt) + 2)
+        t = over.start[:, None] + dt * samples
+        return np.stack([over.driven.lateral_acceleration(t - back) for back in (0.0, JERK_WINDOW)], axis=-1)
+
     def blocks(self) -> FloatArray:
         """Tables of all blocks of lanes, for a law that is called sample by sample."""
-        from ldctoolkit.simulation.kernel import lane_rows
+        from ldctoolkit.simulation.kernel import lanes
 
-        size = lane_rows.rings(self.setting)[-1]
+        size = lanes.rings(self.setting)[-1]
         return np.zeros((-(-self.over.m // data.LANES), size))
 
     def paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
@@ -408,6 +393,10 @@ def _scene(over: Takeover) -> FloatArray:
         data.E_1: E[:, 1],
     }
     columns |= {data.A_11 + j: A[:, 1, j + 1] for j in range(3)}
+    # y = 4 d_y s (1 - s) with s = x(t)/d_x, x = v_0 t + a t^2/2
+    d_x, v_0, a = p.v_mean * p.T, p.v_mean - 0.5 * p.a_mean * p.T, p.a_mean
+    bend = (a - 2.0 * v_0**2 / d_x, -6.0 * v_0 * a / d_x, -3.0 * a**2 / d_x)
+    columns |= {data.BEND + j: 4.0 * p.d_y / d_x * bend[j] for j in range(3)}
     tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
     scene = np.zeros((m, data.SCENE + sum(part.shape[1] for part in tail)))
     for column, values in columns.items():
@@ -442,26 +431,40 @@ def _earlier_frames(over: Takeover) -> FloatArray:
 
 def _filter(over: Takeover) -> FloatArray:
     """The Kalman filter's gain and model; no columns without one."""
-    sensors, step = over.setup.options.sensors, over.plant.step
+    sensors = over.setup.options.sensors
     if sensors.kalman is None:
         return np.zeros((over.m, 0))
+    step, wheel, first = over.plant.augmented, np.zeros((over.m, 4)), over.x_0
+    if over.plant.lag > 0.0:
+        wheel = step.A[:, :4, 4]
+    if over.plant.age > 0.0:
+        first = _state(over.driven, over.vehicles, over.setup, over.start - over.plant.age)[0]
     gain = filter_gain(over.plant, sensors.kalman, max(1, round(sensors.period / over.setup.dt)))
-    parts = (gain.reshape(-1, 8), step.A.reshape(-1, 16), step.B, step.E_0, step.E_1)
-    return np.concatenate(parts, axis=1)
+    inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
+    return np.concatenate([gain.reshape(-1, 8), step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel, first], axis=1)
 
 
 def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> FloatArray:
-    """Linear laws with equally many lookahead times for the compiled loops, (d, m, `data.LAW` + 2 p); into `room`."""
-    shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * laws[0].preview_times.size)
+    """Linear laws of one shape for the compiled loops, (d, m, `data.LAW` + 2 p + q); into `room`."""
+    p, q = shape_of(laws[0])
+    shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * p + q)
     size = math.prod(shape)
     tables = np.empty(shape) if room is None else room[:size].reshape(shape)
     for table, law in zip(tables, laws, strict=True):
         table[:, data.LAW_F : data.LAW_U] = law.F
         table[:, data.LAW_U] = law.f_u
         table[:, data.LAW_I] = 0.0 if law.f_i is None else law.f_i
-        table[:, data.LAW :: 2] = law.G_yaw_rate
-        table[:, data.LAW + 1 :: 2] = law.G_heading
+        table[:, data.LAW_WHEEL] = 0.0 if law.f_wheel is None else law.f_wheel
+        table[:, data.LAW : data.LAW + 2 * p : 2] = law.G_yaw_rate
+        table[:, data.LAW + 1 : data.LAW + 2 * p : 2] = law.G_heading
+        if law.f_past is not None:
+            table[:, data.LAW + 2 * p :] = law.f_past
     return tables
+
+
+def shape_of(law: LinearLaw) -> tuple[int, int]:
+    """Lookahead times p, and past commands q."""
+    return law.preview_times.size, 0 if law.f_past is None else law.f_past.shape[1]
 
 
 def times_of(law: LinearLaw) -> FloatArray:

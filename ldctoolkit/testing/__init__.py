@@ -3,15 +3,15 @@
 Under pytest, subclass `ControllerContract`; without it, call `check_controller_contract`. Nothing here needs pytest.
 """
 
-from ldctoolkit.testing.checks import CHECKS
 from ldctoolkit.testing.contract import (
+    CHECKS,
     ContractError,
     ControllerContract,
     Fault,
     check_controller_contract,
     contract_faults,
 )
-from ldctoolkit.testing.settings import ContractSettings
+from ldctoolkit.testing.subject import ContractSettings
 
 __all__ = [
     "CHECKS",

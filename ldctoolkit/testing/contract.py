@@ -4,15 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, LdcError, nearest
 from ldctoolkit.law_checks import check_controller
 from ldctoolkit.law_errors import raised
-from ldctoolkit.testing.checks import CHECKS
-from ldctoolkit.testing.settings import ContractSettings
-from ldctoolkit.testing.subject import Subject
+from ldctoolkit.testing import law_checks
+from ldctoolkit.testing.subject import Check, ContractSettings, Subject
+
+CHECKS: Final[dict[str, Check]] = {
+    "declared": law_checks.declared,
+    "frozen": law_checks.frozen,
+    "picklable": law_checks.picklable,
+    "bounds": law_checks.bounds,
+    "toml": law_checks.toml,
+    "interface": law_checks.interface,
+    "repeatable": law_checks.repeatable,
+    "mirror": law_checks.mirror,
+    "quiet": law_checks.quiet,
+    "finite": law_checks.finite,
+    "limits": law_checks.limits,
+    "inputs": law_checks.inputs,
+    "state": law_checks.state,
+    "batch": law_checks.batch,
+    "take": law_checks.take,
+    "ended": law_checks.ended,
+    "extremes": law_checks.extremes,
+}
+"""Name -> check; the first line of a check's documentation says what it asks for."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,18 +1,20 @@
-"""What laws are shown by the contract: made-up states and lanes, the same for every law.
-
-The states follow no vehicle: a law must give the same answers whatever it is shown.
-"""
+"""Reference roads and the runs of a law on them."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import Preview
+from ldctoolkit.control import Controller, Law, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.law_checks import check_law, check_step, check_taken
+from ldctoolkit.linear_steps import LinearSteps
 from ldctoolkit.simulation import BOUND
+from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 
 _FARTHEST = (BOUND, 15.0, 1.5, 3.0)
@@ -128,3 +130,81 @@ def corners(samples: int) -> Road:
         delta_0=np.where(np.arange(n) % 2 == 0, 0.4, -0.4),
         start=np.linspace(0.0, 30.0, n),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Commands:
+    """What a law said over k samples to n scenarios.
+
+    Attributes
+    ----------
+    delta : (k, n) [rad]
+    status : (k, n) int8
+    """
+
+    delta: FloatArray
+    status: npt.NDArray[np.int8]
+
+    def take(self, rows: IntArray) -> Commands:
+        """Of some of the scenarios."""
+        return Commands(self.delta[:, rows], self.status[:, rows])
+
+
+def plant_at(v: FloatArray, dt: float) -> Plant:
+    """A new plant of the default vehicle."""
+    return Plant.build(BicycleModel(), v.copy(), dt)
+
+
+def prepared(design: Controller, v: FloatArray, dt: float) -> SteeringLaw | None:
+    """The law of a design at these speeds, checked; None where it leaves the departure alone."""
+    plant = plant_at(v, dt)
+    law: Law = check_law(design.prepare(plant), v.size, design.name)
+    if isinstance(law, RecordedPath):
+        return None
+    return LinearSteps.of(law, plant) if isinstance(law, LinearLaw) else law
+
+
+class Walk:
+    """One run of a law on a road, a sample at a time."""
+
+    def __init__(self, law: SteeringLaw, road: Road, dt: float, name: str) -> None:
+        self.law, self.road, self.dt, self.name = law, road, dt, name
+        self.times = np.array(law.preview_times, dtype=np.float64)
+        self.state: Any = law.init(road.n)
+        self.previous = road.delta_0.copy()
+        self.k = 0
+        self.said: list[tuple[FloatArray, npt.NDArray[np.int8]]] = []
+
+    def seen(self) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
+        """What the law is shown next: arrays of its own."""
+        road, k = self.road, self.k
+        return road.start + k * self.dt, road.x[k].copy(), road.preview(k, self.times), self.previous.copy()
+
+    def go_on(self) -> None:
+        """Take one sample."""
+        result = self.law.step(*self.seen(), self.state)
+        delta, self.state, status = check_step(result, self.road.n, self.name)
+        self.said.append((delta.copy(), status))
+        # as the closed loop does
+        self.previous = np.where(np.isfinite(delta), delta, self.previous)
+        self.k += 1
+
+    def take(self, rows: IntArray) -> bool:
+        """Go on with some of the scenarios; False where the law cannot be cut down."""
+        taken = check_taken(self.law.take(rows, self.state), rows.size, self.name, self.times)
+        if taken is None:
+            return False
+        self.law, self.state = taken
+        self.road, self.previous = self.road.take(rows), self.previous[rows]
+        return True
+
+    def to_the_end(self) -> Commands:
+        """Take all samples that are left."""
+        while self.k < self.road.samples:
+            self.go_on()
+        return Commands(np.array([delta for delta, _ in self.said]), np.array([status for _, status in self.said]))
+
+
+def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:
+    """What a law says on a road from beginning to end."""
+    return Walk(law, road, dt, name).to_the_end()

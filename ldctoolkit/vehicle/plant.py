@@ -8,6 +8,7 @@ import functools
 import numpy as np
 import numpy.typing as npt
 
+from ldctoolkit.vehicle.augmented import AugmentedStep, augmented
 from ldctoolkit.vehicle.bicycle import BicycleModel, SteadyState
 from ldctoolkit.vehicle.discretization import Discretization
 
@@ -27,19 +28,40 @@ class Plant:
     dt : float [s]
         Sample time of the controller.
     step : Discretization
-        One step of dt at each speed.
+        One step of dt at each speed, of the vehicle alone.
+    lag : float [s]
+        Time constant of the nominal actuator; 0 for none.
+    delay : float [s]
+        From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
+        `age`.
+    age : float [s]
+        Delay of the nominal camera: how old what the law sees is. The lane ahead is that of the present.
     """
 
     model: BicycleModel
     v: npt.NDArray[np.float64]
     dt: float
     step: Discretization
+    lag: float = 0.0
+    delay: float = 0.0
+    age: float = 0.0
 
     @classmethod
-    def build(cls, model: BicycleModel, v: npt.ArrayLike, dt: float) -> Plant:
-        """Discretise `model` at the speeds `v` (n,) [m/s] with the step `dt` [s]."""
+    def build(
+        cls, model: BicycleModel, v: npt.ArrayLike, dt: float, *, lag: float = 0.0, delay: float = 0.0, age: float = 0.0
+    ) -> Plant:
+        """Discretise `model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
         speed = np.atleast_1d(np.asarray(v, dtype=float))
-        return cls(model=model, v=speed, dt=float(dt), step=model.discretize(speed, dt))
+        return cls(model, speed, float(dt), model.discretize(speed, dt), lag=lag, delay=delay, age=age)
+
+    def at(self, v: npt.ArrayLike) -> Plant:
+        """The same plant at other speeds (n,) [m/s]."""
+        return Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.delay, age=self.age)
+
+    @functools.cached_property
+    def augmented(self) -> AugmentedStep:
+        """One sample behind the actuator at each speed, as what the law sees moves on; worked out once."""
+        return augmented(*self.model.matrices(self.v), self.dt, lag=self.lag, delay=self.delay)
 
     @property
     def n(self) -> int:

@@ -39,37 +39,17 @@ def add_report_options(parser: argparse.ArgumentParser) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class ReportOptions:
-    """What the command line says of the report.
+    """What the command line says of the report."""
 
-    Attributes
-    ----------
-    source : Departures or None
-        What the scenario model was fitted to.
-    robustness : bool
-        Whether to drive designs on other plants where no numbers of them are stored.
-    figures : bool
-        Whether to write the figures as files.
-    departures : tuple of int
-        Scenario numbers to be put into the explorer.
-    designs : tuple of str
-        Beginnings of ids of designs to be put into the explorer.
-    """
-
-    source: Departures | None = None
-    robustness: bool = True
-    figures: bool = True
-    departures: tuple[int, ...] = ()
-    designs: tuple[str, ...] = ()
+    source: Departures | None = None  # what the scenario model was fitted to
+    robustness: bool = True  # whether to drive designs on other plants where no numbers of them are stored
+    figures: bool = True  # whether to write the figures as files
+    departures: tuple[int, ...] = ()  # scenario numbers to be put into the explorer
+    designs: tuple[str, ...] = ()  # beginnings of ids of designs to be put into the explorer
 
     @classmethod
     def of(cls, chosen: argparse.Namespace, departures: Sequence[int] = (), designs: Sequence[str] = ()) -> Self:
-        """Read what the options name.
-
-        Raises
-        ------
-        LdcError
-            If a table of departures cannot be read.
-        """
+        """Read what the options name."""
         source = None
         if chosen.source:
             from ldctoolkit.scenario_model import read_all_departures
@@ -86,13 +66,7 @@ def write_study_report(
     rankings: tuple[Ranking, ...],
     options: ReportOptions,
 ) -> Path:
-    """Write DIR/report.html and DIR/figures/.
-
-    Raises
-    ------
-    StoreError
-        If one cannot be written.
-    """
+    """Write DIR/report.html and DIR/figures/."""
     from ldctoolkit.errors import StoreError
     from studies.report import write_report
     from studies.report.of_study import report_input

@@ -30,32 +30,16 @@ _MOST_SCENARIOS = 1000
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """One design to review.
-
-    Attributes
-    ----------
-    label : str
-    ids : tuple of str
-        Designs of the study that it stands for; empty for a law by itself.
-    controller : Controller
-    arguments : dict
-        Of `ldctoolkit.review.review`.
-    """
+    """One design to review."""
 
     label: str
-    ids: tuple[str, ...]
+    ids: tuple[str, ...]  # designs of the study that it stands for; empty for a law by itself
     controller: Controller
-    arguments: dict[str, Any]
+    arguments: dict[str, Any]  # of `ldctoolkit.review.review`
 
 
 def subjects(chosen: argparse.Namespace) -> list[Subject]:
-    """The designs that the command line names, each set of gains once.
-
-    Raises
-    ------
-    LdcError
-        For a name that is neither law nor study, or options that do not go together.
-    """
+    """The designs that the command line names, each set of gains once."""
     from ldctoolkit import controller_names
     from studies.study_file.ready import catalog_names, load_study
 
@@ -73,13 +57,7 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
 
 
 def reviewed_design(subject: Subject) -> Review:
-    """The review of a subject; what a study's design raises is its fault, so that the others are reviewed too.
-
-    Raises
-    ------
-    LdcError
-        For arguments that no design can be reviewed with, and for whatever a law by itself raises.
-    """
+    """The review of a subject; what a study's design raises is its fault, so that the others are reviewed too."""
     from ldctoolkit import BicycleModel
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS, review, review_plant, without_review
@@ -109,7 +87,7 @@ def _law(chosen: argparse.Namespace) -> Subject:
     from ldctoolkit.gains import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS
-    from studies.cli._ranges import each_once
+    from studies.cli._console import each_once
 
     kind = controller_class(chosen.design)
     each_once("--gain", chosen.gain)
@@ -180,6 +158,7 @@ def _of_convention(
     for same in groups.values():
         thresholds = [design.y_s for design in same]
         arguments: dict[str, Any] = {"model": setup.model, "dt": dt, "options": options, "y_s": max(thresholds)}
+        arguments["plant_knowledge"] = setup.plant_knowledge
         if speeds is not None:
             arguments["speeds"] = speeds
         angles = _angles([triggers[y_s] for y_s in thresholds])

@@ -11,7 +11,7 @@ from ldctoolkit.errors import InputError
 from studies.cli._console import Subparsers, console, number, output_file, positive_number, progress_bar, warn
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings.criteria import Criteria
+    from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.opened import OpenedRecordings
     from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.recording import Problem
@@ -138,7 +138,7 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
 
 
 def _criteria(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Criteria:
-    from ldctoolkit.recordings.criteria import Criteria
+    from ldctoolkit.recordings.find_departures import Criteria
 
     width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
     return Criteria(width, chosen.min_duration, chosen.max_duration, chosen.min_speed, chosen.max_gap, chosen.max_jump)
@@ -190,25 +190,7 @@ def print_extraction(found: Extraction) -> None:
 
 
 def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequence[SourceFile]) -> None:
-    """Refuse to write over what is read.
-
-    Parameters
-    ----------
-    option : str
-        By which the file to write was given.
-    target : Path
-        The file to write.
-    paths : sequence of Path
-        Files and folders to read, all of which exist.
-    files : sequence of SourceFile
-        What was found in them. In a folder a file counts that is one of these by its content: there the output of an
-        earlier extraction may lie as well.
-
-    Raises
-    ------
-    InputError
-        If the file to write is one of those that are read.
-    """
+    """Refuse to write over what is read."""
     from ldctoolkit.recordings.source_file import source_file
 
     if not target.exists():

@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 from ldctoolkit.errors import InputError, LdcError
 from studies.cli._console import (
     Subparsers,
+    bound,
     console,
+    each_once,
+    named,
     number,
     output_file,
     positive_number,
@@ -18,7 +21,6 @@ from studies.cli._console import (
     warn,
     whole_number,
 )
-from studies.cli._ranges import bound, each_once, named
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures

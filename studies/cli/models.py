@@ -22,7 +22,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.scenario_model import bundled_models, load_model
-    from studies.storage.model_notes import model_notes
+    from studies.storage.stored_model import model_notes
 
     for name in chosen.model or bundled_models():
         model = load_model(name)

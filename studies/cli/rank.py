@@ -53,8 +53,7 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import print_race, print_rankings, study_head, write_ranking
-    from studies.cli._summary import rank_summary
+    from studies.cli._results import print_race, print_rankings, rank_summary, study_head, write_ranking
     from studies.ranking.ranking import rank_study
     from studies.ranking.ranking_csv import write_csv
     from studies.ranking.ranking_markdown import write_markdown

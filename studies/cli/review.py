@@ -6,8 +6,17 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, add_row, console, new_table, number, output_file, progress_bar
-from studies.cli._ranges import interval, named
+from studies.cli._console import (
+    Subparsers,
+    add_row,
+    console,
+    interval,
+    named,
+    new_table,
+    number,
+    output_file,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     import numpy as np

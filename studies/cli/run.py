@@ -60,8 +60,7 @@ SOME_FAILED = 3
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from studies.cli._report import ReportOptions, write_study_report
-    from studies.cli._results import print_race, print_rankings, write_ranking
-    from studies.cli._summary import json_summary
+    from studies.cli._results import json_summary, print_race, print_rankings, write_ranking
     from studies.ranking.ranking import rank_study
     from studies.runner import TIME_LIMIT, run_study
     from studies.storage.manifest import read_manifest

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import Subparsers, output_file, whole_number
-from studies.cli._ranges import condition, each_once
+from studies.cli._console import Subparsers, condition, each_once, output_file, whole_number
 
 _MOST = 10_000_000
 """Departures to one side that fit in memory; the same bound as in a study file."""

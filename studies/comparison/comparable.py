@@ -78,7 +78,7 @@ def _differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
         yield f"scenarios.model: {texts[0]} -> {texts[1]}"
     own = "ldctoolkit"
     yield from _changes({own: was.versions.get(own)}, {own: now.versions.get(own)}, "")
-    yield from _changes(was.inputs, now.inputs, "")
+    yield from _changes(old.study.inputs(), new.study.inputs(), "")
     before, after = (held_designs(side.results) for side in (old, new))
     if before.keys() != after.keys():
         yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from ldctoolkit import Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.paths.random_streams import RandomStream
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.simulation.random_streams import RandomStream
 
 
 @dataclasses.dataclass(frozen=True)

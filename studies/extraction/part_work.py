@@ -6,10 +6,10 @@ import dataclasses
 from typing import Any, Final
 
 from ldctoolkit.errors import LdcError
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.extract_part import extract_part
-from ldctoolkit.recordings.part_result import PartResult
+from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.result import PartResult
 from ldctoolkit.recordings.sources import RecordingPart
 
 PACKAGES: Final = ("numpy", "polars", "numba")

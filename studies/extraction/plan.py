@@ -13,10 +13,10 @@ from types import ModuleType
 from typing import Any, Final
 
 import ldctoolkit
-from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.opened import ReadersTogether
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.sources import GROUP, RecordingPart, RecordingReader, RecordingSource
-from ldctoolkit.recordings.together import ReadersTogether
 from studies.extraction.part_work import PACKAGES
 from studies.running.executors.checked_task import versions
 

@@ -13,21 +13,20 @@ from typing import Final, Protocol
 import cloudpickle
 
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.departures_table import write_departures
 from ldctoolkit.recordings.extract import merge_results
+from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.opened import OpenedRecordings
-from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.result import Extraction
+from ldctoolkit.recordings.result import Extraction, PartResult
 from ldctoolkit.recordings.sources import part_name
 from studies.extraction.part_work import PACKAGES, PartWork, Probe, Unread
 from studies.extraction.plan import plan_of
 from studies.extraction.work_folder import holds_parts, parts_folder, work_folder
 from studies.running.executors import Executor, make_executor
 from studies.running.faults import Faults
-from studies.storage.folder_lock import remove_unfinished
+from studies.storage.files import remove_unfinished
 
 SMALL: Final = 16 << 20
 """Bytes that this process has read before others would have started."""

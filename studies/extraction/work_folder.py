@@ -22,11 +22,10 @@ from ldctoolkit.errors import StoreError, plain
 from ldctoolkit.recordings.account import Account, Origin
 from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
 from ldctoolkit.recordings.evidence import Evidence
-from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.recording import Label, Problem
+from ldctoolkit.recordings.result import PartResult
 from studies.extraction.plan import Plan, what_differs
-from studies.storage.files import read_bytes, stored_file, write_text
-from studies.storage.folder_lock import locked, remove_leftovers
+from studies.storage.files import locked, read_bytes, remove_leftovers, stored_file, write_text
 
 _log = logging.getLogger("studies")
 

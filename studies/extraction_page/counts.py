@@ -39,21 +39,11 @@ def reason_title(reason: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """Counts of some recordings.
+    """Counts of some recordings."""
 
-    Attributes
-    ----------
-    title : str
-        Source or value of a label.
-    account : Account
-        Their sum.
-    sources : tuple of str
-        Sources, or values of the label, that the row stands for; none for all together.
-    """
-
-    title: str
-    account: Account
-    sources: tuple[str, ...] = ()
+    title: str  # source or value of a label
+    account: Account  # their sum
+    sources: tuple[str, ...] = ()  # sources, or values of the label, that the row stands for; none for all together
 
     @property
     def departures(self) -> tuple[int, int]:
@@ -91,14 +81,7 @@ def total(accounts: Sequence[Account]) -> Row | None:
 
 
 def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[Row, ...]:
-    """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row.
-
-    Parameters
-    ----------
-    accounts : sequence of Account
-    most : int
-        Rows, the last one of gathered sources included.
-    """
+    """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row."""
     return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
 
 

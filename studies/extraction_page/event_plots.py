@@ -11,10 +11,8 @@ from markupsafe import Markup
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, curvature, lateral, speed
 from ldctoolkit.recordings.drawn import KEPT, DrawnEvent
-from studies.extraction_page.axis_ticks import Axis
 from studies.extraction_page.counts import SIDES
-from studies.extraction_page.quantities import CURVATURE_SCALE, CURVATURE_UNIT
-from studies.extraction_page.svg_plot import Frame, picture
+from studies.extraction_page.svg_plot import CURVATURE_SCALE, CURVATURE_UNIT, Axis, Frame, picture
 from studies.report.words.text import number, shorten
 
 MOST_DOTS = 80
@@ -33,23 +31,11 @@ _LEFT, _WIDTH = 46.0, 262.0
 
 @dataclasses.dataclass(frozen=True)
 class EventPanel:
-    """A drawing and its words.
+    """A drawing and its words."""
 
-    Attributes
-    ----------
-    side : str
-        ``left`` or ``right``.
-    values : str
-        d_y and T.
-    place : str
-        Recording and start time.
-    source : str
-    svg : Markup
-    """
-
-    side: str
-    values: str
-    place: str
+    side: str  # ``left`` or ``right``
+    values: str  # d_y and T
+    place: str  # recording and start time
     source: str
     svg: Markup
 
@@ -140,15 +126,7 @@ def most_of_source(sources: int) -> int:
 def by_source(
     deepest: Sequence[DrawnEvent], by_lot: Sequence[DrawnEvent], sources: Sequence[str]
 ) -> tuple[SourceEvents, ...]:
-    """Both kinds, source by source and side by side; of each as many as `most_of_source` says.
-
-    Parameters
-    ----------
-    deepest, by_lot : sequence of DrawnEvent
-        In their order.
-    sources : sequence of str
-        Those to draw, in this order; one without departures is left out.
-    """
+    """Both kinds, source by source and side by side; of each as many as `most_of_source` says."""
     most = most_of_source(len(sources))
     found = []
     for source in sources:

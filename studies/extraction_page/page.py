@@ -2,16 +2,87 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from markupsafe import Markup
 
+from ldctoolkit.departures import LEFT
 from ldctoolkit.recordings import Extraction
 from ldctoolkit.recordings.drawn import KEPT
 from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.version import __version__
-from studies.extraction_page import amounts, counts, event_plots, panels, reading, tiles
-from studies.extraction_page.counts import Row
+from studies.extraction_page import counts, event_plots, panels, reading
+from studies.extraction_page.counts import SIDES, Row, reason_title
 from studies.report.rendering import asset, render
-from studies.report.words.text import plural, printable, shorten
+from studies.report.section import Tile
+from studies.report.words.text import number, percent, plural, printable, shorten
+
+
+def hours(value: float) -> str:
+    """Hours with two decimals where they are few."""
+    return number(value, 2) if value < 10.0 else number(value, 1) if value < 100.0 else f"{value:,.0f}"
+
+
+def rate(value: float) -> str:
+    """Events per hour; a dash without any hours."""
+    if not math.isfinite(value):
+        return number(value)
+    return number(value, 0 if value >= 100.0 else 1 if value >= 10.0 else 2 if value >= 0.1 or value == 0.0 else 3)
+
+
+def size(count: int) -> str:
+    """Bytes in a unit that gives a short number, powers of ten."""
+    value, units = float(count), iter(("kB", "MB", "GB", "TB"))
+    unit = "B"
+    while value >= 999.5 and unit != "TB":
+        value, unit = value / 1000.0, next(units)
+    return f"{value:.0f} {unit}" if unit == "B" or value >= 99.95 else f"{value:.1f} {unit}"
+
+
+def side_counts(extraction: Extraction) -> tuple[int, int]:
+    """Departures left and right."""
+    left = int(np.sum(extraction.departures.side == LEFT))
+    return left, extraction.departures.n - left
+
+
+def summary(extraction: Extraction, whole: Row | None, sources: int) -> list[str]:
+    """Parts of the line under the heading."""
+    left, right = side_counts(extraction)
+    return [
+        f"{plural(left + right, 'departure')}: {left:,} left, {right:,} right",
+        f"{plural(extraction.recordings, 'recording')} of {plural(sources, 'source')}",
+        f"{hours(whole.account.hours_valid if whole else 0.0)} h valid",
+        f"format {extraction.provenance.reader}",
+    ]
+
+
+def tiles(extraction: Extraction, whole: Row | None) -> list[Tile]:
+    """Departures, how often, hours, refusals, faults."""
+    left, right = side_counts(extraction)
+    out = [Tile(f"{left + right:,}", "", "departures", f"{left:,} left, {right:,} right")]
+    if whole is not None:
+        rates = whole.rates
+        said = ", ".join(f"{rate(one)} {side}" for one, side in zip(rates, SIDES, strict=True))
+        out.append(Tile(rate(sum(rates)), "1/h", "departures in a valid hour", said))
+        account = whole.account
+        share = f"{percent(whole.valid_share, 0)} of {hours(account.hours_read)} h read"
+        out.append(Tile(hours(account.hours_valid), "h", "valid", share))
+        out.append(_refused(whole))
+    faults = len(extraction.problems)
+    said = plural(len(extraction.warnings), "warning")
+    out.append(Tile(f"{faults:,}", "", "problem with the files" if faults == 1 else "problems with the files", said))
+    return out
+
+
+def _refused(whole: Row) -> Tile:
+    refused, candidates = sum(whole.refused), int(whole.account.candidates.sum())
+    reasons = {reason: count + whole.refusals(1)[reason] for reason, count in whole.refusals(0).items()}
+    most = max(reasons, key=lambda reason: reasons[reason])
+    share = percent(refused / candidates, 0) if candidates else ""
+    detail = f"{share}; most often: {reason_title(most)}" if refused else f"of {plural(candidates, 'candidate')}"
+    return Tile(f"{refused:,}", "", "candidates refused", detail)
+
 
 _PACKAGE = "studies.extraction_page"
 
@@ -61,9 +132,9 @@ def make_page(extraction: Extraction) -> str:
             version=__version__,
             title=f"{plural(departures.n, 'departure')} in {plural(extraction.recordings, 'recording')}",
             sections=SECTIONS,
-            summary=tiles.summary(extraction, whole, sources),
+            summary=summary(extraction, whole, sources),
             warnings=_warnings(extraction),
-            tiles=tiles.tiles(extraction, whole),
+            tiles=tiles(extraction, whole),
             problems=extraction.problems[:MOST_PROBLEMS],
             problem_count=len(extraction.problems),
             facts=reading.facts(extraction),
@@ -76,7 +147,7 @@ def make_page(extraction: Extraction) -> str:
             meanings=counts.MEANINGS,
             groups=[(printable(name), counts.by_label(accounts, name)) for name in names[:MOST_LABELS]],
             labels_left_out=[printable(name) for name in names[MOST_LABELS:]],
-            counts=tiles.side_counts(extraction),
+            counts=side_counts(extraction),
             parameters=panels.parameter_panels(departures) if departures.n else [],
             quantiles=panels.quantile_rows(departures) if departures.n else [],
             small_heads=heads,
@@ -84,9 +155,9 @@ def make_page(extraction: Extraction) -> str:
             widths=widths,
             widths_elsewhere=_widths_elsewhere(rows) if len(widths) == 1 and small else "",
             nominal=origin.preparation.nominal_lane_width is not None,
-            hours=amounts.hours,
-            rate=amounts.rate,
-            size=amounts.size,
+            hours=hours,
+            rate=rate,
+            size=size,
             shorten=shorten,
             **_drawn(extraction, rows),
         )

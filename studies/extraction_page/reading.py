@@ -8,7 +8,7 @@ import numpy.typing as npt
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract_part import SCALE, SOURCE
-from ldctoolkit.recordings.together import ReadersTogether
+from ldctoolkit.recordings.opened import ReadersTogether
 from studies.report.words.text import compact, plural
 
 _CURVATURE = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from ldctoolkit.diagnostics import Calibration, Comparison, Component, ModelDiagnostics, SideDiagnostics
-from ldctoolkit.diagnostics.thresholds import COMPARISON_STANDARD_ERRORS
+from ldctoolkit.diagnostics.parts import COMPARISON_STANDARD_ERRORS
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from studies.fit_page.style import TITLES
 from studies.report.section import Tile

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,20 +14,74 @@ from markupsafe import Markup
 
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
-from ldctoolkit.diagnostics.thresholds import strip_is_off
+from ldctoolkit.diagnostics.parts import strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.version import __version__
-from studies.fit_page import content, figures, figures_pairs
-from studies.fit_page.picture import picture
-from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS
+from studies.fit_page import content, figures
+from studies.fit_page.content import Side
+from studies.fit_page.figures import draw_density, draw_marginal, draw_strips
+from studies.fit_page.style import COLORS, DASHES, MEANINGS, MODEL, UNITS, axis_label
+from studies.report.look.style import figure_settings
 from studies.report.look.svg import inline_svg, line_sample
 from studies.report.rendering import asset, render
 from studies.report.words import text
 from studies.storage.files import stored_file, write_text
-from studies.storage.model_notes import WARNING, model_notes
+from studies.storage.stored_model import WARNING, model_notes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+_DPI = 110
+
+
+def picture_figure(sides: tuple[Side, Side]) -> Figure:
+    """Margins of both sides, T against d_y, and the mass next to bounds."""
+    from matplotlib.figure import Figure
+
+    columns = max(4, *(len(side.found.names) for side in sides)) // 2 + 1
+    with figure_settings():
+        figure = Figure(figsize=(3.0 * columns, 9.6), layout="constrained")
+        halves = figure.subfigures(2, 1, squeeze=False)[:, 0]
+        for part, side in zip(halves, sides, strict=True):
+            found = side.found
+            part.suptitle(
+                f"{side.title}: {found.events:,} departures, K = {side.K}", color=COLORS[side.key], fontweight="bold"
+            )
+            grid = part.subplots(2, columns, squeeze=False)
+            free = list(grid[:, :-1].ravel())
+            for axes, one in zip(free, found.marginals, strict=False):
+                draw_marginal(axes, one, side.key)
+                axes.set_ylabel("Share per bin [%]")
+            for axes in free[len(found.marginals) :]:
+                axes.set_axis_off()
+            free[0].legend(loc="upper right")
+            top, bottom = grid[:, -1]
+            if found.joint is None:
+                top.set_axis_off()
+            else:
+                highest = float(max(found.joint.data.max(), found.joint.model.max()))
+                draw_density(top, found.joint, found.joint.data, side.key, highest=highest, contours=True)
+                top.set_xlabel(axis_label("T"))
+                top.set_ylabel(axis_label("d_y"))
+                top.set_title("Events, contours: model")
+            if found.strips:
+                draw_strips(bottom, found.strips, side.key)
+                bottom.set_xlabel("Mass next to the bound, error [%]")
+            else:
+                bottom.set_axis_off()
+        return figure
+
+
+def picture(sides: tuple[Side, Side]) -> bytes:
+    """`picture_figure` as a PNG; the same input gives the same bytes."""
+    figure = picture_figure(sides)
+    buffer = io.BytesIO()
+    with figure_settings(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
 
 Progress = Callable[[str, int, int], None]
 
@@ -88,9 +144,7 @@ def _joint(panel: _Panels, side: content.Side) -> list[Panel]:
         return []
     alt = f"{side.title}: joint density of T and d_y, {{}}, with the model's contours of 50 % and 90 %."
     return [
-        panel(
-            figures_pairs.joint_figure(pair, side.key, of_model=of_model), alt.format("model" if of_model else "events")
-        )
+        panel(figures.joint_figure(pair, side.key, of_model=of_model), alt.format("model" if of_model else "events"))
         for of_model in (False, True)
     ]
 
@@ -130,23 +184,7 @@ def _style() -> Markup:
 
 
 def render_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
-    """The page as one HTML document; the same input gives the same text.
-
-    Parameters
-    ----------
-    model : ScenarioModel
-        The model.
-    found : ModelDiagnostics
-        What `diagnose_model` says of it.
-    seed : int
-        Seed of the diagnosis, to be told.
-    drawn : bool
-        Whether the model was fitted to more departures, of which these were drawn at random.
-
-    Returns
-    -------
-    str
-    """
+    """The page as one HTML document; the same input gives the same text."""
     sides = content.sides_of(model, found)
     panel = _Panels()
     html = render(
@@ -178,7 +216,7 @@ def render_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, dra
         selection=_selection(panel, sides),
         pairs={
             side.key: panel(
-                figures_pairs.pairs_figure(side.found, side.key),
+                figures.pairs_figure(side.found, side.key),
                 f"{side.title}: joint densities of all pairs of parameters, events below the diagonal, model above it.",
             )
             for side in sides

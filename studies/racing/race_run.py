@@ -9,7 +9,7 @@ from studies.racing.race import race_round
 from studies.ranking.baseline import find_baseline
 from studies.results import Dropped, Race
 from studies.running.campaign import Campaign
-from studies.storage.race_log import write_race
+from studies.storage.folder_tables import write_race
 
 
 def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:

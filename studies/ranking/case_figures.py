@@ -43,7 +43,7 @@ class CaseFigures:
         Share of scenarios in which the design took over.
     deeper : (d,)
         Share of scenarios deeper than D_y.
-    solver_failed, diverged, timed_out, crashed, invalid : (d,) int
+    solver_failed, diverged, timed_out, crashed, beyond_delta_max, invalid : (d,) int
         Scenarios with that status.
     failed_solves : (d,) int
         Commands that were not finite, or came from a fallback.
@@ -66,6 +66,7 @@ class CaseFigures:
     diverged: IntArray
     timed_out: IntArray
     crashed: IntArray
+    beyond_delta_max: IntArray
     invalid: IntArray
     failed_solves: IntArray
     release: ReleaseFigures
@@ -160,6 +161,7 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
         diverged=count(EventStatus.DIVERGED),
         timed_out=count(EventStatus.TIMED_OUT),
         crashed=count(EventStatus.CRASHED),
+        beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
         release=ReleaseFigures(**taken),

@@ -67,4 +67,5 @@ def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> Float
     with np.errstate(invalid="ignore"):  # inf - inf: the branch is not taken
         between = below + (above - below) * part
     result = np.where((part == 0) | (below == above), below, between)
-    return np.where(count > 0, result, np.nan)
+    # NaN is sorted behind the infinities that stand for what is not marked
+    return np.where((count > 0) & ~np.isnan(ordered).any(axis=1), result, np.nan)

@@ -193,6 +193,8 @@ class Ranking(CaseFigures, Inference, FreshScores):
             **chance,
         )
         warnings = list(_warnings(drivable, results.designs))
+        if (np.isnan(figures.release.a_y_added_peak_mean) & np.isfinite(figures.release.a_y_peak_mean)).any():
+            warnings.append(_NOT_RECORDED)
         warnings += _about_requirements(requirements, ranked, len(order))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
@@ -286,6 +288,12 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
         )
         for case in results.cases
     )
+
+
+_NOT_RECORDED = (
+    "Added peaks of lateral acceleration and jerk are not recorded in these results, which an earlier version stored: "
+    "how many interventions are comfortable is not known. Run the study into another folder to have them."
+)
 
 
 def _fields(part: Inference | FreshScores) -> dict[str, Any]:

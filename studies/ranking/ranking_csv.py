@@ -64,7 +64,7 @@ _NUMBERS: Final = {
 }
 """Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""
 
-_COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "invalid", "failed_solves")
+_COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
 
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:

@@ -67,7 +67,7 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
     d_y : (n,) [m]
         Depth of the departures without control.
     D_y : float [m]
-        Depth from which on a departure is deep, and below which it needs no intervention.
+        Depth from which on a departure is deep.
 
     Returns
     -------

@@ -13,8 +13,7 @@ from studies.results import StudyResults
 from studies.robustness.robustness import Robustness
 from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.manifest import Manifest
-from studies.storage.model_notes import WARNING
-from studies.storage.stored_model import read_model
+from studies.storage.stored_model import WARNING, read_model
 from studies.study_file.plant_table import plant_settings, simulation_settings
 from studies.study_file.spec import Study
 from studies.study_file.toml_text import toml_text

@@ -92,7 +92,9 @@ def drive_on_plants(
         takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
         for i, design in enumerate(designs):
             if design.y_s not in takeovers:
-                takeovers[design.y_s] = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                over = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                # designs know the actuator and the camera of the study, not the other ones
+                takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
             over = takeovers[design.y_s]
             try:
                 outcome = drive(design.controller(case.convention), over).outcome(case.window)

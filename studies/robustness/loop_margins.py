@@ -76,7 +76,10 @@ def loop_margins(controller: Controller, setup: Setup, v: FloatArray) -> LoopMar
         What the design raises is a note.
     """
     try:
-        found = review(controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v)
+        found = review(
+            controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v,
+            plant_knowledge=setup.plant_knowledge,
+        )  # fmt: skip
     except Exception as error:  # a controller may be anybody's code
         return _without(v, (f"No linear loop: {raised(error)}",))
     notes = tuple(finding.sentence for finding in found.findings if _matters(finding))

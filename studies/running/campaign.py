@@ -3,24 +3,48 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from ldctoolkit import Scenarios, controller_class
-from ldctoolkit.errors import StoreError
+import cloudpickle
+
+from ldctoolkit import Scenarios, controller_class, registry
+from ldctoolkit.errors import LdcError, StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
 from studies.running.faults import Faults
-from studies.running.own_laws import laws_of_this_process
 from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
 from studies.running.tasks import Done, Job
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file.spec import Study
+
+
+def laws_of_this_process() -> bytes:
+    """The classes that `register` made known here, to be sent along with tasks; empty for none."""
+    classes = registry.registered()
+    if not classes:
+        return b""
+    modules = [sys.modules[module] for module in dict.fromkeys(kind.__module__ for kind in classes)]
+    by_value = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]
+    for module in by_value:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return bytes(cloudpickle.dumps(classes))
+    except Exception as error:  # a class may hold anything
+        names = ", ".join(kind.__name__ for kind in classes)
+        raise LdcError(
+            f"registered controllers ({names}) cannot be sent to worker processes ({error}); use one worker"
+        ) from None
+    finally:
+        for module in by_value:
+            cloudpickle.unregister_pickle_by_value(module)
+
 
 _STORE_EVERY = 5.0
 """Seconds between parts: what a kill can cost at most."""
@@ -31,25 +55,7 @@ while nothing else is left to do."""
 
 
 class Campaign:
-    """One study, its store and its executor.
-
-    Parameters
-    ----------
-    study : Study
-    scenarios : Scenarios
-        All of the study.
-    prefixes : Prefixes
-        In which order they are run.
-    store : Store
-    table : RunTable
-        What is stored already; filled on the way.
-    executor : Executor
-    progress : Progress
-    time_limit : float [s]
-        Of a task; 0 for none.
-    block_size : int, optional
-        Designs in a task.
-    """
+    """One study, its store and its executor."""
 
     def __init__(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
@@ -15,11 +15,68 @@ from studies.design import NO_CONTROL, Design
 from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.executors.protocol import Ended, Executor, Fault
 from studies.running.faults import Faults
-from studies.running.in_order import InOrder
-from studies.running.merge import Merge
 from studies.running.pieces import Piece
 from studies.running.simulate_designs import SimulationTask, Simulator
 from studies.running.tasks import Done, Job, Task
+
+
+class InOrder:
+    """Holds results back until those of all earlier pieces of the same design are there.
+
+    Of a design that fails on a piece, exactly the pieces before it are handed on, whatever ran at the same time.
+    """
+
+    def __init__(self) -> None:
+        self._wanted: dict[RunKey, deque[int]] = defaultdict(deque)
+        self._early: dict[RunKey, dict[int, TaskResult]] = {}
+
+    def expect(self, keys: Iterable[RunKey], piece: int) -> None:
+        """A piece of some designs will come, after those that were announced before."""
+        for key in keys:
+            self._wanted[key].append(piece)
+
+    def take(self, piece: int, result: TaskResult) -> Iterator[TaskResult]:
+        """Results that can be handed on, now that these are there."""
+        now = [i for i, key in enumerate(result.keys) if self._wanted[key] and self._wanted[key][0] == piece]
+        ready = set(now)
+        for i, key in enumerate(result.keys):
+            if i not in ready:
+                self._early.setdefault(key, {})[piece] = result.take([i])
+        if not now:
+            return
+        yield result if len(now) == len(result.keys) else result.take(now)
+        for i in now:
+            key = result.keys[i]
+            wanted, early = self._wanted[key], self._early.get(key, {})
+            wanted.popleft()
+            while wanted and wanted[0] in early:
+                yield early.pop(wanted.popleft())
+
+
+class Merge:
+    """Keeps results of parts of pieces until the rest is there."""
+
+    def __init__(self) -> None:
+        self._parts: dict[tuple[RunKey, int], list[TaskResult]] = {}
+
+    def add(self, task: Task, result: TaskResult) -> TaskResult | None:
+        """Take in results of one design on a part of a piece; the whole piece, once it is complete."""
+        key = (result.keys[0], task.piece)
+        parts = self._parts.setdefault(key, [])
+        parts.append(result)
+        if sum(part.rows.size for part in parts) < task.piece_size:
+            return None
+        del self._parts[key]
+        return dataclasses.replace(
+            parts[0],
+            rows=np.concatenate([part.rows for part in parts]),
+            values=np.concatenate([part.values for part in parts], axis=2),
+            status=np.concatenate([part.status for part in parts], axis=1),
+            failed_solves=np.concatenate([part.failed_solves for part in parts], axis=1),
+            law_seconds=np.sum([part.law_seconds for part in parts], axis=0),
+            commands=np.sum([part.commands for part in parts], axis=0),
+        ).sorted_by_row()
+
 
 SECONDS_A_TASK: Final = 0.5
 """Enough to hide the cost of sending a task, little enough to spread slow designs and to lose little with a worker."""
@@ -53,21 +110,7 @@ class Lane:
 
 
 class Dispatcher:
-    """Runs lanes of designs through an executor.
-
-    Parameters
-    ----------
-    job : Job
-    scenarios : Scenarios
-        All of the study.
-    executor : Executor
-    collect : callable
-        Called with each `Done`, whose designs have whole pieces.
-    faults : Faults
-        What is known of tasks that ended their workers, for all dispatchers of a study.
-    block_size : int, optional
-        Designs in a task; chosen from the law's pace by default. No number depends on it.
-    """
+    """Runs lanes of designs through an executor."""
 
     def __init__(
         self,

@@ -23,13 +23,7 @@ _WORDS: Final[dict[Fault, str]] = {"died": "ends its worker process", "late": "t
 
 
 class Faults:
-    """What is known of tasks that ended their workers.
-
-    Attributes
-    ----------
-    workers_live : bool
-        Whether any task has ended well, so that workers as such are sound.
-    """
+    """What is known of tasks that ended their workers."""
 
     def __init__(self) -> None:
         self._strikes: dict[int, int] = {}
@@ -60,13 +54,7 @@ class Faults:
         return f"ends or stops its worker process in scenarios {named}"
 
     def came_back(self, came: Iterable[Ended]) -> None:
-        """Count whether tasks were lost that are not to blame: once, however many a broken pool held.
-
-        Raises
-        ------
-        LdcError
-            After many times in a row.
-        """
+        """Count whether tasks were lost that are not to blame: once, however many a broken pool held."""
         if not any(ended.done is None and ended.fault is None for ended in came):
             return
         self._lost += 1
@@ -77,13 +65,7 @@ class Faults:
             )
 
     def check_workers(self, executor: Executor, harmless: Work) -> None:
-        """Where nothing has ended well yet, see whether a worker lives at all; nothing else may be under way.
-
-        Raises
-        ------
-        LdcError
-            If harmless work ends its worker, too.
-        """
+        """Where nothing has ended well yet, see whether a worker lives at all; nothing else may be under way."""
         if self.workers_live:
             return
         executor.start(harmless)

@@ -23,34 +23,18 @@ _WORTH_A_ROUND = 1.5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Piece:
-    """Scenarios that are driven as one batch.
+    """Scenarios that are driven as one batch."""
 
-    Attributes
-    ----------
-    number : int
-        Its place among the pieces of its batch size.
-    rows : (m,) int
-        Row numbers of the scenarios, rising.
-    """
-
-    number: int
-    rows: IntArray
+    number: int  # its place among the pieces of its batch size
+    rows: IntArray  # (m,): row numbers of the scenarios, rising
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prefixes:
-    """Nested prefixes of a study's scenarios, each side in proportion.
+    """Nested prefixes of a study's scenarios, each side in proportion."""
 
-    Attributes
-    ----------
-    side : (n,) int
-        Of all scenarios.
-    stops : tuple of int
-        Sizes of the prefixes, rising; the last is n.
-    """
-
-    side: IntArray
-    stops: tuple[int, ...]
+    side: IntArray  # (n,): of all scenarios
+    stops: tuple[int, ...]  # sizes of the prefixes, rising; the last is n
 
     def rows(self, size: int) -> IntArray:
         """Row numbers of the first `size` scenarios, rising: about the same share of each side."""
@@ -69,30 +53,7 @@ class Prefixes:
 
 
 def schedule(n: int) -> tuple[int, ...]:
-    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end.
-
-    Parameters
-    ----------
-    n : int
-        Scenarios of the study.
-
-    Returns
-    -------
-    tuple of int
-        Rising, the last one n; n alone where there are too few for a race.
-
-    Raises
-    ------
-    InputError
-        If n is not a positive whole number.
-
-    Examples
-    --------
-    >>> schedule(2000)
-    (100, 200, 400, 800, 2000)
-    >>> schedule(120)
-    (120,)
-    """
+    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
         raise InputError(f"n: {n!r}; allowed: a whole number >= 1")
     sizes, size = [], FIRST_ROUND
@@ -103,31 +64,7 @@ def schedule(n: int) -> tuple[int, ...]:
 
 
 def prefix_rows(side: IntArray, m: int) -> IntArray:
-    """The scenarios of a round: the first ones of each side, as many as is its share.
-
-    Parameters
-    ----------
-    side : (n,) int
-        Of all scenarios.
-    m : int
-        How many scenarios, 1 to n.
-
-    Returns
-    -------
-    (m,) int
-        Rising positions; those of a smaller m are among them.
-
-    Raises
-    ------
-    InputError
-        If m is outside 1 to n.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> prefix_rows(np.array([1, 1, 1, 1, -1, -1]), 3)
-    array([0, 1, 4])
-    """
+    """The scenarios of a round: the first ones of each side, as many as is its share."""
     side = np.asarray(side)
     if not 1 <= m <= side.size:
         raise InputError(f"m: {m!r}; allowed: 1 to {side.size}, the number of scenarios")

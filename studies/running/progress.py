@@ -38,12 +38,7 @@ class Silent:
 
 
 class Lines:
-    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left.
-
-    Parameters
-    ----------
-    stream : text stream
-    """
+    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -21,26 +21,13 @@ _numbers = itertools.count()
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What all designs of a study share.
+    """What all designs of a study share."""
 
-    Attributes
-    ----------
-    token : str
-        Tells one job from another.
-    setup : Setup
-        Of the first convention; tasks name theirs.
-    windows : tuple of {"departure", "control"}
-    laws : bytes
-        Controller classes that no installed package offers; empty where there are none.
-    time_limit : float [s]
-        Of one task; 0 for none.
-    """
-
-    token: str
-    setup: Setup
+    token: str  # tells one job from another
+    setup: Setup  # of the first convention; tasks name theirs
     windows: tuple[Window, ...]
-    laws: bytes = b""
-    time_limit: float = 0.0
+    laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
+    time_limit: float = 0.0  # [s]: of one task; 0 for none
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -51,34 +38,16 @@ class Job:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task:
-    """Some designs on some scenarios.
-
-    Attributes
-    ----------
-    job : Job
-    convention : {"consistent", "as_printed"}
-    designs : tuple of Design
-        k designs of one law, by rising y_s.
-    rows : (m,) int
-        Row numbers of the scenarios in the study.
-    scenarios : Scenarios
-        These m scenarios.
-    piece : int
-        Number of the piece that they are, or a part of.
-    piece_size : int
-        Number of scenarios of the whole piece.
-    number : int
-        Of this task in this process.
-    """
+    """Some designs on some scenarios."""
 
     job: Job
     convention: Convention
-    designs: tuple[Design, ...]
-    rows: IntArray
-    scenarios: Scenarios
-    piece: int
-    piece_size: int
-    number: int = dataclasses.field(default_factory=lambda: next(_numbers))
+    designs: tuple[Design, ...]  # k designs of one law, by rising y_s
+    rows: IntArray  # (m,): row numbers of the scenarios in the study
+    scenarios: Scenarios  # these m scenarios
+    piece: int  # number of the piece that they are, or a part of
+    piece_size: int  # number of scenarios of the whole piece
+    number: int = dataclasses.field(default_factory=lambda: next(_numbers))  # of this task in this process
 
     @property
     def whole(self) -> bool:
@@ -111,15 +80,7 @@ class Task:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Done:
-    """What came out of a task.
+    """What came out of a task."""
 
-    Attributes
-    ----------
-    result : TaskResult
-        Of the designs that ran; may hold none.
-    failed : tuple of FailedRun
-        The others.
-    """
-
-    result: TaskResult
-    failed: tuple[FailedRun, ...] = ()
+    result: TaskResult  # of the designs that ran; may hold none
+    failed: tuple[FailedRun, ...] = ()  # the others

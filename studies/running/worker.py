@@ -35,15 +35,7 @@ def run_task(task: Work) -> Any:
 
 
 def start_worker(folder: str, parent: int) -> None:
-    """Make a fresh process of a pool ready.
-
-    Parameters
-    ----------
-    folder : str
-        Where it notes what it does, in a file named after its process.
-    parent : int
-        Process that started it; it may have been killed already, so this one cannot ask.
-    """
+    """Make a fresh process of a pool ready."""
     global _notes
     # the parent decides what an interrupt means; a group of its own, because solvers (OSQP) catch the signal themselves
     # and would report an interrupted solve as a failed one

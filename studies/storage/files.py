@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import importlib
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -20,13 +22,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def stored_file(path: Path) -> Iterator[IO[bytes]]:
-    """A `whole_file` of a study.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+    """A `whole_file` of a study."""
     try:
         with whole_file(path) as stream:
             yield stream
@@ -47,13 +43,7 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of a file.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read.
-    """
+    """The content of a file."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -61,28 +51,27 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
-    """Read a Parquet file and check it as `parse_parquet` does.
-
-    Raises
-    ------
-    StoreError
-        Naming the file and what is wrong with it.
-    """
+    """Read a Parquet file and check it as `parse_parquet` does."""
     return parse_parquet(path, read_bytes(path), schema, finite=finite)
 
 
-def parse_parquet(path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
-    """A table from a Parquet file's content, checked: columns, types, nothing missing, nor, with `finite`, not finite.
+def parse_parquet(
+    path: Path,
+    data: bytes,
+    schema: dict[str, Any],
+    *,
+    finite: bool = True,
+    change: Callable[[pl.DataFrame], pl.DataFrame] | None = None,
+) -> pl.DataFrame:
+    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite.
 
-    Raises
-    ------
-    StoreError
-        Naming the file and what is wrong with it.
+    `change` makes the columns of this version of those of an earlier one.
     """
     import polars as pl
 
     try:
         table = pl.read_parquet(data)
+        table = table if change is None else change(table)
     except pl.exceptions.PolarsError as error:
         raise StoreError(f"{path}: broken: {str(error).splitlines()[0]}") from None
     if dict(table.schema) != schema:
@@ -107,19 +96,55 @@ def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
 
 
 def read_scenarios(path: Path) -> Scenarios:
-    """Read a table written from `scenario_table`.
-
-    Raises
-    ------
-    StoreError
-        Naming the file and what is wrong with it.
-    """
+    """Read a table written from `scenario_table`."""
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
     table = read_parquet(path, schema)
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
-        return Scenarios.from_arrays(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
+        return Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
     except LdcError as error:
         raise StoreError(f"{path}: broken: {error}") from None
+
+
+_NAME = ".lock"
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, as long as the block or the process lives; a killed process holds nothing."""
+    try:
+        fcntl = importlib.import_module("fcntl")
+    except ImportError:  # Windows: nobody guards the folder there
+        yield
+        return
+    try:
+        stream = (folder / _NAME).open("ab")
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
+        except OSError:
+            pass  # a file system without locks, as some network ones: nobody guards the folder there
+        yield
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a killed process had not finished writing; call it only while the folder is held."""
+    for path in (*folder.glob(".*.part"), *(folder / "results").glob(".*.part")):
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def remove_unfinished(path: Path) -> None:
+    """Remove what killed processes had not finished writing of one file; call it only while nobody else writes it."""
+    # as `whole_file` names it, after the process
+    name = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part")
+    with contextlib.suppress(OSError):
+        for other in list(path.parent.iterdir()):
+            if name.fullmatch(other.name):
+                other.unlink()

@@ -159,8 +159,10 @@ class Manifest(BaseModel):
         return self.model_copy(update=update)
 
     def read_study(self) -> Study:
-        """The study that was run."""
-        return Study.from_dict(self.study, source="manifest.json: study")
+        """The study that was run; one from before there was a choice has the printed start."""
+        simulation = self.study.get("simulation")
+        given = {"simulation": {"start": "printed", **simulation}} if isinstance(simulation, dict) else {}
+        return Study.from_dict(self.study | given, source="manifest.json: study")
 
 
 def _now() -> str:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -26,10 +28,34 @@ from studies.storage.files import parse_parquet, read_bytes, stored_file
 if TYPE_CHECKING:
     import polars as pl
 
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def ahead(
+    function: Callable[[Item], Result], items: Iterable[Item], *, threads: int = 1
+) -> Iterator[tuple[Item, Future[Result]]]:
+    """Call a function on each item in threads; at most one result more than there are threads waits."""
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[tuple[Item, Future[Result]]] = deque()
+        for item in items:
+            waiting.append((item, pool.submit(function, item)))
+            if len(waiting) > threads:
+                yield waiting.popleft()
+        yield from waiting
+
+
 PATTERN = "part-*.parquet"
 
 _ENDLESS = "t_back"
 """The companion that may be infinite: the edge is not back inside by the end."""
+
+_FORMER = {COMPANION_COLUMNS["opposite_crossing"]: "overshoot_m"}
+"""Column of a part -> what earlier versions called it."""
+
+_ADDED = (COMPANION_COLUMNS["a_y_added_peak"], COMPANION_COLUMNS["jerk_added_peak"])
+"""Columns that earlier versions did not record: NaN throughout."""
 
 _DIGITS = 16
 
@@ -55,13 +81,7 @@ def schema(windows: Sequence[Window]) -> dict[str, Any]:
 
 
 def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window]) -> Path:
-    """Write results as one part, whole or not at all; the same results in the same order make the same file.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
+    """Write results as one part, whole or not at all; the same results in the same order make the same file."""
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
     _table(results, windows).write_parquet(content, compression="lz4", statistics=False)
@@ -98,43 +118,18 @@ def _table(results: Sequence[TaskResult], windows: Sequence[Window]) -> pl.DataF
 
 
 def checked_content(path: Path) -> bytes:
-    """The content of a part, as it was written.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read, or its checksum is not the one in its name.
-    """
+    """The content of a part, as it was written."""
     data = read_bytes(path)
     if not path.stem.endswith(f"-{_checksum(data)}"):
         raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
     return data
 
 
-def read_part(path: Path, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:
-    """Results that a part holds, one design and stretch of scenarios at a time.
-
-    Parameters
-    ----------
-    path : Path
-    windows : sequence of {"departure", "control"}
-        Of the study.
-    n : int
-        Number of scenarios of the study.
-
-    Raises
-    ------
-    StoreError
-        Naming the file and what is wrong with it.
-    """
-    return parse_part(path, checked_content(path), windows, n)
-
-
 def parse_part(
     path: Path, data: bytes, windows: Sequence[Window], n: int, *, companions: bool = True
 ) -> Iterator[TaskResult]:
-    """As `read_part`, from a part's content; without `companions` they are checked and left out of the values."""
-    table = parse_parquet(path, data, schema(windows), finite=False)
+    """Results that a part holds, one design and stretch of scenarios at a time; without `companions` only checked."""
+    table = parse_parquet(path, data, schema(windows), finite=False, change=_as_now)
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = list(float_columns(windows).values())
     _check_numbers(path, [table[column] for column in columns], status)
@@ -163,21 +158,25 @@ def parse_part(
 
 
 def read_column(path: Path, column: str) -> FloatArray:
-    """One column of a part, (rows,), not checked again.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read.
-    """
+    """One column of a part, (rows,), not checked again."""
     import polars as pl
 
     try:
-        table = pl.read_parquet(path, columns=[column], glob=False, hive_partitioning=False)
+        there = pl.read_parquet_schema(path)
+        stored = next(name for name in (column, _FORMER.get(column), "scenario") if name in there)
+        table = pl.read_parquet(path, columns=[stored], glob=False, hive_partitioning=False)
     except (OSError, pl.exceptions.PolarsError) as error:
         raise StoreError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    values: FloatArray = table[column].to_numpy()
+    values: FloatArray = table[stored].to_numpy() if stored != "scenario" else np.full(table.height, np.nan)
     return values
+
+
+def _as_now(table: pl.DataFrame) -> pl.DataFrame:
+    """A part of an earlier version with the columns of this one."""
+    import polars as pl
+
+    table = table.rename({former: column for column, former in _FORMER.items()}, strict=False)
+    return table.with_columns(pl.lit(np.nan).alias(column) for column in _ADDED if column not in table.columns)
 
 
 def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> None:
@@ -185,5 +184,7 @@ def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> Non
     driven = status != EventStatus.INVALID
     for column in columns:
         good = column.is_not_nan() if column.name == COMPANION_COLUMNS[_ENDLESS] else column.is_finite()
+        if column.name in _ADDED and column.is_nan().all():
+            continue
         if not good.all() and not good.to_numpy()[driven].all():
             raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")

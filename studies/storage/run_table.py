@@ -10,16 +10,57 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, Companions
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
-from studies.storage.shared_rows import SharedRows
+from studies.storage.folder_tables import LawTime
 from studies.storage.stored_columns import PartIndex, StoredColumn
-from studies.storage.timing import LawTime
 from studies.study_file.spec import Study
+
+
+class SharedRows:
+    """Room for d rows of n numbers, as for scores without control, which differ between designs in few windows."""
+
+    def __init__(self, size: int, n: int) -> None:
+        self._size = size
+        self._row = np.empty(n)
+        self._known = np.zeros(n, dtype=np.bool_)
+        self._table: FloatArray | None = None
+
+    def put(self, place: int, columns: Any, values: FloatArray) -> None:
+        """Set some numbers of a row; `columns` is a slice or an array of int."""
+        if self._table is None:
+            known = self._known[columns]
+            # bits: NaN stands for a scenario that cannot be driven
+            same = self._row[columns].view(np.int64) == np.ascontiguousarray(values).view(np.int64)
+            if (same | ~known).all():
+                if not known.all():
+                    self._row[columns] = values
+                    self._known[columns] = True
+                return
+            self._table = np.empty((self._size, self._row.size))
+            self._table[:] = self._row
+        self._table[place, columns] = values
+
+    def grow(self, size: int) -> None:
+        """Make room for more rows."""
+        if self._table is not None:
+            table = np.empty((size, self._row.size))
+            table[: self._size] = self._table
+            self._table = table
+        self._size = size
+
+    def take(self, rows: IntArray | None, columns: IntArray | None = None) -> FloatArray:
+        """Some rows and columns, all by default; a read-only view of one row where there is only one."""
+        if self._table is not None:
+            table = self._table if rows is None else self._table[rows]
+            return table if columns is None else table[:, columns]
+        row = self._row if columns is None else self._row[columns]
+        return np.broadcast_to(row, (self._size if rows is None else rows.size, row.size))
+
 
 _GROWS: Final = 1.5
 
@@ -29,20 +70,7 @@ class AllFailedError(LdcError):
 
 
 class RunTable:
-    """Room for the runs of a study, taken once, so that no run is in memory twice.
-
-    Parameters
-    ----------
-    study : Study
-    n : int
-        Number of scenarios.
-    designs : sequence of Design
-        More can be added.
-    keep : bool
-        Keep results of designs that have no room yet, until they are added.
-    stored : PartIndex, optional
-        Where companions are read from when they are asked for; by default they are kept here.
-    """
+    """Room for the runs of a study, taken once, so that no run is in memory twice."""
 
     def __init__(
         self,
@@ -154,30 +182,7 @@ class RunTable:
         designs: Sequence[Design] | None = None,
         rows: IntArray | None = None,
     ) -> StudyResults:
-        """Everything of the designs asked for; the arrays are this table's, and copies only if something is left out.
-
-        Parameters
-        ----------
-        scenarios : Scenarios
-            All n of them.
-        times : mapping of RunKey to LawTime
-            Those that are known.
-        failures : mapping of RunKey to str
-            Why runs that are not here failed.
-        source : str
-            What a message names first.
-        designs : sequence of Design, optional
-            All by default.
-        rows : (m,) int, optional
-            Row numbers of the scenarios; all by default.
-
-        Raises
-        ------
-        StoreError
-            If runs are missing that did not fail.
-        AllFailedError
-            If every design failed.
-        """
+        """Everything of the designs asked for; the arrays are this table's, copies only if something is left out."""
         wanted = list(self.designs if designs is None else designs)
         at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
         some_there = self._there[:, at] if rows is None else self._there[:, at][:, :, rows]

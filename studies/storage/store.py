@@ -30,33 +30,35 @@ from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.ahead import ahead
-from studies.storage.design_table import DESIGNS, read_designs, write_designs
-from studies.storage.failures import FAILURES, read_failures, write_failures
 from studies.storage.files import read_scenarios, scenario_table, write_parquet
+from studies.storage.folder_tables import (
+    DESIGNS,
+    FAILURES,
+    TIMING_FILE,
+    LawTime,
+    read_designs,
+    read_failures,
+    read_race,
+    read_times,
+    write_designs,
+    write_failures,
+    write_times,
+)
 from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
-from studies.storage.parts import PATTERN, checked_content, parse_part, write_part
-from studies.storage.race_log import read_race
+from studies.storage.parts import PATTERN, ahead, checked_content, parse_part, write_part
 from studies.storage.run_table import AllFailedError, RunTable
 from studies.storage.stored_columns import PartIndex
-from studies.storage.timing import FILE_NAME, LawTime, read_times, write_times
 
 _log = logging.getLogger("studies")
 
 FINALISTS = "finalists"
 
 _MOST_IN_MEMORY = 5_000_000
-"""Runs whose companions are kept in memory when a study is read (400 MB)."""
+"""Runs whose companions are kept in memory when a study is read (480 MB)."""
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a study, if it is not there.
-
-    Raises
-    ------
-    StoreError
-        If something else is there, or it cannot be made.
-    """
+    """Make the folder of a study, if it is not there."""
     strange = folder.exists() and not (folder / "manifest.json").exists()
     if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
         raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
@@ -67,19 +69,7 @@ def make_folder(folder: Path) -> None:
 
 
 class Store:
-    """The folder of one study. Made with `create` or `open`.
-
-    Attributes
-    ----------
-    folder : Path
-    manifest : Manifest
-    broken : tuple of str
-        Messages about files that could not be read when the folder was opened for writing; they were removed.
-    times : dict of RunKey to LawTime
-        How long the laws of stored runs took, as far as it is known.
-    failures : dict of RunKey to str
-        Why runs failed.
-    """
+    """The folder of one study. Made with `create` or `open`."""
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.folder = folder
@@ -91,13 +81,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios) -> Store:
-        """Start a folder, or resume the same study in it.
-
-        Raises
-        ------
-        StoreError
-            If the folder holds something else; the message says what differs.
-        """
+        """Start a folder, or resume the same study in it."""
         if (folder / "manifest.json").exists():
             found = read_manifest(folder)
             refuse_other(folder, found, manifest)
@@ -111,13 +95,7 @@ class Store:
 
     @classmethod
     def open(cls, folder: str | Path) -> Store:
-        """Open the folder of a study that was run.
-
-        Raises
-        ------
-        StoreError
-            If there is none.
-        """
+        """Open the folder of a study that was run."""
         return cls(Path(folder), read_manifest(folder))
 
     def write_manifest(self, manifest: Manifest) -> None:
@@ -147,20 +125,7 @@ class Store:
             self.failures = failures
 
     def load(self, designs: Sequence[Design] | None = None, *, repair: bool = False) -> RunTable:
-        """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards.
-
-        Parameters
-        ----------
-        designs : sequence of Design, optional
-            Which to make room for; those of the folder by default.
-        repair : bool
-            Remove files that are broken and remember them in `broken`, instead of raising.
-
-        Raises
-        ------
-        StoreError
-            Naming the first file that is broken.
-        """
+        """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards."""
         n = self._study.scenarios.left + self._study.scenarios.right
         designs = self.designs() if designs is None else designs
         runs = len(designs) * n * len(self._study.simulation.convention)
@@ -181,7 +146,7 @@ class Store:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
-        for read, name in ((self._read_times, FILE_NAME), (self._read_failures, FAILURES)):
+        for read, name in ((self._read_times, TIMING_FILE), (self._read_failures, FAILURES)):
             try:
                 read()
             except StoreError as error:
@@ -199,13 +164,7 @@ class Store:
         self.failures = read_failures(self.folder)
 
     def designs(self) -> tuple[Design, ...]:
-        """The designs of the study, or those that its search asked for.
-
-        Raises
-        ------
-        StoreError
-            If the folder's table of them is needed and is not there, or broken.
-        """
+        """The designs of the study, or those that its search asked for."""
         if self._study.search is None:
             return self._study.designs
         return read_designs(self.folder / DESIGNS)
@@ -218,13 +177,7 @@ class Store:
             return ()
 
     def results(self) -> StudyResults:
-        """Everything in memory: all designs that were run to the end, with the finalists' fresh results.
-
-        Raises
-        ------
-        StoreError
-            If something is missing or broken.
-        """
+        """Everything in memory: all designs that were run to the end, with the finalists' fresh results."""
         scenarios = read_scenarios(self.folder / "scenarios.parquet")
         designs = self.designs()
         if self._study.search is not None and not self.manifest.finished:

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import StoreError
 from studies.results import RunKey, TaskResult
-from studies.storage.ahead import ahead
-from studies.storage.parts import read_column
+from studies.storage.parts import ahead, read_column
 
 _THREADS: Final = 2
 """That read parts; more would wait for the one that takes in what they read."""
@@ -38,7 +37,7 @@ class PartIndex:
         self._stretches: dict[RunKey, list[_Stretch]] = {}
 
     def add(self, path: Path, results: Sequence[TaskResult]) -> None:
-        """Remember what a part holds, one run after the other, as `studies.storage.parts.read_part` gives it."""
+        """Remember what a part holds, one run after the other, as `studies.storage.parts.parse_part` gives it."""
         first = 0
         for result in results:
             (key,) = result.keys
@@ -50,13 +49,7 @@ class PartIndex:
         self._parts.append((path, _signature(path)))
 
     def read(self, column: str, keys: Sequence[RunKey], n: int, out: FloatArray | None = None) -> FloatArray:
-        """A column of some runs on all n scenarios, (k, n); in `out` where that is given.
-
-        Raises
-        ------
-        StoreError
-            If a part was changed or taken away since it was checked.
-        """
+        """A column of some runs on all n scenarios, (k, n); in `out` where that is given."""
         table = np.empty((len(keys), n)) if out is None else out
         wanted: dict[int, list[tuple[int, _Stretch]]] = {}
         for i, key in enumerate(keys):
@@ -91,18 +84,6 @@ class StoredColumn(np.lib.mixins.NDArrayOperatorsMixin):
     Some designs are an array, ``column[3]``, ``column[[3, 5], :10]``, and only what is asked for is read. Some
     scenarios of all designs, ``column[:, mask]``, are a column again. Everything else that an array can do reads the
     whole column first: NumPy's functions, operators, methods.
-
-    Parameters
-    ----------
-    index : PartIndex
-    name : str
-        Of the column in the parts.
-    keys : sequence of RunKey
-        The d runs.
-    n : int
-        Number of scenarios that each was run on.
-    columns : (m,) int, optional
-        Which of them; all by default.
     """
 
     ndim = 2

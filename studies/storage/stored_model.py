@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import ModelError, StoreError
-from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from studies.storage.manifest import Manifest
 
 _log = logging.getLogger("studies")
@@ -28,19 +31,7 @@ def write_model(folder: Path, model: ScenarioModel) -> None:
 
 
 def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
-    """Read a folder's model; None where it has none, as folders of earlier versions.
-
-    Parameters
-    ----------
-    folder : path
-    manifest : Manifest
-        Of the folder.
-
-    Raises
-    ------
-    StoreError
-        If the file is broken, or holds another model than the manifest names.
-    """
+    """Read a folder's model; None where it has none, as folders of earlier versions."""
     path = Path(folder) / MODEL
     if not path.exists():
         return None
@@ -54,3 +45,104 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
             "study into this folder again to write it anew"
         )
     return model
+
+
+_LONGEST = 400
+
+
+WARNING = "warning: "
+"""How a note that is a warning begins."""
+
+
+def model_notes(
+    model: ScenarioModel, vehicle: VehicleParameters | None = None, given: Given | None = None
+) -> tuple[str, ...]:
+    """Source, size of the fit and warnings of a model, one sentence or line each.
+
+    With a vehicle, also whether its width is the one that the departures were found with: a departure is where the
+    vehicle's edge is beyond the line. With conditions, also which departures were drawn.
+    """
+    drawn = "; ".join(map(str, conditions(given)))
+    notes = (*((f"Only departures with {drawn} are drawn from it.",) if drawn else ()), *_notes(model))
+    criteria = model.provenance.source.get("criteria")
+    width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
+    if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
+        return notes
+    said = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
+    return (*notes, f"{WARNING}{said} in a lane of w_l = {vehicle.w_l:g} m")
+
+
+def _notes(model: ScenarioModel) -> Iterator[str]:
+    origin = model.provenance
+    if origin.synthetic and not str(origin.source.get("description", "")).lower().startswith("synthetic"):
+        yield "Synthetic: fitted to departures drawn from a stated population, not to recorded driving."
+    for key, value in _flat(origin.source):
+        text = f"{key}: {value}" if key else str(value)
+        if value not in ("", None):
+            yield text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    for name, side, summary in (
+        ("left", model.left_side, origin.left),
+        ("right", model.right_side, origin.right),
+    ):
+        count = len(side.mixture.weights_)
+        yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
+        yield from (f"{name}: {text}" for text in (_box(side, summary), _mapped(side)) if text)
+    if origin.software:
+        yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
+    if origin.versions:
+        yield ", ".join(f"{name} {version}" for name, version in origin.versions.items())
+    yield from (f"{WARNING}{text}" for text in origin.warnings)
+
+
+def _fitted(summary: SideSummary | None) -> str:
+    if summary is None:
+        return ""
+    weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
+    text = f" from {summary.events:,} departures{weight}"
+    if len(summary.n_components) > 1:
+        name = {"held_out": "held-out likelihood"}.get(summary.criterion, summary.criterion.upper() or "BIC")
+        text += f", chosen by {name} among K = {_numbers(summary.n_components)}"
+    return text
+
+
+def _box(side: SideModel, summary: SideSummary | None) -> str:
+    """Bounds, and where they come from; nothing of models that do not tell."""
+    if summary is None or not summary.bounds_from:
+        return ""
+    origins = {name: (low, high) for name, low, high in summary.bounds_from}
+    words = []
+    for name, low, high in zip(side.names, *side.bounds(), strict=True):
+        one, other = origins.get(name, ("", ""))
+        ends = " to ".join("open" if math.isinf(end) else f"{end:.4g}" for end in (low, high))
+        words.append(f"{name} {ends} ({one if one == other else f'{one}, {other}'})")
+    return f"bounds {'; '.join(words)}"
+
+
+def _mapped(side: SideModel) -> str:
+    mapped = [f"{name} by {kind}" for name, kind in zip(side.names, side.transform(), strict=True) if kind != "none"]
+    return f"fitted after a map of {', '.join(mapped)}" if mapped else ""
+
+
+def _numbers(values: tuple[int, ...]) -> str:
+    if values == tuple(range(values[0], values[-1] + 1)):
+        return f"{values[0]} to {values[-1]}"
+    return ", ".join(map(str, values))
+
+
+def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in source.items():
+        if isinstance(value, Mapping):
+            yield (
+                f"{key}",
+                ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None)),
+            )
+        else:
+            yield "" if key == "description" else key, _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return " ".join(f"{name} {_plain(item)}" for name, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(str(_plain(item)) for item in value)
+    return f"{value:g}" if isinstance(value, float) else value

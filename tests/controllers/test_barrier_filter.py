@@ -32,7 +32,7 @@ from ldctoolkit import (
     simulate,
 )
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
-from ldctoolkit.plant_options import Actuator, PlantOptions
+from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from studies import Study
 
 DT = 0.05
@@ -220,7 +220,7 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     assert np.nanmin(np.where(at_sample[feasible], psi[:, feasible], np.nan)) >= -1e-5
     rows = paths.rows[feasible]
     edge = 0.85
-    deepest = np.maximum(out.companions.deepest + edge, out.companions.overshoot + edge)[rows]
+    deepest = np.maximum(out.companions.deepest + edge, out.companions.opposite_crossing + edge)[rows]
     assert deepest.max() <= design.e_y_max + beyond
     unfiltered = (alone.companions.deepest + edge)[rows]
     assert (unfiltered > design.e_y_max + 0.05).sum() > 5
@@ -258,6 +258,17 @@ def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
             law = BarrierFilter(gamma_1=gamma_1, gamma_2=gamma_2).prepare(plant)
             loop = plant.step.A + plant.step.B[:, :, None] * law.centre[:, None, :4]
             assert np.abs(np.linalg.eigvals(loop)).max() < 0.9999
+
+
+LATE = PlantOptions(actuator=Actuator(lag=0.1, delay=0.07), sensors=Sensors(delay=0.05, kalman=KalmanFilter()))
+
+
+@pytest.mark.parametrize("alone", [LQI(), pytest.param(PreviewLQR(), marks=pytest.mark.slow)])
+def test_a_law_inside_knows_the_actuator(alone: Controller) -> None:
+    """Far from the corridor, with the wheel angle of the nominal actuator, it is the law that measures the angle."""
+    wide = BarrierFilter(inner=alone.name, e_y_max=10.0, gamma_1=1.0, gamma_2=1.0, delta_max=1.0)
+    ours, theirs = (simulate(design, departures(12, seed=3), options=LATE) for design in (wide, alone))
+    np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -356,10 +367,10 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
     scenarios, options = departures(80, seed=12), PlantOptions(actuator=actuator)
     out, alone = (simulate(d, scenarios, options=options) for d in (BarrierFilter(), PreviewProportional()))
     assert out.count(EventStatus.DIVERGED) == 0
-    for name in ("deepest", "overshoot"):
+    for name in ("deepest", "opposite_crossing"):
         # where the start already leads out of the corridor both are alike
         assert getattr(out.companions, name).max() <= getattr(alone.companions, name).max() + 0.05
-    assert out.companions.overshoot.max() < 0.7  # the corridor is 0.5 m beyond the line
+    assert out.companions.opposite_crossing.max() < 0.7  # the corridor is 0.5 m beyond the line
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from controllers import LQR
 from controllers.lqi import LQI
 from controllers.riccati import regulator
 from helpers.grids import grid
-from helpers.sampled_plant import moved
+from helpers.sampled_plant import moved, weights_of
 from ldctoolkit import BicycleModel, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Sensors
 
@@ -24,29 +24,36 @@ WEIGHTS = [
 ]
 
 
-def prepared(design: LQI | LQR, v: np.ndarray | list[float], dt: float = DT) -> tuple[Plant, LinearLaw]:
-    plant = Plant.build(BicycleModel(), v, dt)
+def prepared(
+    design: LQI | LQR, v: np.ndarray | list[float], dt: float = DT, **actuator: float
+) -> tuple[Plant, LinearLaw]:
+    plant = Plant.build(BicycleModel(), v, dt, **actuator)
     return plant, design.prepare(plant)
 
 
 @pytest.mark.parametrize(("number", "dt"), grid(range(3), [0.05, 0.02], (0, 0.02), (1, 0.05)))
-def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(number: int, dt: float) -> None:
-    """Written out as a fifth state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
+@pytest.mark.parametrize("actuator", [{}, {"lag": 0.1, "delay": 0.07}])
+def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(number: int, dt: float, actuator: dict[str, float]) -> None:
+    """Written out as a last state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
     rng = np.random.default_rng(0)
     design = LQI(**WEIGHTS[number])
-    plant, law = prepared(design, np.concatenate([[1.0, 90.0], np.exp(rng.uniform(0.0, np.log(90.0), 15))]), dt)
+    plant, law = prepared(
+        design, np.concatenate([[1.0, 90.0], np.exp(rng.uniform(0.0, np.log(90.0), 15))]), dt, **actuator
+    )
     assert law.f_i is not None
-    Q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate, design.q_i])
+    states, inputs, _, _ = plant.augmented.with_commands()
+    k = states.shape[1]
+    Q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate, *[0.0] * (k - 4), design.q_i])
     R = np.array([[design.r_delta]])
-    offset = np.array([[1.0, 0.0, 0.0, 0.0]])
+    offset = np.eye(1, k)
     for i in range(plant.n):
-        A, B = plant.step.A[i], plant.step.B[i][:, None]
-        augmented = np.block([[A, np.zeros((4, 1))], [dt * offset, np.ones((1, 1))]])
+        A, B = states[i], inputs[i][:, None]
+        augmented = np.block([[A, np.zeros((k, 1))], [dt * offset, np.ones((1, 1))]])
         K, _, E = control.dlqr(augmented, np.vstack([B, [[0.0]]]), Q, R)
-        ours = np.append(law.F[i], law.f_i[i])
+        ours = np.append(weights_of(law, i), law.f_i[i])
         np.testing.assert_allclose(-ours, K[0], rtol=1e-8, atol=1e-9)
         assert np.abs(E).max() < 1.0
-        plant_i = control.ss(A, B, np.eye(4), 0, dt)
+        plant_i = control.ss(A, B, np.eye(k), 0, dt)
         theirs, _, _ = control.dlqr(plant_i, Q, R, integral_action=dt * offset)
         np.testing.assert_allclose(-ours, theirs[0], rtol=1e-8, atol=1e-9)
 

@@ -6,12 +6,13 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQR
+from controllers import LQI, LQR, PreviewLQR
 from controllers.riccati import SPEED_RANGE, regulator
 from helpers.grids import grid, some
-from helpers.sampled_plant import moved
-from ldctoolkit import BicycleModel, LinearLaw, Plant, VehicleParameters
+from helpers.sampled_plant import moved, weights_of
+from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, VehicleParameters, load_model, simulate
 from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 
 WEIGHTS = [
     {},
@@ -23,20 +24,49 @@ VEHICLES = [VehicleParameters(), VehicleParameters(C_af=95000.0, C_ar=70000.0, l
 
 @pytest.mark.parametrize(("number", "vehicle"), grid(range(3), VEHICLES, (0, VEHICLES[0]), (1, VEHICLES[1])))
 @pytest.mark.parametrize("dt", some([0.05, 0.02], 0.05))
-def test_scheduled_gains_equal_dlqr(number: int, vehicle: VehicleParameters, dt: float) -> None:
-    """At speeds between the nodes; the tolerance is dlqr's own accuracy at these weights."""
+@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.1, 0.1), (0.0, 0.12), (0.03, 0.01)])
+def test_scheduled_gains_equal_dlqr(
+    number: int, vehicle: VehicleParameters, dt: float, lag: float, delay: float
+) -> None:
+    """At speeds between the nodes, commands on their way among the states; the tolerance is dlqr's at these weights."""
     rng = np.random.default_rng(0)
     v = np.concatenate([[1.0, 90.0], np.exp(rng.uniform(np.log(1.0), np.log(90.0), 25))])
-    plant = Plant.build(BicycleModel(vehicle), v, dt)
+    plant = Plant.build(BicycleModel(vehicle), v, dt, lag=lag, delay=delay)
+    A, B, _, _ = plant.augmented.with_commands()
     design = LQR(**WEIGHTS[number])
     law = design.prepare(plant)
     assert isinstance(law, LinearLaw)
-    q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+    q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate, *[0.0] * (A.shape[1] - 4)])
     P = regulator(plant, (design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate), design.r_delta).P
+    steady = plant.steady_state()
     for i in range(v.size):
-        K, P_i, _ = control.dlqr(plant.step.A[i], plant.step.B[i][:, None], q, np.array([[design.r_delta]]))
-        np.testing.assert_allclose(-law.F[i], K[0], rtol=1e-8, atol=1e-9)
-        np.testing.assert_allclose(P[i], P_i, rtol=1e-8, atol=1e-8 * np.abs(P_i).max())
+        K, P_i, _ = control.dlqr(A[i], B[i][:, None], q, np.array([[design.r_delta]]))
+        np.testing.assert_allclose(-weights_of(law, i), K[0], rtol=1e-8, atol=1e-9)
+        if lag + delay == 0.0:
+            np.testing.assert_allclose(P[i], P_i, rtol=1e-8, atol=1e-8 * np.abs(P_i).max())
+        held = np.array([0.0, 0.0, steady.e_psi[i], 0.0, *[steady.delta[i]] * (A.shape[1] - 4)])
+        assert weights_of(law, i) @ held + law.G_yaw_rate[i, 0] == pytest.approx(steady.delta[i], abs=1e-12)
+
+
+LATE = {
+    "actuator": PlantOptions(actuator=Actuator(lag=0.1, delay=0.1)),
+    "camera": PlantOptions(actuator=Actuator(lag=0.1), sensors=Sensors(delay=0.1)),
+    "both": PlantOptions(actuator=Actuator(lag=0.1, delay=0.1), sensors=Sensors(delay=0.1)),
+    "filter": PlantOptions(actuator=Actuator(lag=0.1, delay=0.1), sensors=Sensors(delay=0.1, kalman=KalmanFilter())),
+}
+
+
+@pytest.mark.parametrize("design", [LQR(), LQI(), PreviewLQR()], ids=lambda design: design.name)
+@pytest.mark.parametrize("case", some(LATE, "both"))
+@pytest.mark.parametrize("n", some([100, 1000], 100))
+def test_departures_do_not_diverge_behind_lag_and_delay(n: int, case: str, design: Controller) -> None:
+    """Departures of the bundled model, n to each side; those that do not know diverge."""
+    scenarios = load_model("reference").sample(n, n, seed=1)
+    knows = simulate(design, scenarios, options=LATE[case])
+    assert not (knows.status == EventStatus.DIVERGED).any()
+    ideal = simulate(design, scenarios, options=LATE[case], plant_knowledge="ideal")
+    assert (ideal.status == EventStatus.DIVERGED).any() or n < 1000
+    assert knows.S.mean() < ideal.S.mean()
 
 
 def test_a_bend_leaves_no_bias() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import control
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from controllers import LQR, LinearMPC
 from controllers.preview_lqr import PreviewLQR
 from helpers.closed_loop import Stepped
 from helpers.grids import grid, some
-from helpers.sampled_plant import moved
+from helpers.sampled_plant import moved, weights_of
 from ldctoolkit import BicycleModel, LinearLaw, Plant, Preview, Scenarios, VehicleParameters, simulate
 
 DT = 0.05
@@ -71,29 +73,39 @@ def test_gains_equal_the_riccati_recursion_on_the_register_of_yaw_rates(
         np.testing.assert_allclose(ours, -K, rtol=0, atol=1e-9 * np.abs(K).max())
 
 
+@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.1, 0.1), (0.0, 0.13), (0.07, 0.02)])
 @pytest.mark.parametrize("design", some(DESIGNS[1:], DESIGNS[2]))
-def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR) -> None:
-    """States (x~, w_0 .. w_(N-1)) with w_j = r_(j+1) - r_j: zeros are shifted in, so holding needs no marginal mode and
-    python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR.
+def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR, lag: float, delay: float) -> None:
+    """States: deviations from the bend as it is now, every command on its way among them, and its changes
+    w_j = r_(j+1) - r_j until N samples after the command acts. Zeros are shifted in, so holding needs no marginal mode
+    and python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR.
     """
-    N = design.horizon
     v = np.exp(np.random.default_rng(1).uniform(np.log(2.0), np.log(80.0), 8))
-    plant = Plant.build(BicycleModel(), v, DT)
-    law = design.prepare(plant)
-    steady, step = plant.steady_state(), plant.step
+    plant = Plant.build(BicycleModel(), v, DT, lag=lag, delay=delay)
+    law, steady, whole = design.prepare(plant), plant.steady_state(), int(delay / DT)
+    A, B, _, E_1 = plant.augmented.with_commands()
+    k, M = B.shape[1], whole + design.horizon
     for i in range(plant.n):
-        A, B = np.zeros((4 + N, 4 + N)), np.zeros((4 + N, 1))
-        A[:4, :4], B[:4, 0] = step.A[i], step.B[i]
-        A[:4, 4] = 0.5 * step.B[i] * steady.delta[i] + step.E_1[i] - np.array([0.0, 0.0, steady.e_psi[i], 0.0])
-        A[4:-1, 5:] = np.eye(N - 1)
-        Q = np.zeros((4 + N, 4 + N))
+        held = np.array([0.0, 0.0, steady.e_psi[i], 0.0, *[steady.delta[i]] * (k - 4)])
+        # the command that costs nothing is that of the bend when it acts
+        c = steady.delta[i] * ((np.arange(M) < whole) + 0.5 * (np.arange(M) == whole))
+        full, Q = np.zeros((k + M, k + M)), np.zeros((k + M, k + M))
+        full[:k, :k], full[:k, k:], full[k:-1, k + 1 :] = A[i], np.outer(B[i], c), np.eye(M - 1)
+        full[:k, k] += E_1[i] - held
         Q[:4, :4] = weights(design)
-        K, _, _ = control.dlqr(A, B, Q, np.array([[design.r_delta]]))
-        r = np.random.default_rng(i).normal(size=N + 1)
-        x = np.random.default_rng(i + 100).normal(size=4)
-        deviation = x - np.array([0.0, 0.0, steady.e_psi[i] * r[0], 0.0])
-        expected = -K[0] @ np.concatenate([deviation, np.diff(r)]) + 0.5 * steady.delta[i] * (r[0] + r[1])
-        assert law.F[i] @ x + law.G_yaw_rate[i] @ r == pytest.approx(expected, rel=1e-8, abs=1e-8)
+        K, _, _ = control.dlqr(full, np.append(B[i], np.zeros(M))[:, None], Q, np.array([[design.r_delta]]))
+        r = np.random.default_rng(i).normal(size=M + 1)
+        s = np.random.default_rng(i + 100).normal(size=k)
+        expected = steady.delta[i] * r[0] + c @ np.diff(r) - K[0] @ np.concatenate([s - held * r[0], np.diff(r)])
+        assert weights_of(law, i) @ s + law.G_yaw_rate[i] @ r == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+def test_a_camera_that_is_late_leaves_out_the_lane_before_now() -> None:
+    plant = Plant.build(BicycleModel(), [25.0], DT, lag=0.1, delay=0.2)
+    seen_now, late = (PreviewLQR().prepare(dataclasses.replace(plant, age=age)) for age in (0.0, 0.1))
+    np.testing.assert_allclose(late.preview_times, seen_now.preview_times[2:] - 0.1, atol=1e-15)
+    np.testing.assert_array_equal(late.G_yaw_rate[:, 1:], seen_now.G_yaw_rate[:, 3:])
+    np.testing.assert_allclose(late.G_yaw_rate[:, 0], seen_now.G_yaw_rate[:, :3].sum(axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("horizon", some([1, 20, 100], 1, 20))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, minimize_scalar, root
 
 from ldctoolkit import Scenarios
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
@@ -32,8 +32,8 @@ Times = Any
 """One time or an array of times [s]; and what belongs to them."""
 Ahead = Callable[[float], float]
 """A preview: something of the lane at a lookahead time [s]."""
-Law = Callable[[np.ndarray, Ahead, Ahead, float], float]
-"""(x seen, yaw rate ahead, heading change ahead, command before) -> command, all in one frame."""
+Law = Callable[..., float]
+"""(x, yaw rate ahead, heading change ahead, command before, those before it, wheel angle) -> command, as seen."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,12 +55,6 @@ class Vehicle:
         return dataclasses.replace(
             self, m=m * self.m, I_z=I_z * self.I_z, C_af=C_af * self.C_af, C_ar=C_ar * self.C_ar, mu=mu * self.mu
         )
-
-    def steady_steering(self, v: float, yaw_rate: float) -> float:
-        """Steering angle of steady cornering, from the understeer gradient."""
-        wheelbase = self.l_f + self.l_r
-        load_f, load_r = self.m * self.l_r / wheelbase, self.m * self.l_f / wheelbase
-        return (wheelbase / v + v * (load_f / (2 * self.C_af) - load_r / (2 * self.C_ar))) * yaw_rate
 
     def matrices(self, v: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rajamani's eq. 2.45, for the Kalman filter."""
@@ -204,8 +198,10 @@ def drive(
     dt: float = 0.05,
     settle: float = 0.0,
     curvature_draw: float = 0.0,
+    known: bool = True,
 ) -> Drive:
-    """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows.
+    """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
+    it lag and delays too.
 
     Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, and `curvature_draw`;
     the camera has no noise here.
@@ -218,7 +214,7 @@ def drive(
     S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, path.e_psi)])
     if math.isinf(t_s):
         return _never_triggered(path, before, S_recorded, true)
-    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw)
+    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, known)
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
@@ -240,7 +236,7 @@ def drive(
 class _Loop:
     def __init__(
         self, path: Path, law: Law, options: PlantOptions, vehicle: Vehicle, true: Vehicle,
-        t_s: float, dt: float, settle: float, curvature_draw: float,
+        t_s: float, dt: float, settle: float, curvature_draw: float, known: bool,
     ) -> None:  # fmt: skip
         self.path, self.law, self.options, self.true = path, law, options, true
         self.t_s, self.dt, self.v_s = t_s, dt, path.v(t_s)
@@ -249,15 +245,17 @@ class _Loop:
         self.full = math.floor((path.T - t_s) / dt)
         self.rest = path.T - t_s - self.full * dt
         self.more = math.ceil(settle / dt - 1e-9)
-        yaw_error = path.side * path.ddy(t_s) / path.v(t_s)
-        self.delta_0 = true.steady_steering(path.v(t_s), path.v(t_s) * path.c(t_s) + yaw_error)
-        x_0 = np.array([path.e_y(t_s), path.side * path.dy(t_s), path.e_psi(t_s), yaw_error])
+        x_0, self.delta_0 = self.recorded(t_s), self.attitude(t_s)[1]
         self.state = np.append(self.vehicle_coordinates(t_s, x_0), self.delta_0)
-        self.camera = _Camera(path, options.sensors, t_s, dt)
+        self.camera = _Camera(path, options.sensors, t_s, dt, lambda t: self.attitude(t)[0])
         self.filter = None
         if options.sensors.kalman is not None:
-            self.filter = _Filter(vehicle, path.v(t_s), dt, self.camera.p, options.sensors.kalman, x_0)
+            lag, first = options.actuator.lag * known, self.recorded(t_s - options.sensors.delay * known)
+            self.filter = _Filter(vehicle, path.v(t_s), dt, self.camera.p, options.sensors.kalman, first, lag)
+        self.age = self.camera.d * known
+        self.known_delay = (options.actuator.delay + options.sensors.delay) * known
         self.commands: list[float] = []
+        self.wheels: list[float] = []
         self.pieces: list[Piece] = []
         self.x_T = np.full(4, np.nan)
         # rows of the trajectory, outward
@@ -266,10 +264,17 @@ class _Loop:
         self.rows_delta: list[float] = []
         self.rows_a_y: list[float] = []
         self.seen: list[np.ndarray] = []
-        # at each sample and at the end: time, a_y before and after, the wheel's angle after
+        # at each sample and at the end: time, a_y before and after, the wheel's angle after; then a_y without v^2 c
         self.nodes: list[tuple[float, float, float, float]] = []
+        self.own: list[tuple[float, float]] = []
+        self.own_T = 0.0
 
     # the lane and the speed, as they are and as the law sees them
+
+    def recorded(self, t: float) -> np.ndarray:
+        path = self.path
+        rates = path.side * path.dy(t), path.side * path.ddy(t) / path.v(t)
+        return np.array([path.e_y(t), rates[0], self.attitude(t)[0], rates[1]])
 
     def v(self, t: Times) -> Times:
         return self.v_s if self.frozen else self.path.v(np.minimum(t, self.path.T))
@@ -298,6 +303,32 @@ class _Loop:
         return gauss(self.yaw_rate_seen, t, self.path.T) + gauss(self.yaw_rate_seen, self.path.T, end)
 
     # the plant
+
+    def attitude(self, t: float) -> tuple[float, float]:
+        """(e_psi, steering angle) at which the forces give the recorded path's e_y'', and no e_psi''."""
+        true, kept, self.v_s = self.true, self.v_s, self.path.v(t)
+        v, dv, bend = self.v_s, self.dv(t, True), self.path.side * self.path.ddy(t)
+        x = np.array([self.path.e_y(t), self.path.side * self.path.dy(t), 0.0, bend / v])
+
+        def left_over(angles: np.ndarray) -> tuple[float, float]:
+            e_psi, delta = angles
+            x[2] = e_psi
+            state = np.append(self.vehicle_coordinates(t, x), delta)
+            _, d_e_psi, d_v_y, d_omega, _ = self.derivative(t, state, True, lambda delta: 0.0)
+            if self.options.tyres.model == "linear":
+                found = d_v_y + dv * e_psi + v * d_e_psi
+            else:
+                sine, cosine = math.sin(e_psi), math.cos(e_psi)
+                found = (d_v_y + v * d_e_psi) * cosine + (dv - state[2] * d_e_psi) * sine
+            return found - bend, d_omega - self.yaw_acceleration(t, True)
+
+        turn = (self.yaw_rate(t) + bend / v) / v
+        angles = np.array([self.path.e_psi(t) - math.atan(true.l_r * turn), math.atan((true.l_f + true.l_r) * turn)])
+        for more in (8.0, 2.0, 1.0):  # with little friction there are solutions beyond the peak of the force too
+            self.true = true.times(mu=more)
+            angles = root(left_over, angles, tol=1e-14).x
+        self.true, self.v_s = true, kept
+        return float(angles[0]), float(angles[1])
 
     def vehicle_coordinates(self, t: float, x: np.ndarray) -> np.ndarray:
         e_y, de_y, e_psi, de_psi = x
@@ -391,35 +422,39 @@ class _Loop:
     def _command(self, k: int, t: float, x: np.ndarray) -> None:
         frame, new = self.camera.latest(k)
         seen = np.array([frame[0], x[1], frame[1], x[3]])
+        self.wheels.append(self.state[4])
+        wheels = [self.wheels[n - self.age] if n >= self.age else self.delta_0 for n in (k - 1, k)]
         if self.filter is not None:
             if k > 0:
-                r = self.yaw_rate_seen(t - self.dt), self.yaw_rate_seen(t)
-                self.filter.predict(self.commands[-1], *r)
+                ends = [t - self.dt - self.age * self.dt, t - self.age * self.dt]
+                self.filter.predict(wheels[0], self._arriving(k - 1, self.known_delay), *map(self.yaw_rate_seen, ends))
             if new:
                 self.filter.correct(frame)
             seen = self.filter.z
         self.seen.append(self.path.side * seen)
-        previous = self.commands[-1] if self.commands else self.delta_0
         command = self.law(
-            seen, lambda ahead: self.yaw_rate_seen(t + ahead), lambda ahead: self.heading_seen(t, ahead), previous
-        )
+            seen, lambda ahead: self.yaw_rate_seen(t + ahead), lambda ahead: self.heading_seen(t, ahead),
+            self._commanded(k - 1), [self._commanded(k - 2 - j) for j in range(3)], wheels[1],
+        )  # fmt: skip
         self.commands.append(float(command))
 
     def _switches(self, k: int) -> list[tuple[float, float]]:
         """(time after the sample, delayed and limited command from there on) in step k."""
-        actuator = self.options.actuator
-        whole = math.floor(actuator.delay / self.dt + 1e-9)
-        late = actuator.delay - whole * self.dt
-        if late < 1e-12:
-            return [(0.0, self._limited(k - whole))]
-        return [(0.0, self._limited(k - whole - 1)), (late, self._limited(k - whole))]
+        limit = self.options.actuator.delta_max or math.inf
+        arriving = self._arriving(k, self.options.actuator.delay)
+        # the angle at the trigger is not limited
+        return [(late, u if u == self.delta_0 else min(max(u, -limit), limit)) for late, u in arriving]
 
-    def _limited(self, number: int) -> float:
-        if number < 0:
-            return self.delta_0
-        limit = self.options.actuator.delta_max
-        command = self.commands[number]
-        return command if limit is None else min(max(command, -limit), limit)
+    def _arriving(self, k: int, delay: float) -> list[tuple[float, float]]:
+        """(time after the sample, delayed command from there on) in step k."""
+        whole = math.floor(delay / self.dt + 1e-9)
+        late = delay - whole * self.dt
+        if late < 1e-12:
+            return [(0.0, self._commanded(k - whole))]
+        return [(0.0, self._commanded(k - whole - 1)), (late, self._commanded(k - whole))]
+
+    def _commanded(self, number: int) -> float:
+        return self.delta_0 if number < 0 else self.commands[number]
 
     def _advance_wheel_at_once(self, u: float) -> None:
         if self.options.actuator.lag == 0 and self.options.actuator.rate_max is None:
@@ -442,6 +477,7 @@ class _Loop:
             low = end
         if high == self.path.T:
             self.x_T = self.path.side * self.lane_coordinates(high, self.state)
+            self.own_T = self.a_y(high, self.state) - self.v(high) * self.yaw_rate(high)
             at_a_sample = self.rest == 0 or self.t_s + len(self.commands) * self.dt - high < 1e-12
             last = self.more == 0
             if not (at_a_sample or last):
@@ -455,6 +491,8 @@ class _Loop:
 
     def _node(self, t: float, before: np.ndarray, after: np.ndarray) -> None:
         self.nodes.append((t, self.a_y(t, before), self.a_y(t, after), after[4]))
+        lane = self.v(t) * self.yaw_rate(t)
+        self.own.append((self.path.side * (self.nodes[-1][1] - lane), self.path.side * (self.nodes[-1][2] - lane)))
 
 
 def phases(
@@ -481,8 +519,8 @@ def phases(
 class _Camera:
     """Frames at t_s + j p dt, the latest of which is d samples old when it arrives. Road frame."""
 
-    def __init__(self, path: Path, sensors: Sensors, t_s: float, dt: float) -> None:
-        self.path, self.sensors, self.t_s, self.dt = path, sensors, t_s, dt
+    def __init__(self, path: Path, sensors: Sensors, t_s: float, dt: float, e_psi: Callable[[float], float]) -> None:
+        self.path, self.sensors, self.t_s, self.dt, self.e_psi = path, sensors, t_s, dt, e_psi
         self.p = max(round(sensors.period / dt), 1)
         self.d = round(sensors.delay / dt)
         self.truth: list[tuple[float, float]] = []
@@ -498,7 +536,7 @@ class _Camera:
             e_y, e_psi = self.truth[sample]
         else:
             t = self.t_s + sample * self.dt
-            e_y, e_psi = self.path.e_y(t), self.path.e_psi(t)
+            e_y, e_psi = self.path.e_y(t), self.e_psi(t)
         s = self.sensors
         return np.array([rounded(e_y + s.e_y_bias, s.e_y_step), rounded(e_psi + s.e_psi_bias, s.e_psi_step)]), new
 
@@ -508,18 +546,23 @@ def rounded(value: float, step: float) -> float:
 
 
 class _Filter:
-    def __init__(self, vehicle: Vehicle, v: float, dt: float, p: int, kalman: KalmanFilter, x_0: np.ndarray) -> None:
+    def __init__(
+        self, vehicle: Vehicle, v: float, dt: float, p: int, kalman: KalmanFilter, z: np.ndarray, lag: float
+    ) -> None:
         A, B, E = vehicle.matrices(v)
-        M = np.zeros((7, 7))  # x, delta, r, slope of r
-        M[:4, :4], M[:4, 4], M[:4, 5], M[5, 6] = A, B, E, 1.0
-        phi = expm(dt * M)
-        self.A, self.B, self.hold, self.slope = phi[:4, :4], phi[:4, 4], phi[:4, 5], phi[:4, 6]
-        self.dt = dt
-        self.gain = stationary_gain(self.A, dt, p, kalman)
-        self.z = x_0.copy()
+        M = np.zeros((8, 8))  # x, wheel, r, slope of r, command
+        M[:4, :4], M[:4, 4 if lag else 7], M[:4, 5], M[5, 6] = A, B, E, 1.0
+        if lag:
+            M[4, 4], M[4, 7] = -1.0 / lag, 1.0 / lag
+        self.M, self.dt, self.z = M, dt, z
+        self.gain = stationary_gain(expm(dt * A), dt, p, kalman)
 
-    def predict(self, command: float, r_0: float, r_1: float) -> None:
-        self.z = self.A @ self.z + self.B * command + self.hold * r_0 + self.slope * (r_1 - r_0) / self.dt
+    def predict(self, wheel: float, arriving: list[tuple[float, float]], r_0: float, r_1: float) -> None:
+        s = np.array([*self.z, wheel, r_0, (r_1 - r_0) / self.dt, 0.0])
+        ends = [*(late for late, _ in arriving[1:]), self.dt]
+        for (late, s[7]), end in zip(arriving, ends, strict=True):
+            s = expm((end - late) * self.M) @ s
+        self.z = s[:4]
 
     def correct(self, frame: np.ndarray) -> None:
         self.z = self.z + self.gain @ (frame - self.z[[0, 2]])
@@ -606,6 +649,16 @@ def _first_inside(path: Path, pieces: list[Piece]) -> float:
 
 def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, float]:
     t, a_before, a_after, delta = (np.array(column) for column in zip(*loop.nodes, strict=True))
+    own = np.array(loop.own).T
+
+    def recorded(s: np.ndarray, left: bool) -> np.ndarray:
+        return np.where(s <= path.T + 1e-9 if left else s < path.T - 1e-9, path.ddy(s), 0.0)
+
+    changes = [
+        np.abs(_change(t, *own, left, recorded)) - np.abs(recorded(t, left) - recorded(t - JERK_WINDOW, left))
+        for left in (True, False)
+    ]
+    added = [*(np.abs(own[0]) - np.abs(recorded(t, True)))[1:], *(np.abs(own[1]) - np.abs(recorded(t, False)))]
     change = np.abs(np.diff(delta, prepend=loop.delta_0))
     effort = sum(gauss(lambda t, p=piece: p.delta(t) ** 2, piece.start, piece.end) for piece in loop.pieces)
     # the wheel is monotone within a piece, and jumps between pieces at most
@@ -614,10 +667,13 @@ def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, fl
         "deepest": largest(departure, _edge(path)),
         "dtle": -largest(departure, _front(path, loop.true)),
         "t_back": _first_inside(path, loop.pieces),
-        "overshoot": max(0.0, largest(loop.pieces, lambda piece, t: -path.side * piece.e_y(t) - OFFSET)),
+        "opposite_crossing": max(0.0, largest(loop.pieces, lambda piece, t: -path.side * piece.e_y(t) - OFFSET)),
         # the limit from before t_s is before the window
         "a_y_peak": float(np.abs([*a_before[1:], *a_after]).max()),
-        "jerk_peak": _jerk_peak(t, a_before, a_after),
+        "jerk_peak": max(float(np.abs(_change(t, a_before, a_after, left)).max()) for left in (True, False))
+        / JERK_WINDOW,
+        "a_y_added_peak": max(0.0, abs(loop.own_T), *added),
+        "jerk_added_peak": max(0.0, *changes[0], *changes[1]) / JERK_WINDOW,
         "delta_peak": float(np.abs(angles).max()),
         "delta_rate_peak": float(change.max()) / loop.dt,
         "effort": effort,
@@ -625,12 +681,21 @@ def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, fl
     }
 
 
-def _jerk_peak(t: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
-    """Moving average over half a second, of what is linear between samples and jumps at them."""
+def _change(
+    t: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    left: bool,
+    recorded: Callable[[np.ndarray, bool], np.ndarray] | None = None,
+) -> np.ndarray:
+    """Change over half a second before each time, of what is linear between samples and jumps at them.
 
-    def at(s: float, *, left: bool) -> float:
-        if s < t[0] - 1e-9:
-            return float(before[0])
+    Before the first it is constant, or as recorded.
+    """
+
+    def at(s: float) -> float:
+        if s < t[0] - 1e-9 or (left and s < t[0] + 1e-9):
+            return float(before[0] if recorded is None else recorded(np.array(s), left))
         k = int(np.argmin(np.abs(t - s)))
         if abs(t[k] - s) < 1e-9:
             return float(before[k] if left else after[k])
@@ -638,15 +703,14 @@ def _jerk_peak(t: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
         share = (s - t[k]) / (t[k + 1] - t[k])
         return float((1 - share) * after[k] + share * before[k + 1])
 
-    jerks = [abs(value - at(s, left=True)) for s, value in zip(t - JERK_WINDOW, before, strict=True)]
-    jerks += [abs(value - at(s, left=False)) for s, value in zip(t - JERK_WINDOW, after, strict=True)]
-    return max(jerks) / JERK_WINDOW
+    return (before if left else after) - np.array([at(s) for s in t - JERK_WINDOW])
 
 
 def _never_triggered(path: Path, recorded: list[Piece], S: float, vehicle: Vehicle) -> Drive:
     nothing = np.full(4, np.nan)
     none = np.zeros(0)
-    calm = ("overshoot", "a_y_peak", "jerk_peak", "delta_peak", "delta_rate_peak", "effort", "travel")
+    calm = ("opposite_crossing", "a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak", "delta_peak")
+    calm += ("delta_rate_peak", "effort", "travel")
     companions = {
         "deepest": largest(recorded, _edge(path)),
         "dtle": -largest(recorded, _front(path, vehicle)),

@@ -6,13 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ldctoolkit import BicycleModel, Plant
+from ldctoolkit import BicycleModel, LinearLaw, Plant
 
 DT = 0.05
 
 
 def plant_at(*v: float, model: BicycleModel | None = None, dt: float = DT) -> Plant:
     return Plant.build(model or BicycleModel(), np.array(v), dt)
+
+
+def weights_of(law: LinearLaw, i: int) -> np.ndarray:
+    """Of the state, the wheel angle and the commands on their way, in scenario i."""
+    wheel = [] if law.f_wheel is None else [law.f_wheel[i]]
+    past = [] if law.f_past is None else law.f_past[i]
+    return np.array([*law.F[i], *wheel, *([law.f_u[i]] if law.f_u.any() else []), *past])
 
 
 def moved(

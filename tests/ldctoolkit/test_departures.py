@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -183,11 +185,29 @@ def test_nothing_in_nothing_out() -> None:
         ({"side": [1, 2]}, r"side\[1\].*\(left\)"),
         ({"v_mean": [20.0, 0.5]}, r"v_mean\[1\].*1.0 m/s"),
         ({"a_mean": [0.0, 39.0]}, r"v_mean\[1\].*stays at or above"),
+        ({"v_mean": 120.0}, r"v_mean\[0\] = 120; .*stays at or below 90 m/s"),
+        ({"v_mean": 88.0, "a_mean": [0.0, -5.0]}, r"v_mean\[1\] = 88; .*stays at or below 90 m/s"),
+        ({"d_y": [0.1, 30.0]}, r"d_y\[1\] = 30; allowed: up to 10 m$"),
+        (
+            {"c_0": 500.0},
+            r"c_0\[0\] = 500; allowed: a curvature up to 0.2 1/m, with v_mean\^2 times it up to 40 m/s\^2",
+        ),
+        ({"c_0": 0.04, "dc": [0.0, 0.08]}, r"dc\[1\] = 0.08; allowed: a curvature"),
+        ({"T": ["2"]}, r"T\[0\] = '2'; allowed: numbers"),
+        ({"T": [1.0, None]}, r"T\[1\] = None; allowed: numbers"),
+        ({"side": ["left", "rihgt"]}, r"side\[1\] = 'rihgt'; did you mean 'right'\? \(allowed: left, right\)"),
+        ({"T": [[1.0], [1.0, 2.0]]}, "T: rows of different lengths"),
         ({"c_0": [0.0, 0.0, 0.0]}, "one common length"),
         ({"c_0": [[0.0]]}, "one-dimensional"),
     ],
 )
-def test_bad_scenarios_are_named(columns: dict[str, list[float]], message: str) -> None:
+def test_bad_scenarios_are_named(columns: dict[str, Any], message: str) -> None:
     good = {"T": [1.0, 1.0], "d_y": [0.1, 0.1], "v_mean": [20.0, 20.0]}
     with pytest.raises(InputError, match=message):
-        Scenarios.from_arrays(**{**good, **columns})  # type: ignore[arg-type]
+        Scenarios.from_arrays(**{**good, **columns})
+
+
+def test_sides_may_be_words() -> None:
+    for side in (["left", "right"], np.array(["left", "right"], dtype=object), [1, -1]):
+        assert Scenarios.from_arrays(T=1.0, d_y=0.1, v_mean=20.0, side=side).side.tolist() == [1, -1]
+    assert Scenarios.from_arrays(T=[1.0, 2.0], d_y=0.1, v_mean=20.0, side="right").side.tolist() == [-1, -1]

@@ -30,10 +30,11 @@ def test_shares_of_all_and_of_the_interventions() -> None:
     # the last one did not intervene: neither counted nor in the denominator
     assert metrics.comfortable_share(peaks, jerks, triggered) == pytest.approx(1 / 3)
     assert metrics.comfortable_share([1.0] * 4, [1.0] * 4, triggered) == 1.0
-    np.testing.assert_array_equal(metrics.needless(triggered, [0.49, 0.5, 0.2, 0.1], 0.5), [True, False, True, False])
-    assert metrics.needless_share(triggered, [0.49, 0.5, 0.2, 0.1], 0.5) == 0.5
+    np.testing.assert_array_equal(metrics.needless(triggered, [0.3, 0.31, 0.2, 0.1]), [True, False, True, False])
+    assert metrics.needless_share(triggered, [0.3, 0.31, 0.2, 0.1]) == 0.5
+    assert metrics.needless_share(triggered, [0.3, 0.31, 0.2, 0.1], limit=-0.2) == 0.25
     assert metrics.back_inside_share([2.0, np.inf, np.inf, 3.0], triggered) == pytest.approx(1 / 3)
-    assert metrics.overshoot_share([0.0, 0.1, 1e-9, 0.4], triggered) == pytest.approx(2 / 3)
+    assert metrics.opposite_crossed_share([0.0, 0.1, 1e-9, 0.4], triggered) == pytest.approx(2 / 3)
 
 
 def test_shares_of_many_designs_are_those_of_each() -> None:
@@ -44,21 +45,19 @@ def test_shares_of_many_designs_are_those_of_each() -> None:
     depth, peak, jerk = rng.random(n), 6 * rng.random((d, n)), 10 * rng.random((d, n))
     dtle, over = rng.normal(size=(d, n)), np.maximum(0, rng.normal(size=(d, n)))
     back = np.where(rng.random((d, n)) < 0.5, 2.0, np.inf)
-    together = [
-        metrics.share_within_dtle(dtle),
-        metrics.comfortable_share(peak, jerk, triggered),
-        metrics.needless_share(triggered, depth, 0.5),
-        metrics.back_inside_share(back, triggered),
-        metrics.overshoot_share(over, triggered),
-    ]
-    for i in range(d):
-        one = [
-            metrics.share_within_dtle(dtle[i]),
-            metrics.comfortable_share(peak[i], jerk[i], triggered[i]),
-            metrics.needless_share(triggered[i], depth, 0.5),
-            metrics.back_inside_share(back[i], triggered[i]),
-            metrics.overshoot_share(over[i], triggered[i]),
+
+    def shares(rows: int | slice) -> list[float | FloatArray]:
+        return [
+            metrics.share_within_dtle(dtle[rows]),
+            metrics.comfortable_share(peak[rows], jerk[rows], triggered[rows]),
+            metrics.needless_share(triggered[rows], depth),
+            metrics.back_inside_share(back[rows], triggered[rows]),
+            metrics.opposite_crossed_share(over[rows], triggered[rows]),
         ]
+
+    together = shares(slice(None))
+    for i in range(d):
+        one = shares(i)
         assert all(type(share) is float for share in one)
         np.testing.assert_array_equal([np.asarray(share)[i] for share in together], one)
     assert np.isnan(np.asarray(together[1])).tolist() == [False, False, True, False, False]
@@ -68,13 +67,13 @@ def test_empty_sets() -> None:
     nobody = np.zeros(0, dtype=bool)
     assert metrics.share_within_dtle([]) == 0.0
     assert metrics.share_deeper(np.zeros(0), 0.5) == 0.0
-    assert metrics.needless_share(nobody, [], 0.5) == 0.0
+    assert metrics.needless_share(nobody, []) == 0.0
     # no intervention: a share of nothing
     for triggered in (nobody, np.zeros(3, dtype=bool)):
         values = np.zeros(triggered.size)
         assert math.isnan(metrics.comfortable_share(values, values, triggered))
         assert math.isnan(metrics.back_inside_share(values, triggered))
-        assert math.isnan(metrics.overshoot_share(values, triggered))
+        assert math.isnan(metrics.opposite_crossed_share(values, triggered))
 
 
 def test_a_nan_counts_and_is_seen() -> None:
@@ -87,8 +86,8 @@ def test_a_nan_counts_and_is_seen() -> None:
         lambda flags: metrics.comfortable_share([0.0] * 3, values, flags),
         lambda flags: metrics.comfortable_share(values, [0.0] * 3, flags),
         lambda flags: metrics.back_inside_share(values, flags),
-        lambda flags: metrics.overshoot_share(values, flags),
-        lambda flags: metrics.needless_share(flags, values, 0.5),
+        lambda flags: metrics.opposite_crossed_share(values, flags),
+        lambda flags: metrics.needless_share(flags, values),
     ):
         assert math.isnan(share(yes))
         assert not math.isnan(share(no))  # not an intervention, so not asked for
@@ -102,10 +101,13 @@ Z3 = np.zeros(3)
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: metrics.overshoot_share([0.1, 0.0], [1.0, 0.0]), "triggered: an array of float64; allowed: booleans"),
-        (lambda: metrics.overshoot_share(0.1, True), r"overshoot \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
-        (lambda: metrics.needless_share([True, False], [0.1], 0.5), r"d_y \(1,\), triggered \(2,\)"),
-        (lambda: metrics.needless([True], [0.1], NAN), "D_y: nan; allowed: a number"),
+        (
+            lambda: metrics.back_inside_share([0.1, 0.0], [1.0, 0.0]),
+            "triggered: an array of float64; allowed: booleans",
+        ),
+        (lambda: metrics.back_inside_share(0.1, True), r"t_back \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
+        (lambda: metrics.needless_share([True, False], [0.1]), r"d_y \(1,\), triggered \(2,\)"),
+        (lambda: metrics.needless([True], [0.1], NAN), "limit: nan; allowed: a number"),
         (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit: 'deep'"),  # type: ignore[arg-type]
         (lambda: metrics.share_within_dtle(["a"]), "dtle: not an array of numbers"),
         (lambda: metrics.share_deeper(np.zeros((2, 2)), 0.5), r"deepest: shape \(2, 2\)"),

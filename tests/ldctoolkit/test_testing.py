@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import numpy as np
 import pytest
 
 from controllers import LQR
-from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
+from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
 from ldctoolkit.errors import InputError
+from ldctoolkit.linear_steps import LinearSteps
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.testing import (
     CHECKS,
@@ -26,7 +28,6 @@ from ldctoolkit.testing import (
     contract_faults,
 )
 from ldctoolkit.testing.roads import bends, corners
-from ldctoolkit.testing.runs import Linear
 
 IN_PROCESS = tuple(name for name in CHECKS if name != "picklable")
 """Classes of a test module cannot be loaded by a fresh process."""
@@ -175,7 +176,7 @@ def test_a_law_that_keeps_the_contract() -> None:
         ("exits", "interface", r"SystemExit: 3 \(test_testing\.py, line \d+\)", None),
         ("exits", "extremes", r"K = -1\.0: SystemExit: 3; allowed: finite commands", None),
         ("nothing", "interface", r".* 'steered': step returned None; allowed: a tuple \(delta, state, status\)", None),
-        ("unknown status", "interface", r".*returned status 3; allowed: EventStatus.OK \(0\) or .*", None),
+        ("unknown status", "interface", r".*returned status 3; allowed: EventStatus.OK \(0\), .*", None),
         ("single precision", "interface", r"step returned delta of type float32; allowed: an array of float64", None),
         ("status of another kind", "interface", r"step returned status of type list; allowed: .* int8", ()),
         ("changes the plant", "interface", r"prepare changes the arrays of the plant in place; .*", ()),
@@ -303,6 +304,7 @@ def test_words_and_switches_round_trip() -> None:
 def test_a_linear_law_is_called_by_its_formula() -> None:
     rng = np.random.default_rng(1)
     n, p = 5, 3
+    plant = Plant.build(BicycleModel(), np.full(n, 20.0), 0.05, lag=0.1, delay=0.07)
     law = LinearLaw(
         F=rng.normal(size=(n, 4)),
         preview_times=np.arange(p) * 0.1,
@@ -310,16 +312,21 @@ def test_a_linear_law_is_called_by_its_formula() -> None:
         G_heading=rng.normal(size=(n, p)),
         f_u=rng.normal(size=n),
         f_i=rng.normal(size=n),
+        f_past=rng.normal(size=(n, 2)),
+        f_wheel=rng.normal(size=n),
     )
-    called, x, last = Linear(law, 0.05), rng.normal(size=(2, n, 4)), rng.normal(size=n)
+    called, x, last = LinearSteps.of(law, plant), rng.normal(size=(3, n, 4)), rng.normal(size=(3, n))
     preview = type("P", (), {"yaw_rate": rng.normal(size=(n, p)), "heading": rng.normal(size=(n, p))})()
-    _, state, _ = called.step(np.zeros(n), x[0], preview, last, called.init(n))
-    delta, _, _ = called.step(np.zeros(n), x[1], preview, last, state)
+    state = called.init(n)
+    for k in range(3):
+        delta, state, _ = called.step(np.zeros(n), x[k], preview, last[k], state)
+    a = math.exp(-0.03 / 0.1)  # the last 0.03 s of a sample are those of the younger of two commands
     for i in range(n):
-        z = 0.05 * x[0, i, 0]
-        lane = law.G_yaw_rate[i] @ preview.yaw_rate[i] + law.G_heading[i] @ preview.heading[i]
-        # sums in another order
-        assert delta[i] == pytest.approx(law.F[i] @ x[1, i] + lane + law.f_u[i] * last[i] + law.f_i[i] * z, rel=1e-12)
+        z = 0.05 * (x[0, i, 0] + x[1, i, 0])
+        wheel = a * last[0, i] + (1 - a) * last[1, i]  # before the first command the wheel stood at it
+        expected = law.F[i] @ x[2, i] + law.f_u[i] * last[2, i] + law.f_i[i] * z + law.f_wheel[i] * wheel
+        expected += law.G_yaw_rate[i] @ preview.yaw_rate[i] + law.G_heading[i] @ preview.heading[i]
+        assert delta[i] == pytest.approx(expected + law.f_past[i] @ [last[1, i], last[0, i]], rel=1e-12)
 
 
 def test_the_lane_that_laws_are_shown_is_one_lane() -> None:

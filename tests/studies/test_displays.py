@@ -124,8 +124,9 @@ def test_comparison(results: StudyResults, tmp_path: Path) -> None:
 
 def test_outcome() -> None:
     scenarios = Scenarios.from_arrays(
-        T=[3.0, 2.0, 2.0, 2.0], d_y=[0.6, 0.4, 0.02, 0.3], v_mean=[25.0, 25.0, 25.0, 95.0], side=[1, -1, -1, 1]
+        T=[3.0, 2.0, 2.0, 2.0], d_y=[0.6, 0.4, 0.02, 0.3], v_mean=25.0, side=[1, -1, -1, 1]
     )
+    scenarios = dataclasses.replace(scenarios, v_mean=np.array([25.0, 25.0, 25.0, 95.0]))
     outcome = simulate(LQR(), scenarios, y_s=0.1)
     lines = {row[0]: row[1] for row in rows_of(outcome._repr_html_())}
     driven = outcome.status != EventStatus.INVALID
@@ -139,7 +140,7 @@ def test_outcome() -> None:
 
 
 def test_an_outcome_without_scenarios_to_speak_of() -> None:
-    bad = Scenarios.from_arrays(T=[2.0], d_y=0.3, v_mean=95.0, side=1)
+    bad = dataclasses.replace(Scenarios.from_arrays(T=[2.0], d_y=0.3, v_mean=25.0), v_mean=np.array([95.0]))
     lines = {row[0]: row[1] for row in rows_of(simulate(NoControl(), bad)._repr_html_())}
     assert lines == {"cannot be driven": "1", "failures": "0"}
 

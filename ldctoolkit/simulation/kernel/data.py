@@ -15,9 +15,16 @@ import numpy.typing as npt
 
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.setup import Setup
+from ldctoolkit.vehicle import Plant
 
 LANES: Final = 8
 """Scenarios side by side, in the vector registers of the processor."""
+
+PIECE: Final = 4
+"""Substeps after which scores are taken: about one of the fastest time constants."""
+
+STIFF: Final = 8
+"""Substeps a sample above which even the ideal plant takes them: about two of the fastest time constants."""
 
 # columns of a scenario: constant over a run
 START: Final = 0  # [s] trigger
@@ -40,11 +47,13 @@ A_11, A_12, A_13, B_1, E_1 = range(17, 22)
 C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(22, 30)
 CURVATURE_BIAS: Final = 30  # [1/m] outward
 SUBSTEPS: Final = 31  # of the Runge-Kutta method in a segment
-SCENE: Final = 32
+BEND: Final = 32  # 3 columns: y'' of the recorded path without residuals as a polynomial in t
+SCENE: Final = 35
 """Then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter."""
 
-# the filter's own columns: gain (4 x 2), A (4 x 4), B, E_0, E_1 (4 each)
-GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, FILTER = 0, 8, 24, 28, 32, 36
+# the filter's own columns: gain (4 x 2), A (4 x 4); 4 each: weights of the younger of two commands, of the lane's yaw
+# rate at both ends, of the older command, of the wheel angle; first estimate
+GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FILTER = 0, 8, 24, 28, 32, 36, 40, 44, 48
 
 
 def score_column(metric: str) -> int:
@@ -56,9 +65,11 @@ AREA: Final = 0  # integral of |e_y| up to T
 DEEP: Final = score_column("deepest")  # max of e_y up to T
 FRONT: Final = score_column("dtle")  # max of e_y + l_f e_psi up to T
 BACK: Final = score_column("t_back")  # time of the first crossing back inside
-OVER: Final = score_column("overshoot")  # max of -e_y
+OPPOSITE: Final = score_column("opposite_crossing")  # max of -e_y
 A_Y: Final = score_column("a_y_peak")
 JERK: Final = score_column("jerk_peak")
+A_Y_ADDED: Final = score_column("a_y_added_peak")
+JERK_ADDED: Final = score_column("jerk_added_peak")
 DELTA: Final = score_column("delta_peak")
 RATE: Final = score_column("delta_rate_peak")
 EFFORT: Final = score_column("effort")
@@ -68,130 +79,131 @@ SCORES: Final = 1 + len(SCENARIO_METRICS)
 # columns of a path's entry
 P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
 
-# columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time
-LAW_F, LAW_U, LAW_I, LAW = 0, 4, 5, 6
+# columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time, then of past commands
+LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7
 
 # columns of the ideal plant over a step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
 EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31
 
-
-# numbers of a run that hold for every scenario; yes is 1
-SETTINGS: Final = (
-    "dt",
-    "offset",  # [m] e_y with the edge on the line
-    "l_f",  # [m]
-    "bound",  # [m] |e_y| that counts as diverged
-    "window",  # samples in the moving average of the jerk
-    "profile",  # v(t) instead of the trigger's speed
-    "saturating",  # tyres
-    "shape",  # of the tyres
-    "delta_max",  # infinite for none
-    "rate_max",  # infinite for none
-    "lag",
-    "delay_samples",
-    "delay_part",  # [s] what remains of the delay after whole samples
-    "modes",  # columns of the speed residual
-    "earlier",  # frames before the trigger
-    "camera",  # the law sees frames, not the state
-    "period",  # [s] between frames
-    "late",  # [s] until a frame arrives
-    "noise_y",
-    "noise_psi",
-    "bias_y",  # in the road's frame
-    "bias_psi",
-    "step_y",  # of quantisation
-    "step_psi",
-    "curvature_gain",
-    "seed_low",
-    "seed_high",
-    "filtered",
-    "commands",  # length of the ring of commands
-    "frames",  # length of the ring of frames
-    "ring",  # length of the rings of lateral accelerations, a power of two
-)
+# rows of the table of a block, `LANES` numbers each. All of it is one array with fixed distances, so that the compiler
+# sees that rows do not overlap and works on the lanes of a row together. A name is the place of a row's first number.
+_SIZES: Final = {
+    "x": 4,  # state at the start of a piece of the path
+    "n": 4,  # at its end
+    "signed": 1,  # integral of e_y over it
+    "command": 1,  # the last
+    "target": 1,  # command to be driven
+    "z": 1,  # integral of e_y as the law sees it
+    "counted": 1,  # 1 before T
+    "alive": 1,
+    "flag": 1,  # 1 where a piece needs a closer look
+    "scores": SCORES,
+    "limits": 4,  # a_y at the start and the end of a sample, then without the lane's part v^2 c
+    "past": 4,  # what they were a window earlier
+    "recorded": 4,  # y'' of the recorded path at both ends of a sample, and a window before them
+    # the scenario
+    "t_0": 1,
+    "T": 1,
+    "stop": 1,  # end of the settling horizon
+    "bend": 3,
+    "before": 1,  # a_y before the trigger
+    "law": LAW,
+    # exact steps
+    "single": 1,  # 1 where a step was driven by itself
+    "lane": 1,  # the lane's yaw rate at the last sample that was looked at
+    "weights": 2,  # of yaw rate and turn at a single lookahead time
+    "v": 1,
+    "per_T": 1,
+    "c_0": 1,  # v c_0
+    "dc": 1,  # v dc
+    "a": 5,  # row of e_y'': 3 states, delta, the lane's yaw rate
+    "step": EXACT,
+    # Runge-Kutta steps
+    "substeps": 1,
+    "h": 1,  # length of a substep
+    "span": 1,  # of a piece so far
+    "now": 1,  # its start, since the departure's
+    "due": 1,  # 1 where it ends
+    "points": 12,  # of the road along a substep, see `kernel.sight`
+    "segment": 9,
+    "slope": 1,  # of the ramp of the steering angle
+    "ramp": 1,  # how long that lasts
+    "from": 1,  # steering angle at the segment's start
+    "left": 1,  # what remains to the command
+    "wheel": 1,  # steering angle at present, or at the segment's end
+    "parabola": 3,  # steering angle at the start, the middle and the end of a substep
+    "began": 2,  # time at a segment's start, steering angle at a sample's
+    "saved": SCORES,
+    "seen": 4,
+    "wheel_seen": 2,  # steering angle as a design knows it, now and at the last sample
+    "estimate": 4,  # the Kalman filter's
+    "rate_seen": 1,  # the lane's yaw rate at the last sample
+    "diverged": 1,
+    "failed": 1,
+    "entries": 1,  # of the path so far
+    "side": 1,
+    "car": 9,
+    "filter": FILTER,
+}
 (
-    DT,
-    OFFSET,
-    AXLE,
-    BOUND,
-    WINDOW,
-    PROFILE,
-    SATURATING,
-    SHAPE,
-    DELTA_MAX,
-    RATE_MAX,
-    LAG,
-    DELAY_SAMPLES,
-    DELAY_PART,
-    MODES,
-    EARLIER,
-    CAMERA,
-    PERIOD,
-    LATE,
-    NOISE_Y,
-    NOISE_PSI,
-    BIAS_Y,
-    BIAS_PSI,
-    STEP_Y,
-    STEP_PSI,
-    CURVATURE_GAIN,
-    SEED_LOW,
-    SEED_HIGH,
-    FILTERED,
-    COMMANDS,
-    FRAMES,
-    RING,
-) = range(len(SETTINGS))
+    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, POLYNOMIAL,
+    BEFORE, OF_LAW, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, PARTS, H, SPAN, NOW, DUE, POINTS,
+    SEGMENT, SLOPE, RAMP, FROM, LEFT, WHEEL, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN,
+    DIVERGED, FAILED, ENTRIES, OUTWARD, CAR, OF_FILTER, RINGS,
+) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
+"""`RINGS`: then come the rings, of a length that the run decides; see `kernel.lanes.rings`."""
 
 
-def setting_row(setup: Setup, *, modes: int, bound: float, window: float) -> npt.NDArray[np.float64]:
-    """The numbers of a run that hold for every scenario, in the order of `SETTINGS`.
+# numbers of a run that hold for every scenario, see `setting_row`; yes is 1
+(
+    DT, OFFSET, AXLE, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES,
+    DELAY_PART, MODES, EARLIER, CAMERA, PERIOD, LATE, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
+    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMANDS, FRAMES, RING,
+) = range(33)  # fmt: skip
 
-    Parameters
-    ----------
-    setup : Setup
-    modes : int
-        Columns of the speed residual.
-    bound : float [m]
-        |e_y| that counts as diverged.
-    window : float [s]
-        Of the moving average of the jerk.
-    """
+
+def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> npt.NDArray[np.float64]:
+    """The numbers of a run that hold for every scenario; `plant` is what a design knows."""
     actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
     whole = math.floor(actuator.delay / dt + 1e-9)
     part = actuator.delay - whole * dt
+    known = math.floor(plant.delay / dt + 1e-9)
     period, late = sensors.period or dt, sensors.delay
     values = {
-        "dt": dt,
-        "offset": setup.vehicle.edge_offset,
-        "l_f": setup.vehicle.l_f,
-        "bound": bound,
-        "window": window / dt,
-        "profile": setup.options.speed == "profile",
-        "saturating": not setup.options.tyres.ideal,
-        "shape": setup.options.tyres.shape,
-        "delta_max": math.inf if actuator.delta_max is None else actuator.delta_max,
-        "rate_max": math.inf if actuator.rate_max is None else actuator.rate_max,
-        "lag": actuator.lag,
-        "delay_samples": whole,
-        "delay_part": part if part > 1e-9 * dt else 0.0,
-        "modes": modes,
-        "earlier": math.ceil(late / period - 1e-9),
-        "camera": not sensors.ideal,
-        "period": period,
-        "late": late,
-        "noise_y": sensors.e_y_noise,
-        "noise_psi": sensors.e_psi_noise,
-        "bias_y": sensors.e_y_bias,
-        "bias_psi": sensors.e_psi_bias,
-        "step_y": sensors.e_y_step,
-        "step_psi": sensors.e_psi_step,
-        "curvature_gain": sensors.curvature_gain,
-        "seed_low": setup.seed & 0xFFFFFFFF,
-        "seed_high": setup.seed >> 32,
-        "filtered": sensors.kalman is not None,
-        "commands": whole + 2,
-        "frames": 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,
-        "ring": 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
+        DT: dt,
+        OFFSET: setup.vehicle.edge_offset,  # [m] e_y with the edge on the line
+        AXLE: setup.vehicle.l_f,  # [m]
+        BOUND: bound,  # [m] |e_y| that counts as diverged
+        WINDOW: window / dt,  # samples in the moving average of the jerk
+        PROFILE: setup.options.speed == "profile",  # v(t) instead of the trigger's speed
+        SATURATING: not setup.options.tyres.ideal,  # tyres
+        SHAPE: setup.options.tyres.shape,  # of the tyres
+        DELTA_MAX: math.inf if actuator.delta_max is None else actuator.delta_max,  # infinite for none
+        RATE_MAX: math.inf if actuator.rate_max is None else actuator.rate_max,  # infinite for none
+        LAG: actuator.lag,
+        DELAY_SAMPLES: whole,
+        DELAY_PART: part if part > 1e-9 * dt else 0.0,  # [s] what remains of the delay after whole samples
+        MODES: modes,  # columns of the speed residual
+        EARLIER: math.ceil(late / period - 1e-9),  # frames before the trigger
+        CAMERA: not sensors.ideal,  # the law sees frames, not the state
+        PERIOD: period,  # [s] between frames
+        LATE: late,  # [s] until a frame arrives
+        NOISE_Y: sensors.e_y_noise,
+        NOISE_PSI: sensors.e_psi_noise,
+        BIAS_Y: sensors.e_y_bias,  # in the road's frame
+        BIAS_PSI: sensors.e_psi_bias,
+        STEP_Y: sensors.e_y_step,  # of quantisation
+        STEP_PSI: sensors.e_psi_step,
+        CURVATURE_GAIN: sensors.curvature_gain,
+        SEED_LOW: setup.seed & 0xFFFFFFFF,
+        SEED_HIGH: setup.seed >> 32,
+        FILTERED: sensors.kalman is not None,
+        KNOWN_DELAY: known,  # whole samples of delay that a design knows
+        KNOWN_AGE: plant.age,  # [s] of the camera's
+        # length of the rings of commands and of wheel angles
+        COMMANDS: max(whole, known, math.ceil(plant.age / dt)) + 3,
+        FRAMES: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
+        # length of the ring of lateral accelerations, a power of two
+        RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
     }
-    return np.array([values[name] for name in SETTINGS], dtype=np.float64)
+    return np.array([values[n] for n in range(len(values))], dtype=np.float64)

@@ -22,33 +22,16 @@ from numba.extending import intrinsic
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
-from ldctoolkit.simulation import _philox
-from ldctoolkit.simulation.kernel import (
-    between,
-    data,
-    fused,
-    lane_events,
-    lane_rows,
-    lane_sight,
-    lane_table,
-    lanes,
-    plant,
-    rk4_lanes,
-)
-from ldctoolkit.simulation.kernel.data import LANES, RING
-from ldctoolkit.simulation.kernel.lane_rows import SEEN, TARGET
-from ldctoolkit.simulation.kernel.lane_sight import lay_road, look_ahead, noise_of, see, segment_size, substeps_of
-from ldctoolkit.simulation.kernel.lane_table import ROWS
-from ldctoolkit.simulation.kernel.lanes import drive_block
-from ldctoolkit.simulation.kernel.plant import OPTIONS
-from ldctoolkit.simulation.kernel.rk4_lanes import advance, drive_block_any, start
+from ldctoolkit.paths import philox
+from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
+from ldctoolkit.simulation.kernel.data import LANES, SEEN, TARGET
+from ldctoolkit.simulation.kernel.lanes import OPTIONS
 
 
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256(",".join(SCENARIO_METRICS).encode())
-    lane_modules = (lane_events, lane_rows, lane_sight, lane_table, lanes)
-    for module in (data, *lane_modules, between, fused, plant, rk4_lanes, _philox):
+    for module in (data, lanes, exact_lanes, sight, rk4_lanes, philox):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
 
@@ -73,37 +56,28 @@ def _entries(digest: int) -> Any:
     """The entries, each with the digest among what it closes over: numba keeps one version a value."""
 
     @numba.njit(cache=True, **OPTIONS)
-    def begin(scene, setting, state, paths, place, blocks):
+    def begin(scene, setting, state, paths, chosen, blocks):
         """Start of the scenarios of some blocks, their tables in the rows of `state`."""
         if digest < 0:
             return
-        scene = _bare(scene)
-        setting = _bare(setting)
-        state = _bare(state)
-        paths = _bare(paths)
-        place = _bare(place)
-        blocks = _bare(blocks)
+        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
+        paths, chosen = _bare(paths), _bare(chosen)
         for block in blocks:
-            start(scene, setting, block, state[block], paths, place)
+            rk4_lanes.start(scene, setting, block, state[block], paths, chosen)
 
     @numba.njit(cache=True, **OPTIONS)
     def look(scene, setting, state, k, blocks, times, seen, lane):
         """What the law sees at sample k of the scenarios of some blocks, into (m, 4) and (2, m, p)."""
         if digest < 0:
             return
-        scene = _bare(scene)
-        setting = _bare(setting)
-        state = _bare(state)
-        blocks = _bare(blocks)
-        times = _bare(times)
-        seen = _bare(seen)
-        lane = _bare(lane)
+        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
+        times, seen, lane = _bare(times), _bare(seen), _bare(lane)
         ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
-            look_ahead(scene, setting, block, k, times, ahead, 0)
-            noise_of(scene, setting, block, k, noise, 0)
-            see(setting, w, k, ahead, 0, noise, 0)
+            sight.look_ahead(scene, setting, block, k, times, ahead, 0)
+            sight.noise_of(scene, setting, block, k, noise, 0)
+            sight.see(setting, w, k, ahead, 0, noise, 0)
             for l in range(min(LANES, scene.shape[0] - block * LANES)):
                 i = block * LANES + l
                 for n in range(4):
@@ -113,68 +87,52 @@ def _entries(digest: int) -> Any:
                     lane[1, i, j] = ahead[(2 + 2 * j) * LANES + l]
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(scene, setting, state, paths, place, k, blocks, command):
+    def go_on(scene, setting, state, recorded, paths, chosen, k, blocks, command):
         """Sample k of the scenarios of some blocks with the commands (m,)."""
         if digest < 0:
             return
-        scene = _bare(scene)
-        setting = _bare(setting)
-        state = _bare(state)
-        paths = _bare(paths)
-        place = _bare(place)
-        blocks = _bare(blocks)
-        command = _bare(command)
+        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
+        recorded, paths, chosen, command = _bare(recorded), _bare(paths), _bare(chosen), _bare(command)
         most = 1
         for block in blocks:
-            most = max(most, substeps_of(scene, block))
-        road = np.empty(3 * segment_size(most))
+            most = max(most, sight.substeps_of(scene, block))
+        road, bend = np.empty(3 * sight.segment_size(most)), np.empty(4 * LANES)
         for block in blocks:
-            w = state[block]
-            parts = substeps_of(scene, block)
+            w, parts = state[block], sight.substeps_of(scene, block)
             for l in range(min(LANES, scene.shape[0] - block * LANES)):
                 w[TARGET + l] = command[block * LANES + l]
-            end = lay_road(scene, setting, block, k, w, parts, road, 0)
-            advance(scene, setting, block, w, k, parts, road, 0, end, paths, place)
+            end = sight.lay_road(scene, setting, block, k, w, parts, road, 0)
+            lanes.lay_bend(scene, setting, recorded, block, k, w, bend, 0)
+            rk4_lanes.advance(scene, setting, block, w, k, parts, road, 0, end, bend, 0, paths, chosen)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_any(scene, setting, law, times, paths, place, blocks, score, diverged, failed):
+    def drive_any(scene, setting, law, times, recorded, paths, chosen, blocks, score, diverged, failed, width):
         """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if digest < 0:
             return
-        scene = _bare(scene)
-        setting = _bare(setting)
-        law = _bare(law)
-        times = _bare(times)
-        paths = _bare(paths)
-        place = _bare(place)
-        blocks = _bare(blocks)
-        score = _bare(score)
-        diverged = _bare(diverged)
-        failed = _bare(failed)
+        scene, setting, law, times, recorded = _bare(scene), _bare(setting), _bare(law), _bare(times), _bare(recorded)
+        paths, chosen, blocks = _bare(paths), _bare(chosen), _bare(blocks)
+        score, diverged, failed = _bare(score), _bare(diverged), _bare(failed)
         for block in blocks:
-            drive_block_any(scene, setting, law, times, paths, place, block, score, diverged, failed)
+            rk4_lanes.drive_block_any(
+                scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, width
+            )
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_lanes(scene, exact, setting, law, times, first, last, score, diverged, failed, work, score_only):
+    def drive_lanes(
+        scene, exact, setting, law, times, recorded, first, last, score, diverged, failed,
+        work, g, bend, width, score_only,
+    ):  # fmt: skip
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant. S alone on request."""
         if digest < 0:
             return
-        scene = _bare(scene)
-        exact = _bare(exact)
-        setting = _bare(setting)
-        law = _bare(law)
-        times = _bare(times)
-        score = _bare(score)
-        diverged = _bare(diverged)
-        failed = _bare(failed)
-        work = _bare(work)
-        size, rows = int(setting[RING]), 2 * times.shape[1]
-        lane = work.reshape(-1, LANES)
-        w, g = lane[:ROWS].ravel(), lane[ROWS : ROWS + rows].ravel()
-        ring = lane[ROWS + rows : ROWS + rows + 1 + 2 * size].ravel()
-        tables = (w, g, ring)
+        scene, exact, setting, law, times = _bare(scene), _bare(exact), _bare(setting), _bare(law), _bare(times)
+        recorded, score, diverged, failed = _bare(recorded), _bare(score), _bare(diverged), _bare(failed)
+        tables = (_bare(work), _bare(g), _bare(bend), width)
         for block in range(first, last):
-            drive_block(scene, exact, setting, law, times, block, score, diverged, failed, tables, score_only)
+            exact_lanes.drive_block(
+                scene, exact, setting, law, times, recorded, block, score, diverged, failed, tables, score_only
+            )
 
     return begin, look, go_on, drive_any, drive_lanes
 
@@ -182,6 +140,9 @@ def _entries(digest: int) -> Any:
 begin, look, go_on, drive_any, drive_lanes = _entries(_digest())
 
 
-def scratch(setting: FloatArray, lookaheads: int) -> FloatArray:
-    """Scratch of one call of `drive_lanes` with that many lookahead times."""
-    return np.zeros((ROWS + 2 * lookaheads + 1 + 2 * int(setting[RING])) * LANES)
+def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scratch of one call of `drive_lanes`: table of a block, weights of the lane ahead, y'' of `most` samples.
+
+    The caller keeps it: what a compiled function makes is freed after its last use there, bare views do not count.
+    """
+    return np.zeros(lanes.rings(setting)[-1]), np.zeros(2 * lookaheads * LANES), np.empty(4 * most * LANES)

@@ -1,340 +1,418 @@
-"""Linear laws on the ideal plant: eight scenarios side by side, in the lanes of the processor's vector registers.
+"""What both loops do with the table of a block: its start, events within a piece of the path, acceleration and jerk.
 
-Neighbours in the takeover's order last about equally long. Each whole step is a product with the exactly discretised
-plant, the same arithmetic in every lane, so that a scenario's numbers do not depend on its neighbours. What happens
-rarely is left to `lane_events`.
+A piece leads from the state in rows `X` to that in rows `N`: a sample on the ideal plant, a few substeps on any other.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
 from __future__ import annotations
 
+import inspect
 import math
+from typing import Any, Final
 
 import numba
+from numba import types
+from numba.extending import intrinsic
 
-from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.kernel.between import touches
-from ldctoolkit.simulation.kernel.fused import fma
-from ldctoolkit.simulation.kernel.lane_events import cut, look_closer, past_of_last, past_sample
-from ldctoolkit.simulation.kernel.lane_table import (
-    R_AD,
-    R_ALIVE,
-    R_AR0,
-    R_AR1,
-    R_AX,
-    R_B,
-    R_BEFORE,
-    R_C0,
-    R_COUNTED,
-    R_D,
-    R_DC,
-    R_E0,
-    R_E1,
-    R_F,
-    R_FI,
-    R_FLAG,
-    R_FU,
-    R_GH,
-    R_GR,
-    R_LEFT,
-    R_N,
-    R_P,
-    R_PAST_LEFT,
-    R_PAST_RIGHT,
-    R_PER_T,
-    R_Q,
-    R_R1,
-    R_RIGHT,
-    R_S,
-    R_SIGNED,
-    R_SINGLE,
-    R_START,
-    R_T,
-    R_U,
-    R_X,
-    R_Z,
-    WRONG,
-    L,
-    begin,
-    leave,
-    load,
-)
-from ldctoolkit.simulation.kernel.plant import OPTIONS, length_of
+from ldctoolkit.simulation.kernel import data as at
+
+L: Final = at.LANES
+
+# ------------------------------------------------------------------------------------------------ functions
+
+# strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
+# where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
+
+_MOST_PASSES: Final = 40
+_NEAR: Final = 1e-9
+"""Error of a zero, in parts of the piece; what it costs an integral is its square."""
+
+
+def _instruction(build, *names):
+    """A function of floats that is an instruction or two of the processor, without a branch."""
+
+    def function(typing, *arguments):  # noqa: ARG001
+        if any(argument != types.float64 for argument in arguments):
+            return None
+        return types.float64(*[types.float64] * len(names)), lambda _, builder, __, values: build(builder, *values)
+
+    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in ("typing", *names)]
+    )
+    return intrinsic(function)
+
+
+# a product and a sum rounded once, where the code says so: left to the compiler, two processes could differ in it
+fma: Final[Any] = _instruction(lambda builder, a, b, c: builder.fma(a, b, c), "a", "b", "c")
+# the larger one, or b where one is NaN
+larger: Final[Any] = _instruction(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), "a", "b")
+
+
+@numba.njit(inline="always", **OPTIONS)
+def hermite_peak(f_0, m_0, f_1, m_1, h):
+    """Largest value of the cubic with these ends and slopes, where it rises first and falls last."""
+    peak = max(f_0, f_1)
+    if m_0 > 0.0 > m_1:
+        m_0, m_1, rise = m_0 * h, m_1 * h, f_1 - f_0
+        a, b = m_0 + m_1 - 2.0 * rise, 3.0 * rise - 2.0 * m_0 - m_1
+        # 3 a u^2 + 2 b u + m_0 = 0 between 0 and 1, in the form that does not cancel
+        root = math.sqrt(max(b * b - 3.0 * a * m_0, 0.0))
+        u = m_0 / (root - b) if b < 0.0 else (-(b + root) / (3.0 * a) if a != 0.0 else 0.0)
+        if 0.0 < u < 1.0:
+            peak = max(peak, f_0 + u * (m_0 + u * (b + u * a)))
+    return peak
+
+
+@numba.njit(inline="always", **OPTIONS)
+def quartic_root(f_0, m_0, f_1, m_1, mean):
+    """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
+    q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
+    a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
+    u = f_0 / (f_0 - f_1)
+    for _ in range(4):
+        value = f_0 + u * (m_0 + u * (b + u * (a + u * q)))
+        following = u - value / (m_0 + u * (2.0 * b + u * (3.0 * a + u * 4.0 * q)))
+        if not 0.0 < following < 1.0:
+            return u
+        if abs(following - u) < 1e-3:
+            return following
+        u = following
+    return u
 
 
 @numba.njit(**OPTIONS)
-def _look_ahead(setting, times, design, k, w, g, width):
-    """What a law with several lookahead times, or none, makes of the lane ahead."""
-    t_k = k * setting[data.DT]
-    for l in range(width):
-        w[R_D * L + l] = 0.0
-    for j in range(times.shape[1]):
-        ahead = times[design, j]
-        for l in range(width):
-            rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
-            weight_rate, weight_turn = g[(2 * j) * L + l], g[(2 * j + 1) * L + l]
-            c_0, dc = w[R_C0 * L + l], w[R_DC * L + l]
-            d = fma(weight_rate, fma(dc, rate, c_0), w[R_D * L + l])
-            w[R_D * L + l] = fma(weight_turn, fma(dc, turn, c_0 * ahead), d)
+def _between(c, low, high):
+    """Zero of the polynomial c_0 + c_1 u + ... + c_4 u^4 between two places of different signs."""
+    at_low = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
+    u = 0.5 * (low + high)
+    for _ in range(_MOST_PASSES):
+        value = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * c[4])))
+        if value * at_low > 0.0:
+            low = u
+        else:
+            high = u
+        slope = c[1] + u * (2.0 * c[2] + u * (3.0 * c[3] + u * 4.0 * c[4]))
+        following = u - value / slope if slope != 0.0 else low
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if abs(following - u) < _NEAR:
+            return following
+        u = following
+    return u
+
+
+@numba.njit(**OPTIONS)
+def absolute_area(x_0, x_1, n_0, n_1, area, h):
+    """Integral of |e_y| over a piece, split where the quartic with its ends, slopes and integral changes its sign."""
+    m_0, m_1, mean = h * x_1, h * n_1, area / h
+    q = 30.0 * (mean - 0.5 * (x_0 + n_0) - (m_0 - m_1) / 12.0)
+    c = (x_0, m_0, 3.0 * (n_0 - x_0) - 2.0 * m_0 - m_1 + q, 2.0 * (x_0 - n_0) + m_0 + m_1 - 2.0 * q, q)
+    first = last = 1.0
+    if x_0 * n_0 < 0.0:
+        first = _between(c, 0.0, 1.0)
+    else:  # over and back, where the path turns between its ends
+        turn = _between((c[1], 2.0 * c[2], 3.0 * c[3], 4.0 * c[4], 0.0), 0.0, 1.0)
+        if (c[0] + turn * (c[1] + turn * (c[2] + turn * (c[3] + turn * c[4])))) * x_0 < 0.0:
+            first, last = _between(c, 0.0, turn), _between(c, turn, 1.0)
+    to_first = first * (c[0] + first * (c[1] / 2.0 + first * (c[2] / 3.0 + first * (c[3] / 4.0 + first * c[4] / 5.0))))
+    to_last = last * (c[0] + last * (c[1] / 2.0 + last * (c[2] / 3.0 + last * (c[3] / 4.0 + last * c[4] / 5.0))))
+    return h * (abs(to_first) + abs(to_last - to_first) + abs(mean - to_last))
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _lane(T, per_T, t, ahead):
-    """Shares of v dc in the lane's yaw rate at t + ahead, and in its turn until then."""
-    t_1 = t + ahead
-    in_0, in_1 = min(t, T), min(t_1, T)
-    within = 0.5 * (in_1 - in_0) * (in_1 + in_0)
-    return in_1 * per_T, fma(within, per_T, (t_1 - in_1) - (t - in_0))
+def touches(e_0, rate_0, e_1, rate_1, h):
+    """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
+    turns = (e_0 * e_1 >= 0.0) & (e_0 * rate_0 < 0.0) & (e_1 * rate_1 > 0.0)
+    return turns & (min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1)))
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def arctan(x):
+    """Arc tangent to 3e-10, without a branch."""
+    a = abs(x)
+    far, mid = a > 2.414213562373095, a > 0.4142135623730951
+    z = (-1.0 if far else (a - 1.0 if mid else a)) / (a if far else (a + 1.0 if mid else 1.0))
+    s = z * z
+    p = fma(s, fma(s, -0.060260709468774064, 0.10569738007378487), -0.14239520492592156)
+    p = fma(s, fma(s, fma(s, p, 0.19998182383953952), -0.3333330688086095), 0.999999999370875)
+    return math.copysign(fma(z, p, 0.5 * math.pi if far else (0.25 * math.pi if mid else 0.0)), x)
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def sine(x):
+    """Sine of an angle between -pi and pi to 3e-11, without a branch."""
+    a = abs(x)
+    z = min(a, math.pi - a)
+    s = z * z
+    p = fma(s, fma(s, -2.3889103098752917e-08, 2.752526342288838e-06), -0.00019840861056042458)
+    return math.copysign(
+        z * fma(s, fma(s, fma(s, p, 0.00833333097324863), -0.16666666616789771), 0.9999999999829079), x
+    )
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def cosine(x):
+    """Cosine of an angle between -3/2 pi and 3/2 pi, without a branch."""
+    return sine(0.5 * math.pi - abs(x))
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def decay(x):
+    """Exponential function of x <= 0 to 1e-12, without a branch; that of -60 below."""
+    y = max(x, -60.0) * (1.0 / 256.0)
+    p = fma(y, fma(y, 1.0 / 3628800.0, 1.0 / 362880.0), 1.0 / 40320.0)
+    p = fma(y, fma(y, fma(y, p, 1.0 / 5040.0), 1.0 / 720.0), 1.0 / 120.0)
+    p = fma(y, fma(y, fma(y, p, 1.0 / 24.0), 1.0 / 6.0), 0.5)
+    p = fma(y, fma(y, p, 1.0), 1.0)
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    return p * p
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def moments(z, rest):
+    """Integrals of y^n exp(-z y/rest) from 0 to the rest, n = 0, 1, 2; without a branch."""
+    fallen = decay(-z)
+    # 2/3! + 2 z/4! + ..., the series of the last one where the closed form cancels
+    s = fma(z, fma(z, 2.0 / 87178291200.0, 2.0 / 6227020800.0), 2.0 / 479001600.0)
+    s = fma(z, fma(z, fma(z, s, 2.0 / 39916800.0), 2.0 / 3628800.0), 2.0 / 362880.0)
+    s = fma(z, fma(z, fma(z, s, 2.0 / 40320.0), 2.0 / 5040.0), 2.0 / 720.0)
+    s = fma(z, fma(z, fma(z, s, 2.0 / 120.0), 2.0 / 24.0), 2.0 / 6.0)
+    far = (2.0 - fallen * (2.0 + z * (2.0 + z))) / max(z * z * z, 1e-300)
+    i_2 = fallen * s if z < 1.0 else far
+    i_1 = 0.5 * fma(z, i_2, fallen)
+    i_0 = fma(z, i_1, fallen)
+    return rest * i_0, rest * rest * i_1, rest * rest * rest * i_2
+
+
+# ------------------------------------------------------------------------------------------------ the table of a block
+
+SAME: Final = 1e-9
+"""Parts of a sample that are rounding."""
+
+LARGEST: Final = 1e300
+"""Command [rad] that still counts as a finite number: a comparison with infinity itself is not compiled for lanes."""
+
+POSITIVE: Final = (1 << 48) - 1
+"""Mask of a place in an array: the compiler then sees that it is not counted from the end, and moves lanes together."""
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _three(a, x, b, y, c, z):
-    """Sum of three products."""
-    return fma(a, x, fma(b, y, c * z))
+def length_of(scene, setting, i, k):
+    """Length of sample k, and how much of it lies before T."""
+    full, rest = scene[i, at.FULL], scene[i, at.REST]
+    h = rest if k + 1 == scene[i, at.STEPS] and rest > 0.0 else setting[at.DT]
+    return h, (h if k < full else (rest if k == full else 0.0))
 
 
-@numba.njit(inline="always", **OPTIONS)
-def _step(setting, k, ahead, w, full):
-    """Command and one whole step of every lane; True if something rare happens in one."""
-    dt, offset, bound, l_f = setting[data.DT], setting[data.OFFSET], setting[data.BOUND], setting[data.AXLE]
-    t_k, t_next = k * dt, (k + 1) * dt
-    rare = False
+@numba.njit(**OPTIONS)
+def begin(scene, setting, block, w):
+    """Scenarios of a block at their triggers; lanes beyond the last repeat it and are never alive."""
     for l in range(L):
-        r_0 = w[R_R1 * L + l]
-        c_0, dc = w[R_C0 * L + l], w[R_DC * L + l]
-        r_1 = fma(dc, min((w[R_START * L + l] + t_next) * w[R_PER_T * L + l], 1.0), c_0)
-        w[R_R1 * L + l] = r_1
-        x_0, x_1, x_2, x_3 = w[R_X * L + l], w[(R_X + 1) * L + l], w[(R_X + 2) * L + l], w[(R_X + 3) * L + l]
-        u = w[R_U * L + l]
-        rate, turn = _lane(w[R_T * L + l], w[R_PER_T * L + l], w[R_START * L + l] + t_k, ahead)
-        d = fma(w[R_GR * L + l], fma(dc, rate, c_0), w[R_D * L + l])
-        d = fma(w[R_GH * L + l], fma(dc, turn, c_0 * ahead), d)
-        d = fma(w[R_FI * L + l], w[R_Z * L + l], fma(w[R_FU * L + l], u, d))
-        d += fma(
-            w[R_F * L + l], x_0, _three(w[(R_F + 1) * L + l], x_1, w[(R_F + 2) * L + l], x_2, w[(R_F + 3) * L + l], x_3)
-        )
-        w[R_Z * L + l] = fma(dt, x_0, w[R_Z * L + l])
-        wrong = not abs(d) < math.inf
-        d = u if wrong else d
-        w[R_D * L + l] = d
-        # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
-        n_0 = fma(w[R_P * L + l], x_1, fma(w[(R_P + 1) * L + l], x_2, fma(w[(R_P + 2) * L + l], x_3, x_0)))
-        n_1 = _three(w[(R_P + 3) * L + l], x_1, w[(R_P + 4) * L + l], x_2, w[(R_P + 5) * L + l], x_3)
-        n_2 = _three(w[(R_P + 6) * L + l], x_1, w[(R_P + 7) * L + l], x_2, w[(R_P + 8) * L + l], x_3)
-        n_3 = _three(w[(R_P + 9) * L + l], x_1, w[(R_P + 10) * L + l], x_2, w[(R_P + 11) * L + l], x_3)
-        n_0 = fma(w[R_B * L + l], d, fma(w[R_E0 * L + l], r_0, fma(w[R_E1 * L + l], r_1, n_0)))
-        n_1 = fma(w[(R_B + 1) * L + l], d, fma(w[(R_E0 + 1) * L + l], r_0, fma(w[(R_E1 + 1) * L + l], r_1, n_1)))
-        n_2 = fma(w[(R_B + 2) * L + l], d, fma(w[(R_E0 + 2) * L + l], r_0, fma(w[(R_E1 + 2) * L + l], r_1, n_2)))
-        n_3 = fma(w[(R_B + 3) * L + l], d, fma(w[(R_E0 + 3) * L + l], r_0, fma(w[(R_E1 + 3) * L + l], r_1, n_3)))
-        area = _three(w[R_AX * L + l], x_0, w[(R_AX + 1) * L + l], x_1, w[(R_AX + 2) * L + l], x_2)
-        area = fma(w[(R_AX + 3) * L + l], x_3, fma(w[R_AR0 * L + l], r_0, fma(w[R_AR1 * L + l], r_1, area)))
-        area = fma(w[R_AD * L + l], d, area)
-        back, deep, front, over = 0.0, math.inf, math.inf, math.inf
-        if full:
-            q_1, q_2, q_3 = w[R_Q * L + l], w[(R_Q + 1) * L + l], w[(R_Q + 2) * L + l]
-            q_d, q_r = w[(R_Q + 3) * L + l] * d, w[(R_Q + 4) * L + l]
-            w[R_RIGHT * L + l] = fma(q_r, r_0, _three(q_1, x_1, q_2, x_2, q_3, x_3) + q_d)
-            w[R_LEFT * L + l] = fma(q_r, r_1, _three(q_1, n_1, q_2, n_2, q_3, n_3) + q_d)
-            back, deep = w[(R_S + data.BACK) * L + l], w[(R_S + data.DEEP) * L + l]
-            front, over = w[(R_S + data.FRONT) * L + l], w[(R_S + data.OVER) * L + l]
-        w[R_N * L + l], w[(R_N + 1) * L + l], w[(R_N + 2) * L + l], w[(R_N + 3) * L + l] = n_0, n_1, n_2, n_3
-        w[R_SIGNED * L + l] = area
-        event = _event(
-            x_0, x_1, fma(l_f, x_3, x_1), n_0, n_1, fma(l_f, n_3, n_1), l_f * x_2, l_f * n_2, dt, offset, bound,
-            w[R_COUNTED * L + l] > 0.0, back, deep, front, over,
-        )  # fmt: skip
-        w[R_FLAG * L + l] = WRONG if wrong else (1.0 if event else 0.0)
-        rare |= event | wrong
-    return rare
+        i = min(block * L + l, scene.shape[0] - 1)
+        alive = block * L + l < scene.shape[0] and scene[i, at.STEPS] > 0.0
+        w[at.T_0 + l], w[at.T + l] = scene[i, at.START], scene[i, at.T_END]
+        last = scene[i, at.STEPS] - 1.0
+        h, _ = length_of(scene, setting, i, last)
+        w[at.STOP + l] = scene[i, at.START] + last * setting[at.DT] + h
+        for n in range(3):
+            w[at.POLYNOMIAL + n * L + l] = scene[i, at.BEND + n]
+        for n in range(at.SCORES):
+            w[at.S + n * L + l] = 0.0
+        for n in range(4):
+            w[at.X + n * L + l] = w[at.N + n * L + l] = scene[i, at.X_0 + n] if alive else 0.0
+        w[at.LAST + l] = scene[i, at.DELTA_0] if alive else 0.0
+        w[at.TARGET + l] = w[at.Z + l] = w[at.COUNTED + l] = 0.0
+        w[at.S + at.DEEP * L + l] = scene[i, at.X_0]
+        w[at.S + at.FRONT * L + l] = scene[i, at.X_0] + setting[at.AXLE] * scene[i, at.X_0 + 2]
+        w[at.S + at.BACK * L + l] = math.inf if alive else 0.0
+        w[at.S + at.OPPOSITE * L + l] = -scene[i, at.X_0]
+        w[at.ALIVE + l] = 1.0 if alive else 0.0
+
+
+# ------------------------------------------------------------------------------------------------ within a piece
 
 
 @numba.njit(**OPTIONS)
-def _light_step(setting, k, ahead, w):
-    """The same for S alone."""
-    return _step(setting, k, ahead, w, False)
+def look_closer(setting, w, l, t, h, counted):
+    """What a piece of one lane holds from t to t + h: change of sign, extremes, edge back inside."""
+    l_f, offset = setting[at.AXLE], setting[at.OFFSET]
+    x_0, x_1, n_0, n_1 = w[at.X + l], w[at.X + L + l], w[at.N + l], w[at.N + L + l]
+    if w[at.S + at.BACK * L + l] == math.inf and x_0 >= offset > n_0:
+        u = quartic_root(x_0 - offset, h * x_1, n_0 - offset, h * n_1, w[at.SIGNED + l] / h - offset)
+        w[at.S + at.BACK * L + l] = t + h * u
+    if counted:
+        f_0, f_1 = x_0 + l_f * w[at.X + 2 * L + l], n_0 + l_f * w[at.N + 2 * L + l]
+        front = hermite_peak(f_0, x_1 + l_f * w[at.X + 3 * L + l], f_1, n_1 + l_f * w[at.N + 3 * L + l], h)
+        w[at.S + at.DEEP * L + l] = max(w[at.S + at.DEEP * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
+        w[at.S + at.FRONT * L + l] = max(w[at.S + at.FRONT * L + l], front)
+        if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
+            w[at.SIGNED + l] = absolute_area(x_0, x_1, n_0, n_1, w[at.SIGNED + l], h)
+    w[at.S + at.OPPOSITE * L + l] = max(w[at.S + at.OPPOSITE * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
 
 
 @numba.njit(**OPTIONS)
-def _light_score(w):
-    """S of a step in every lane."""
-    for l in range(L):
-        counted = w[R_COUNTED * L + l] * (1.0 - w[R_SINGLE * L + l])
-        w[(R_S + data.AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + data.AREA) * L + l])
-        w[R_U * L + l], w[R_D * L + l] = w[R_D * L + l], 0.0
-        w[R_X * L + l], w[(R_X + 1) * L + l] = w[R_N * L + l], w[(R_N + 1) * L + l]
-        w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = w[(R_N + 2) * L + l], w[(R_N + 3) * L + l]
+def diverge(setting, w, l, t, counted):
+    """Score the bound from the start t of what left it."""
+    inwards = w[at.N + l] < 0.0
+    if counted:
+        w[at.S + at.AREA * L + l] += setting[at.BOUND] * (w[at.T + l] - t)
+        if not inwards:
+            w[at.S + at.DEEP * L + l] = w[at.S + at.FRONT * L + l] = setting[at.BOUND]
+    if inwards:
+        w[at.S + at.OPPOSITE * L + l] = setting[at.BOUND]
+
+
+# ------------------------------------------------------------------------------------------------ acceleration and jerk
+
+
+@numba.njit(**OPTIONS)
+def rings(setting):
+    """First rows of the rings behind those of commands and wheel angles: of frames, of a_y; the end."""
+    frames = at.RINGS + 2 * L * int(setting[at.COMMANDS])
+    limits = frames + 2 * L * int(setting[at.FRAMES])
+    return frames, limits, limits + 4 * L * int(setting[at.RING])
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _event(
-    x_0, x_1, f_0, n_0, n_1, f_1, ahead_0, ahead_1, dt, offset, bound, counted, back, deep, front, over
-):  # fmt: skip
-    """Whether a step holds anything but a smooth piece on one side of the lane's centre."""
-    high, low = max(x_0, n_0), min(x_0, n_0)
-    event = not abs(n_0) <= bound  # also true for NaN
-    event |= (back == math.inf) & (n_0 < offset)
-    # an extreme between the samples that may be a new one
-    event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(dt, x_1 - n_1, high) > deep)
-    event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(dt, f_0 - f_1, max(x_0 + ahead_0, n_0 + ahead_1)) > front)
-    event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(dt, n_1 - x_1, -low) > max(over, offset))
-    return event | (counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt)))
-
-
-@numba.njit(inline="always", **OPTIONS)
-def _past(j, share, size, from_left):
-    """Ring rows of the start and the end of the step from sample j on; the last row is the time before the trigger.
-
-    Rows are those of the right limits, then those of the left ones.
-    """
-    mask = size - 1
-    if j < 0 or (from_left and share == 0.0 and j == 0):
-        return 2 * size, 2 * size
-    if share == 0.0:
-        row = size + (j & mask) if from_left else j & mask
-        return row, row
-    return j & mask, size + ((j + 1) & mask)
-
-
-@numba.njit(inline="always", **OPTIONS)
-def _row(table, row):
+def _row(w, row):
     """A row of lanes, read before anything is written: only then are the lanes moved together."""
-    at = row * L
-    return (
-        table[at], table[at + 1], table[at + 2], table[at + 3],
-        table[at + 4], table[at + 5], table[at + 6], table[at + 7],
-    )  # fmt: skip
+    row &= POSITIVE
+    return w[row], w[row + 1], w[row + 2], w[row + 3], w[row + 4], w[row + 5], w[row + 6], w[row + 7]
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _put(table, row, values):
-    """Write a row of lanes."""
-    at = row * L
-    table[at], table[at + 1], table[at + 2], table[at + 3] = values[0], values[1], values[2], values[3]
-    table[at + 4], table[at + 5], table[at + 6], table[at + 7] = values[4], values[5], values[6], values[7]
+def _put(w, row, a):
+    row &= POSITIVE
+    w[row], w[row + 1], w[row + 2], w[row + 3] = a[0], a[1], a[2], a[3]
+    w[row + 4], w[row + 5], w[row + 6], w[row + 7] = a[4], a[5], a[6], a[7]
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _keep(ring, right, left, w):
-    """Put both limits of a_y into their rows of the ring."""
-    _put(ring, right, _row(w, R_RIGHT))
-    _put(ring, left, _row(w, R_LEFT))
+def copy(w, row, other, place, count):
+    """Copy whole rows of lanes from another array: what is worked on together lies in one."""
+    for n in range(count):
+        _put(w, row + n * L, _row(other, place + n * L))
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _compare(ring, start, end, share, w, row):
-    """What a limit of a_y was a window earlier."""
-    a = _row(ring, start)
-    if share > 0.0:
-        b = _row(ring, end)
-        a = (
-            a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]),
-            a[3] + share * (b[3] - a[3]), a[4] + share * (b[4] - a[4]), a[5] + share * (b[5] - a[5]),
-            a[6] + share * (b[6] - a[6]), a[7] + share * (b[7] - a[7]),
-        )  # fmt: skip
-    _put(w, row, a)
+def _past(setting, position, left):
+    """Rows of a past position in samples, in the ring, and the share of the second; -1 for before the trigger.
 
-
-@numba.njit(inline="always", **OPTIONS)
-def _score(setting, w):
-    """Scores of a step in every lane; `single` lanes have theirs but for acceleration, jerk and rate."""
-    dt, l_f = setting[data.DT], setting[data.AXLE]
-    per_window, per_step = 1.0 / (setting[data.WINDOW] * dt), 1.0 / dt
-    for l in range(L):
-        together = 1.0 - w[R_SINGLE * L + l]
-        n_0, n_2, d, u = w[R_N * L + l], w[(R_N + 2) * L + l], w[R_D * L + l], w[R_U * L + l]
-        counted = w[R_COUNTED * L + l] * together
-        alive = w[R_ALIVE * L + l] * together
-        w[(R_S + data.AREA) * L + l] = fma(abs(w[R_SIGNED * L + l]), counted, w[(R_S + data.AREA) * L + l])
-        front = fma(l_f, n_2, n_0)
-        w[(R_S + data.DEEP) * L + l] = max(w[(R_S + data.DEEP) * L + l], n_0 if counted > 0.0 else -math.inf)
-        w[(R_S + data.FRONT) * L + l] = max(w[(R_S + data.FRONT) * L + l], front if counted > 0.0 else -math.inf)
-        w[(R_S + data.OVER) * L + l] = max(w[(R_S + data.OVER) * L + l], -n_0 if alive > 0.0 else -math.inf)
-        change = abs(d - u)
-        w[(R_S + data.EFFORT) * L + l] = fma(alive, dt * (d * d), w[(R_S + data.EFFORT) * L + l])
-        w[(R_S + data.TRAVEL) * L + l] = fma(alive, change, w[(R_S + data.TRAVEL) * L + l])
-        right, left = w[R_RIGHT * L + l], w[R_LEFT * L + l]
-        jerk = max(abs(right - w[R_PAST_RIGHT * L + l]), abs(left - w[R_PAST_LEFT * L + l]))
-        w[(R_S + data.JERK) * L + l] = max(w[(R_S + data.JERK) * L + l], jerk * per_window)
-        w[(R_S + data.A_Y) * L + l] = max(w[(R_S + data.A_Y) * L + l], max(abs(right), abs(left)))
-        w[(R_S + data.DELTA) * L + l] = max(w[(R_S + data.DELTA) * L + l], abs(d))
-        w[(R_S + data.RATE) * L + l] = max(w[(R_S + data.RATE) * L + l], change * per_step)
-        w[R_U * L + l], w[R_D * L + l] = d, 0.0
-        w[R_X * L + l], w[(R_X + 1) * L + l] = n_0, w[(R_N + 1) * L + l]
-        w[(R_X + 2) * L + l], w[(R_X + 3) * L + l] = n_2, w[(R_N + 3) * L + l]
+    The ring holds four rows a sample: a_y just after and just before it, then the same without the lane's part.
+    """
+    _, limits, _ = rings(setting)
+    mask, j = int(setting[at.RING]) - 1, math.floor(position + SAME)
+    share = position - j
+    if j < 0 or (left and j == 0 and share <= SAME):
+        return -1, -1, 0.0
+    if share <= SAME:
+        row = limits + (4 * (j & mask) + left) * L
+        return row, row, 0.0
+    return limits + 4 * (j & mask) * L, limits + (4 * ((j + 1) & mask) + 1) * L, share
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, times, block, score, diverged, failed, tables, score_only):
-    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
-    w, g, ring = tables
-    first, rows, size = block * L, 2 * times.shape[1], int(setting[data.RING])
-    width = ring.shape[0] // (2 * size + 1)  # L, but unknown to the compiler, which would unroll a small loop instead
-    count = min(L, scene.shape[0] - first)
-    most = 0
-    for l in range(count):
-        most = max(most, int(scene[first + l, data.STEPS]))
-    load(scene, exact, block, w)
+def _before(setting, w, l, position, left, n):
+    """What a_y, or its own part, was in a lane at a past position; before the trigger that of the recorded path."""
+    start, end, share = _past(setting, position, left)
+    if start < 0:
+        return w[at.RECORDED + 3 * L + l] if n else w[at.BEFORE + l]
+    return w[start + 2 * n * L + l] + share * (w[end + 2 * n * L + l] - w[start + 2 * n * L + l])
+
+
+@numba.njit(inline="always", **OPTIONS)
+def look_back(setting, w, k):
+    """Put the limits of sample k into the ring, and what they were a window earlier into `PAST`."""
+    _, limits, _ = rings(setting)
+    mask = int(setting[at.RING]) - 1
+    for n in range(2):
+        _put(w, limits + (4 * (k & mask) + 2 * n) * L, _row(w, at.LIMITS + 2 * n * L))
+        _put(w, limits + (4 * ((k + 1) & mask) + 2 * n + 1) * L, _row(w, at.LIMITS + (2 * n + 1) * L))
+    for left in range(2):
+        start, end, share = _past(setting, k + left - setting[at.WINDOW], left)
+        if start < 0:
+            _put(w, at.PAST + left * L, _row(w, at.BEFORE))
+            _put(w, at.PAST + (2 + left) * L, _row(w, at.RECORDED + (2 + left) * L))
+        else:
+            for n in range(2):
+                a = _row(w, start + 2 * n * L)
+                if share > 0.0:
+                    b = _row(w, end + 2 * n * L)
+                    a = (
+                        fma(share, b[0] - a[0], a[0]), fma(share, b[1] - a[1], a[1]), fma(share, b[2] - a[2], a[2]),
+                        fma(share, b[3] - a[3], a[3]), fma(share, b[4] - a[4], a[4]), fma(share, b[5] - a[5], a[5]),
+                        fma(share, b[6] - a[6], a[6]), fma(share, b[7] - a[7], a[7]),
+                    )  # fmt: skip
+                _put(w, at.PAST + (2 * n + left) * L, a)
+
+
+@numba.njit(**OPTIONS)
+def look_back_from_end(scene, setting, w, i, l, k):
+    """The same at the end of a last sample that may be shorter, in one lane."""
+    h, _ = length_of(scene, setting, i, k)
+    part = h / setting[at.DT] if h < setting[at.DT] else 1.0
+    past = k + part - setting[at.WINDOW]
+    for n in range(2):
+        if past > k:
+            low, high = w[at.LIMITS + 2 * n * L + l], w[at.LIMITS + (2 * n + 1) * L + l]
+            w[at.PAST + (2 * n + 1) * L + l] = low + (past - k) / part * (high - low)
+        else:
+            w[at.PAST + (2 * n + 1) * L + l] = _before(setting, w, l, past, 1, n)
+
+
+@numba.njit(**OPTIONS)
+def score_limits(setting, w):
+    """Peaks of a_y and of its moving average at both ends of a sample, and of what the intervention adds to them."""
+    per_window = 1.0 / (setting[at.WINDOW] * setting[at.DT])
     for l in range(L):
-        ring[2 * size * L + l] = w[R_BEFORE * L + l]
-    # a window is so many samples and the same share of another everywhere
-    window_ago, share = past_sample(4 * size - setting[data.WINDOW], False)
-    behind = 4 * size - window_ago
-    for design in range(law.shape[0]):
-        begin(scene, setting, law, times, design, block, w, g)
+        a, b, p, q = w[at.LIMITS + l], w[at.LIMITS + L + l], w[at.PAST + l], w[at.PAST + L + l]
+        own_a, own_b = w[at.LIMITS + 2 * L + l], w[at.LIMITS + 3 * L + l]
+        own_p, own_q = w[at.PAST + 2 * L + l], w[at.PAST + 3 * L + l]
+        y_a, y_b = w[at.RECORDED + l], w[at.RECORDED + L + l]
+        y_p, y_q = w[at.RECORDED + 2 * L + l], w[at.RECORDED + 3 * L + l]
+        driven = w[at.ALIVE + l]
+        added = larger(abs(own_a) - abs(y_a), abs(own_b) - abs(y_b))
+        jerk = larger(abs(a - p), abs(b - q)) * per_window
+        jerk_added = larger(abs(own_a - own_p) - abs(y_a - y_p), abs(own_b - own_q) - abs(y_b - y_q)) * per_window
+        w[at.S + at.A_Y * L + l] = larger(w[at.S + at.A_Y * L + l], driven * larger(abs(a), abs(b)))
+        w[at.S + at.JERK * L + l] = larger(w[at.S + at.JERK * L + l], driven * jerk)
+        w[at.S + at.A_Y_ADDED * L + l] = larger(w[at.S + at.A_Y_ADDED * L + l], driven * added)
+        w[at.S + at.JERK_ADDED * L + l] = larger(w[at.S + at.JERK_ADDED * L + l], driven * jerk_added)
+
+
+@numba.njit(**OPTIONS)
+def lay_bend(scene, setting, recorded, block, k, w, bend, place):
+    """Recorded y'' at both ends of sample k and a window before them, from `place` on; 0 beyond T.
+
+    With residuals it comes from `recorded` (m, samples, 2), at the samples and a window before them.
+    """
+    t, window = k * setting[at.DT], setting[at.WINDOW] * setting[at.DT]
+    for l in range(L):
+        a = w[at.T_0 + l] + t
+        b = min(a + setting[at.DT], w[at.STOP + l])
+        c_0, c_1, c_2 = w[at.POLYNOMIAL + l], w[at.POLYNOMIAL + L + l], w[at.POLYNOMIAL + 2 * L + l]
+        early, late = w[at.T + l] - SAME, w[at.T + l] + SAME
+        p, q = a - window, b - window
+        bend[place + l] = fma(a, fma(a, c_2, c_1), c_0) if a < early else 0.0
+        bend[place + L + l] = fma(b, fma(b, c_2, c_1), c_0) if b < late else 0.0
+        bend[place + 2 * L + l] = fma(p, fma(p, c_2, c_1), c_0) if p < early else 0.0
+        bend[place + 3 * L + l] = fma(q, fma(q, c_2, c_1), c_0) if q < late else 0.0
+    if recorded.shape[0]:
         for l in range(L):
-            w[R_SINGLE * L + l] = 0.0
-            if score_only:
-                w[(R_S + data.BACK) * L + l] = 0.0  # no time is wanted beside S
-        several, ahead = times.shape[1] != 1, 0.0
-        if not several:
-            ahead = times[design, 0]
-        next_cut = 0  # the first sample at which a lane passes its T or comes to its last step
-        for k in range(most):
-            if several:
-                _look_ahead(setting, times, design, k, w, g, width)
-            quiet = k < next_cut
-            if not quiet:
-                next_cut = most
-                for l in range(count):
-                    i = first + l
-                    _, counted = length_of(scene, setting, i, k)
-                    w[R_COUNTED * L + l] = w[R_ALIVE * L + l] if counted > 0.0 else 0.0
-                    full, end = int(scene[i, data.FULL]), int(scene[i, data.STEPS]) - 1
-                    if k < end:
-                        next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
-            rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
-            if rare or not quiet:
-                for l in range(count):
-                    i, fine = first + l, True
-                    if w[R_ALIVE * L + l] == 0.0:
-                        continue
-                    if w[R_FLAG * L + l] == WRONG:  # the command before it was driven
-                        failed[design, i] += 1
-                    h, until = length_of(scene, setting, i, k)
-                    if h < setting[data.DT] or 0.0 < until < h:
-                        w[R_SINGLE * L + l] = 1.0
-                        fine = cut(scene, exact, setting, w, i, l, k, not score_only)
-                    elif w[R_FLAG * L + l] > 0.0:
-                        fine = look_closer(setting, w, l, k, not score_only)
-                    if not fine:
-                        diverged[design, i] = True
-                        leave(w, g, l, rows, score, design, i, score_only)
-            if not score_only:
-                _keep(ring, k & (size - 1), size + ((k + 1) & (size - 1)), w)
-                start, end = _past(k - behind, share, size, False)
-                _compare(ring, start, end, share, w, R_PAST_RIGHT)
-                start, end = _past(k + 1 - behind, share, size, True)
-                _compare(ring, start, end, share, w, R_PAST_LEFT)
-                if not quiet:
-                    for l in range(count):
-                        if w[R_SINGLE * L + l] * w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, data.STEPS]:
-                            past_of_last(scene, setting, first + l, l, k, ring, w)
-                _score(setting, w)
-            else:
-                _light_score(w)
-            if rare or not quiet:
-                for l in range(count):
-                    w[R_SINGLE * L + l] = 0.0
-                    if w[R_ALIVE * L + l] > 0.0 and k + 1 == scene[first + l, data.STEPS]:
-                        leave(w, g, l, rows, score, design, first + l, score_only)
+            i, a = min(block * L + l, scene.shape[0] - 1), w[at.T_0 + l] + t
+            b = min(a + setting[at.DT], w[at.STOP + l])
+            share = (b - a) / setting[at.DT]
+            j, after = min(k, recorded.shape[1] - 1), min(k + 1, recorded.shape[1] - 1)
+            for n in range(2):
+                low, high, back = recorded[i, j, n], recorded[i, after, n], n * window
+                bend[place + 2 * n * L + l] = low if a - back < w[at.T + l] - SAME else 0.0
+                ends = b - back < w[at.T + l] + SAME
+                bend[place + (2 * n + 1) * L + l] = low + share * (high - low) if ends else 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from studies.fit_page.figures_pairs import density_levels, smooth
+from studies.fit_page.figures import density_levels, smooth
 from studies.fit_page.style import COLORS, MODEL, TITLES, axis_label
 from studies.report.look.style import figure_settings
 from studies.report.model_match.parts import Pair, SideMatch

@@ -115,12 +115,13 @@ def axle_curves(context: Context) -> tuple[LimitCurve, ...]:
 
 
 def comfort_curves(context: Context, name: str) -> tuple[LimitCurve, ...]:
-    """Peak of lateral acceleration [m/s^2] or jerk [m/s^3], over the interventions of each design that has any.
+    """Added peak of lateral acceleration [m/s^2] or jerk [m/s^3], over the interventions of each design that has any.
 
     Parameters
     ----------
     context : Context
-    name : {"a_y_peak", "jerk_peak"}
+    name : {"a_y_added_peak", "jerk_added_peak"}
+        No curve of results that do not hold it.
     """
     limit = SCENARIO_METRICS[name].limit
 
@@ -128,7 +129,7 @@ def comfort_curves(context: Context, name: str) -> tuple[LimitCurve, ...]:
         for row in context.shown:
             acted = np.asarray(context.case.status[row.index]) != EventStatus.NEVER_TRIGGERED
             values = _values(context, name, row)[acted]
-            if values.size:
+            if values.size and not np.isnan(values).any():
                 yield _curve(context, row, values, values > limit)
 
     return tuple(curves())

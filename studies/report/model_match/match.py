@@ -14,7 +14,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.diagnostics import ModelMarginal, bin_edges, kolmogorov_limit, model_marginal
 from ldctoolkit.mixture import Distribution
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SourceSummary, conditions, summarize
-from ldctoolkit.scenario_model.given import Condition, mixture_conditions
+from ldctoolkit.scenario_model.model import Condition, mixture_conditions
 from ldctoolkit.scenario_model.source_summary import (
     CELLS,
     cell_edges,

@@ -11,7 +11,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import Departures
 from ldctoolkit.scenario_model import SideSummary, SourceSummary, summarize
-from ldctoolkit.scenario_model.given import Condition
+from ldctoolkit.scenario_model.model import Condition
 from studies.report.model_match.parts import Origin
 
 LEAST: Final = 30

@@ -8,8 +8,8 @@ import numpy as np
 
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.simulation import Takeover, drive
-from ldctoolkit.simulation.uncorrected import UncorrectedPath
 from studies.report.context import Context
 from studies.report.replay.picks import Chosen, Pick, most_departures
 

@@ -37,6 +37,7 @@ STATUS_WORDS = {
     EventStatus.TIMED_OUT: "ended by the time limit",
     EventStatus.INVALID: "cannot be driven",
     EventStatus.CRASHED: "the law crashed",
+    EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
 """What became of a departure, for people."""
 

@@ -78,7 +78,8 @@ def _comfort(context: Context) -> Iterator[Tile]:
     figures, place = context.ranking.release, context.primary.best.place
     share, where = float(figures.comfortable[place]), _where(context.primary.best)
     if math.isfinite(share):
-        said = f"lateral acceleration up to {text.number(float(figures.a_y_peak_max[place]), 1)}\u00a0m/s\u00b2"
+        most = text.number(float(figures.a_y_added_peak_max[place]), 1)
+        said = f"up to {most}\u00a0m/s\u00b2 more than the recorded path"
         yield Tile(
             text.number(100 * share, 1), "%", f"of interventions within the comfort limits of ISO 11270{where}", said
         )

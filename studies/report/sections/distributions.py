@@ -51,7 +51,8 @@ def _how_limits(context: Context, *, held: bool) -> str:
         "far the vehicle\u2019s outer edge is beyond the lane line at most, negative if it stays inside. It is taken "
         f"at the centre of gravity for D_y = {compact(context.primary.D_y)} m, and at the front axle, where the "
         f"foremost outer tyre stands, for the {compact(-DTLE_LIMIT)} m that Euro NCAP and Regulation (EU) 2021/646 "
-        f"allow.{without} Limits of acceleration and jerk are those of ISO 11270, jerk as its mean over half a second. "
+        f"allow.{without} Acceleration and jerk are what control adds to the recorded path, jerk as its mean over half "
+        "a second; their limits are those of ISO 11270. "
         "Departures that failed are in as their path came out; an axis ends before a few far values. The limits are "
         "those of tests with prescribed manoeuvres and prove no conformity here."
     )
@@ -93,12 +94,12 @@ def _limits(context: Context) -> Iterator[Drawing]:
             f"{compact(-DTLE_LIMIT)} m, Euro NCAP and EU 2021/646",
         ),
         (
-            "a-y", "Peak lateral acceleration", "Peak |a_y| [m/s²]", comfort_curves(context, "a_y_peak"), A_Y_LIMIT,
-            f"{compact(A_Y_LIMIT)} m/s², ISO 11270",
+            "a-y", "Added lateral acceleration", "Added peak |a| [m/s²]", comfort_curves(context, "a_y_added_peak"),
+            A_Y_LIMIT, f"{compact(A_Y_LIMIT)} m/s², ISO 11270",
         ),
         (
-            "jerk", "Peak lateral jerk", "Peak |jerk| over 0.5 s [m/s³]", comfort_curves(context, "jerk_peak"),
-            JERK_LIMIT, f"{compact(JERK_LIMIT)} m/s³, ISO 11270",
+            "jerk", "Added lateral jerk", "Added peak |jerk| over 0.5 s [m/s³]",
+            comfort_curves(context, "jerk_added_peak"), JERK_LIMIT, f"{compact(JERK_LIMIT)} m/s³, ISO 11270",
         ),
     ):  # fmt: skip
         if curves:

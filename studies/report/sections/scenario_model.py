@@ -16,7 +16,7 @@ from studies.report.model_match.parts import SideMatch
 from studies.report.rendering import render
 from studies.report.section import Drawing, Section
 from studies.report.words import text
-from studies.storage.model_notes import WARNING
+from studies.storage.stored_model import WARNING
 
 
 def section(context: Context) -> Section:

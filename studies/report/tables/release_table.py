@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
-from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT
+from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
+from ldctoolkit.simulation import Takeover
 from studies.ranking.figures import figure_values
 from studies.ranking.ranking import Ranking
 from studies.ranking.release import ReleaseFigures
@@ -94,15 +96,21 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
 
         return text
 
-    def overshoot(row: Row) -> str | Markup:
-        text = of("overshoot_max", 2)(row)
-        far = ranking.release.overshoot_max[row.place] > report.setup.vehicle.w_l
+    def opposite_crossing(row: Row) -> str | Markup:
+        text = of("opposite_crossing_max", 2)(row)
+        far = ranking.release.opposite_crossing_max[row.place] > report.setup.vehicle.w_l
         return Markup('<span class="bad">{}</span> <small>{}</small>').format(text, _TOO_FAR) if far else text
 
     def law_time(row: Row) -> str:
         """A linear law has no step of its own to be timed."""
         seconds = report.results.cases[0].law_time[row.index]
         return number(1e6 * seconds, 1) if seconds else "linear"
+
+    @functools.cache
+    def recorded(y_s: float) -> str:
+        over = Takeover.build(report.results.scenarios, report.setup, y_s=y_s)
+        a_y, jerk = over.recorded_peaks()
+        return f"{percent((a_y > A_Y_LIMIT).mean())} / {percent((jerk > JERK_LIMIT).mean())}" if over.m else DASH
 
     D_y = compact(table.D_y)
     groups = (
@@ -122,8 +130,8 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
             (
                 line("Back inside at some time", of("back_inside", 1)),
                 line("Back inside after, median [s]", of("t_back_median", 2)),
-                line("Opposite line crossed", of("overshoot_share", 1)),
-                line("Opposite line crossed by at most [m]", overshoot),
+                line("Opposite line crossed", of("opposite_crossed_share", 1)),
+                line("Opposite line crossed by at most [m]", opposite_crossing),
             ),
         ),
         Group(
@@ -131,8 +139,11 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
             "interventions; mean / 95\u00a0% quantile / largest",
             (
                 line("Both limits kept", of("comfortable", 1), "ISO 11270"),
-                line("Peak lateral acceleration [m/s²]", spread("a_y_peak"), f"limit {compact(A_Y_LIMIT)}"),
-                line("Peak lateral jerk [m/s³]", spread("jerk_peak"), f"limit {compact(JERK_LIMIT)}"),
+                line("Added lateral acceleration [m/s²]", spread("a_y_added_peak"), f"limit {compact(A_Y_LIMIT)}"),
+                line("Added lateral jerk [m/s³]", spread("jerk_added_peak"), f"limit {compact(JERK_LIMIT)}"),
+                line("Peak lateral acceleration [m/s²]", spread("a_y_peak")),
+                line("Peak lateral jerk [m/s³]", spread("jerk_peak")),
+                line("Recorded path alone beyond these limits", lambda row: recorded(row.design.y_s)),
             ),
         ),
         Group(
@@ -149,10 +160,11 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
             "all departures",
             (
                 line("Departures taken over", of("triggered", 1)),
-                line(f"Needless: without control not deeper than {D_y}\u00a0m", of("needless", 1)),
+                line(f"Needless: without control not deeper than {compact(-DTLE_LIMIT)}\u00a0m", of("needless", 1)),
                 line("Departures with a failed solve", lambda row: f"{row.solver_failed:,}"),
                 line("Departures that diverged", lambda row: f"{row.diverged:,}"),
                 line("Departures that timed out or crashed", lambda row: f"{row.timed_out + row.crashed:,}"),
+                line("Takeovers beyond delta_max", lambda row: f"{row.beyond_delta_max:,}"),
                 line("Time of the law per command [µs]", law_time),
             ),
         ),
@@ -192,13 +204,13 @@ def against_limits(report: ReportInput, table: CaseTable, ranking: Ranking) -> I
         yield Markup("It never took over, so there is no intervention to judge.")
         return
     said = Markup(
-        "<strong>{}</strong> of its interventions keep both comfort limits; the largest lateral acceleration is "
-        "{}\u00a0m/s², the largest lateral jerk {}\u00a0m/s³. {}"
+        "<strong>{}</strong> of its interventions keep both comfort limits; they add at most "
+        "{}\u00a0m/s² of lateral acceleration and {}\u00a0m/s³ of jerk to the recorded path. {}"
     )
     yield said.format(
         percent(figures.comfortable[k]),
-        number(figures.a_y_peak_max[k], 1),
-        number(figures.jerk_peak_max[k], 1),
+        number(figures.a_y_added_peak_max[k], 1),
+        number(figures.jerk_added_peak_max[k], 1),
         _way_back(report, figures, k),
     )
     if best.diverged:
@@ -216,8 +228,8 @@ def _way_back(report: ReportInput, figures: ReleaseFigures, k: int) -> str:
         f" within {compact(report.setup.settle)}\u00a0s after the departure\u2019s end" if report.setup.settle else ""
     )
     back = f"In {percent(figures.back_inside[k])} of them the edge comes back inside at some time{horizon}"
-    if not figures.overshoot_share[k] > 0:
+    if not figures.opposite_crossed_share[k] > 0:
         return f"{back}, and the opposite edge never crosses the opposite line."
-    share, most = percent(figures.overshoot_share[k]), number(figures.overshoot_max[k], 2)
-    far = f", {_TOO_FAR}" if figures.overshoot_max[k] > report.setup.vehicle.w_l else ""
+    share, most = percent(figures.opposite_crossed_share[k]), number(figures.opposite_crossing_max[k], 2)
+    far = f", {_TOO_FAR}" if figures.opposite_crossing_max[k] > report.setup.vehicle.w_l else ""
     return f"{back}; in {share} the opposite edge crosses the opposite line, by up to {most}\u00a0m{far}."

@@ -71,7 +71,7 @@ class Row:
         How much better the score was on the scenarios that designs were chosen on.
     triggered, deeper : float
         Share of departures that were taken over, and share deeper than D_y.
-    solver_failed, diverged, timed_out, crashed, invalid : int
+    solver_failed, diverged, timed_out, crashed, beyond_delta_max, invalid : int
         Departures with that status.
     failed_solves : int
         Commands that came from a law's fallback.
@@ -105,6 +105,7 @@ class Row:
     diverged: int
     timed_out: int
     crashed: int
+    beyond_delta_max: int
     invalid: int
     failed_solves: int
 

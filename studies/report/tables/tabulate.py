@@ -166,6 +166,7 @@ def _row(
         diverged=int(ranking.diverged[place]),
         timed_out=int(ranking.timed_out[place]),
         crashed=int(ranking.crashed[place]),
+        beyond_delta_max=int(ranking.beyond_delta_max[place]),
         invalid=int(ranking.invalid[place]),
         failed_solves=int(ranking.failed_solves[place]),
     )

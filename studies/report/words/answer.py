@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from ldctoolkit import controller_class
 from ldctoolkit.departures import LEFT
+from ldctoolkit.metrics import DTLE_LIMIT
 from ldctoolkit.vehicle.parameters import GRAVITY
 from studies.paper_design import PAPER_LAW
 from studies.report.context import Context
@@ -336,7 +337,7 @@ def cost(context: Context) -> Markup:
     ----------
     context : Context
     """
-    figures, best, table = context.ranking.release, context.primary.best, context.primary
+    figures, best = context.ranking.release, context.primary.best
     comfortable = float(figures.comfortable[best.place])
     if math.isnan(comfortable):
         return Markup("")
@@ -346,7 +347,7 @@ def cost(context: Context) -> Markup:
         f"{number(math.degrees(float(figures.delta_rate_peak_max[best.place])), 1)}\u00a0\u00b0/s, "
         f"{percent(comfortable)} of interventions within the comfort limits of ISO 11270, and needless interventions "
         f"in {percent(float(figures.needless[best.place]))} of all departures (not deeper than "
-        f"{compact(table.D_y)}\u00a0m without control)."
+        f"{compact(-DTLE_LIMIT)}\u00a0m without control)."
     )
     return said + Markup(" <a href='#limits'>What a release asks for</a>.")
 

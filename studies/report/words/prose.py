@@ -65,8 +65,8 @@ _UNCORRECTED = (
 _NO_RESIDUALS = "The small residuals about the fitted path are left out."
 _NO_HORIZON = "Control ends where the uncorrected departure ends; what follows is not looked at."
 _HORIZON = (
-    "S ends where the uncorrected departure ends. The loop goes on for {} s, which count for overshoot, the way back, "
-    "comfort and steering only."
+    "S ends where the uncorrected departure ends. The loop goes on for {} s, which count for the way back, the "
+    "opposite line, comfort and steering only."
 )
 _COMFORT = (
     "S puts no price on steering or comfort, and laws have different limits of their own: a design that steers harder "

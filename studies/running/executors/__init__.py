@@ -45,7 +45,7 @@ def make_executor(
         raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
     # each is loaded on first use: a run in this process needs neither loky nor Dask
     if name == "serial":
-        from studies.running.executors.serial import SerialExecutor
+        from studies.running.executors.protocol import SerialExecutor
 
         return SerialExecutor()
     if name == "dask":

@@ -31,20 +31,7 @@ def _version(name: str) -> str:
 
 
 def check(sender: Versions, worker: Versions, named: str) -> None:
-    """Compare two processes.
-
-    Parameters
-    ----------
-    sender, worker : tuple of (str, str)
-        `versions` of each.
-    named : str
-        The worker.
-
-    Raises
-    ------
-    InputError
-        Naming the first package that differs, and both versions.
-    """
+    """Compare two processes."""
     there = dict(worker)
     for name, version in sender:
         if there.get(name) != version:
@@ -55,19 +42,6 @@ def check(sender: Versions, worker: Versions, named: str) -> None:
 
 
 def run_checked(sender: Versions, task: bytes) -> Any:
-    """Run a pickled piece of work in this process.
-
-    Parameters
-    ----------
-    sender : tuple of (str, str)
-        `versions` of the process that sends it.
-    task : bytes
-        A `Work`; it is read after the check, because other versions may not even be able to read it.
-
-    Raises
-    ------
-    InputError
-        If this process has other versions.
-    """
+    """Run a pickled piece of work in this process."""
     check(sender, versions(tuple(name for name, _ in sender)), "a worker")
     return run_task(pickle.loads(task))

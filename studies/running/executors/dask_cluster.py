@@ -138,13 +138,7 @@ class DaskExecutor:
         return done
 
     def _nothing_came(self) -> None:
-        """See whether something can come at all.
-
-        Raises
-        ------
-        ClusterError
-            If the scheduler has gone, or there has been no worker for too long.
-        """
+        """See whether something can come at all."""
         if not self._connection.open:
             raise lost()
         self._count_workers()

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
 from studies.running.executors.checked_task import SAME_VERSIONS, check, versions
-from studies.running.executors.closing import attempt
+from studies.running.executors.protocol import attempt
 
 LOCAL: Final = "local"
 """Address that stands for a cluster started on this machine."""
@@ -30,32 +30,7 @@ _CLOSE = 30.0
 
 
 class Connection:
-    """A client of a scheduler that has workers, all of them with the packages of this process.
-
-    Parameters
-    ----------
-    address : str
-        Of a scheduler; ``"local"`` starts a cluster on this machine.
-    workers : int or None
-        Processes of a local cluster; all cores by default.
-    packages : tuple of str
-        Whose versions must be the same on all workers, besides `SAME_VERSIONS`.
-
-    Attributes
-    ----------
-    client : distributed.Client
-    versions : tuple of (str, str)
-        What this process has of these packages.
-    killed : type of Exception
-        What a task gives that has ended all workers that tried it.
-
-    Raises
-    ------
-    InputError
-        If a worker has other versions of the packages that decide numbers.
-    LdcError
-        If Dask is not installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
-    """
+    """A client of a scheduler that has workers, all of them with the packages of this process."""
 
     def __init__(self, address: str, workers: int | None, packages: tuple[str, ...] = ()) -> None:
         self.versions = versions((*SAME_VERSIONS, *packages))
@@ -109,12 +84,7 @@ class Connection:
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[None]:
-        """Say what it means when the scheduler goes while the block asks it for something.
-
-        Raises
-        ------
-        ClusterError
-        """
+        """Say what it means when the scheduler goes while the block asks it for something."""
         try:
             yield
         except LdcError:
@@ -128,15 +98,7 @@ class Connection:
             raise lost() from None
 
     def close(self, futures: list[Any], *, orderly: bool) -> None:
-        """Leave the cluster as it was; one that was started here ends.
-
-        Parameters
-        ----------
-        futures : list of distributed.Future
-            Given up.
-        orderly : bool
-            If not, whoever leaves has a reason already: a second interrupt only ends the waiting.
-        """
+        """Leave the cluster as it was; one that was started here ends."""
         with contextlib.suppress(*(() if orderly else (KeyboardInterrupt,))):
             attempt(lambda: self._leave(futures), _CLOSE)
 

@@ -15,8 +15,7 @@ from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import LdcError
-from studies.running.executors.closing import attempt
-from studies.running.executors.protocol import Ended, Fault, Work
+from studies.running.executors.protocol import Ended, Fault, Work, attempt
 from studies.running.worker import run_task, start_worker
 
 _LISTEN_EVERY = 0.2

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import threading
+from collections import deque
+from collections.abc import Callable
 from typing import Any, Literal, Protocol
 
 Fault = Literal["died", "late"]
@@ -84,3 +88,46 @@ class Executor(Protocol):
 
     def close(self, *, orderly: bool) -> None:
         """Give back what was taken; if not `orderly`, work under way is given up."""
+
+
+class SerialExecutor:
+    """Runs work in the calling process; what ends its process ends this one, and no time limit holds."""
+
+    name = "serial"
+    isolated = False
+
+    def __init__(self) -> None:
+        self._waiting: deque[Work] = deque()
+        self._kept: dict[str, Any] = {}
+
+    @property
+    def workers(self) -> int:
+        """One."""
+        return 1
+
+    def start(self, task: Work) -> None:
+        """Queue a piece of work."""
+        self._waiting.append(task)
+
+    def wait(self) -> list[Ended]:
+        """Run the next piece."""
+        if not self._waiting:
+            return []
+        task = self._waiting.popleft()
+        return [Ended(task, task.run(self._kept))]
+
+    def close(self, *, orderly: bool) -> None:  # noqa: ARG002
+        """Forget what was queued."""
+        self._waiting.clear()
+
+
+def attempt(action: Callable[[], object], seconds: float) -> None:
+    """Do something that may fail or hang, and wait for it only so long."""
+
+    def quietly() -> None:
+        with contextlib.suppress(Exception):
+            action()
+
+    thread = threading.Thread(target=quietly, daemon=True)
+    thread.start()
+    thread.join(seconds)

@@ -13,10 +13,17 @@ from scipy import stats
 
 from helpers.examples import examples
 from ldctoolkit.diagnostics import Strip, box_share, diagnose
-from ldctoolkit.diagnostics._calibration import calibrate, kolmogorov_limit
-from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, bin_of, model_marginal, pair_densities
+from ldctoolkit.diagnostics._marginals import (
+    ModelMarginal,
+    bin_edges,
+    bin_of,
+    calibrate,
+    kolmogorov_limit,
+    model_marginal,
+    pair_densities,
+)
 from ldctoolkit.diagnostics.diagnosis import components, strips, weighted_quantile
-from ldctoolkit.diagnostics.thresholds import strip_is_off
+from ldctoolkit.diagnostics.parts import strip_is_off
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 
 INF = np.inf

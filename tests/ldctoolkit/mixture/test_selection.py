@@ -11,9 +11,8 @@ from scipy.stats import truncnorm
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture, select_components
-from ldctoolkit.mixture._parallel import in_processes
 from ldctoolkit.mixture.events import Events
-from ldctoolkit.mixture.selection import Rule, choose
+from ldctoolkit.mixture.selection import Rule, choose, in_processes
 
 INF = np.inf
 QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}

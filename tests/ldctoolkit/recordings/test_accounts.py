@@ -23,7 +23,7 @@ from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.recordings.extract import extract_departures, merge_results
 from ldctoolkit.recordings.extract_part import extract_items, table_of
 from ldctoolkit.recordings.find_departures import find_departures
-from ldctoolkit.recordings.part_result import joined_results
+from ldctoolkit.recordings.result import joined_results
 
 MODULE = sys.modules["ldctoolkit.recordings.extract_part"]
 CRITERIA = Criteria(2.0)

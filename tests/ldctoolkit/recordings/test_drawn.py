@@ -12,7 +12,7 @@ from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, reduce_signals
 from ldctoolkit.recordings import Criteria, Drawn, Preparation, Recording
 from ldctoolkit.recordings.drawn import KEPT
 from ldctoolkit.recordings.extract_part import extract_items
-from ldctoolkit.recordings.part_result import joined_results
+from ldctoolkit.recordings.result import joined_results
 
 CRITERIA = Criteria(1.8)
 T = np.arange(200) * 0.1

@@ -263,7 +263,7 @@ def test_warnings_do_not_depend_on_the_split(monkeypatch):
     """The sums behind them are the same to the last bit, however recordings are searched together."""
     from ldctoolkit.recordings import Criteria
     from ldctoolkit.recordings.extract_part import extract_items
-    from ldctoolkit.recordings.part_result import joined_results
+    from ldctoolkit.recordings.result import joined_results
 
     rng = np.random.default_rng(7)
     recordings = [

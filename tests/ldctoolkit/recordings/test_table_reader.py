@@ -23,13 +23,12 @@ from helpers.examples import examples
 from helpers.recordings import OFFSET, assert_same, drive, frame_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.opened import open_recordings
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.recording import Problem, Recording, usable_samples
 from ldctoolkit.recordings.sources import part_name
-from ldctoolkit.recordings.table import usable_samples
 from ldctoolkit.recordings.table_reader import READER, TablePart
 
 Save = Callable[..., Path]

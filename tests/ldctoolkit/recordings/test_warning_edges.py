@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from helpers.recordings import drive
-from ldctoolkit.recordings.evidence import no_evidence
+from ldctoolkit.recordings.evidence import no_evidence, unit_counts, unit_warnings
 from ldctoolkit.recordings.extract import few_usable, warnings_in_words
 from ldctoolkit.recordings.extract_part import table_of
-from ldctoolkit.recordings.table import usable_samples
-from ldctoolkit.recordings.units import unit_counts, unit_warnings
+from ldctoolkit.recordings.recording import usable_samples
 
 
 def told(**changes: Any) -> str:

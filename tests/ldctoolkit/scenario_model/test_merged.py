@@ -9,7 +9,7 @@ import pytest
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Preparation, Provenance, SourceFile
-from ldctoolkit.scenario_model.merged import merged_provenance
+from ldctoolkit.scenario_model.model import merged_provenance
 
 
 def origin(number: int, *more: SourceFile, **changed: Any) -> Provenance:

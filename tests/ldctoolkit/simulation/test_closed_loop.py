@@ -15,13 +15,13 @@ from helpers import reference_loop as reference
 from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios, with_residuals
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, simulate
 from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import BOUND
-from ldctoolkit.simulation.uncorrected import UncorrectedPath
 
 
 def preview_proportional(K_y: float, K_psi: float, T_lp: float = 0.0, sign: float = -1.0) -> reference.Law:
-    return lambda x, yaw_rate, heading, before: K_y * x[0] + K_psi * (x[2] + sign * (heading(T_lp) if T_lp else 0.0))
+    return lambda x, yaw_rate, heading, *_: K_y * x[0] + K_psi * (x[2] + sign * (heading(T_lp) if T_lp else 0.0))
 
 
 @pytest.mark.parametrize(
@@ -122,20 +122,6 @@ def test_windows_differ_by_what_was_before_the_trigger() -> None:
     assert control.count(EventStatus.NEVER_TRIGGERED) == untriggered.sum()
 
 
-def test_initial_yaw_rate_is_an_option() -> None:
-    scenarios = make_scenarios(40)
-    path, zero = (
-        simulate(LQR(), scenarios, initial_yaw_rate=option, trajectories=True).trajectories
-        for option in ("path", "zero")
-    )
-    assert path is not None
-    assert zero is not None
-    started = ~np.isnan(zero.t[:, 0])
-    assert (zero.x[started, 0, 3] == 0).all()
-    assert (path.x[started, 0, 3] < 0).all()
-    np.testing.assert_array_equal(path.x[started, 0, :3], zero.x[started, 0, :3])
-
-
 @pytest.mark.parametrize("law", ALL_LAWS[1:], ids=lambda law: law.name)
 def test_a_mirrored_departure_scores_the_same(law: Controller) -> None:
     """A right departure seen by the law in the road's own frame, and its mirrored left one."""
@@ -226,14 +212,16 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
     """Steady steering angle for the yaw rate of the recorded path, from the bicycle model's textbook formula."""
     scenarios = Scenarios.from_arrays(T=[2.0, 5.0], d_y=[0.4, 0.5], v_mean=[20.0, 28.0], c_0=[2e-3, -1e-3])
     hold = Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
-    for option in ("path", "zero"):
-        out = simulate(hold, scenarios, y_s=0.0, trajectories=True, initial_yaw_rate=option)  # type: ignore[arg-type]
+    for given in ({"start": "steady"}, {"start": "printed"}, {"start": "printed", "initial_yaw_rate": "zero"}):
+        out = simulate(hold, scenarios, y_s=0.0, trajectories=True, **given)
         assert out.trajectories is not None
         for i in range(2):
             v, T, d_y = scenarios.v_mean[i], scenarios.T[i], scenarios.d_y[i]
             yaw_rate = v * scenarios.c_0[i] + (-8 * d_y / T**2) / v
             K_V = (1.47 - 1.43) * 1000.0 / (2 * 80000.0 * 2.9)
             assert out.trajectories.delta[i, 0] == pytest.approx((2.9 / v + K_V * v) * yaw_rate, rel=1e-10)
+            turned = 0.0 if "initial_yaw_rate" in given else (-8 * d_y / T**2) / v
+            assert out.trajectories.x[i, 0, 3] == pytest.approx(turned, rel=1e-12)
 
 
 HELD = {
@@ -271,15 +259,15 @@ def start_of_a_held_wheel(scenarios: Scenarios, **settings: Any) -> tuple[np.nda
     "option", [pytest.param(name, marks=() if name in ("ideal", "tyres") else pytest.mark.slow) for name in HELD]
 )
 def test_a_held_wheel_keeps_the_acceleration_of_the_path(option: str) -> None:
-    """To 0.02 m/s^2 with the steady start, to the left and to the right, in bends, wherever the tyres can."""
+    """To 0.02 m/s^2, to the left and to the right, in bends, wherever the tyres can."""
     scenarios = with_residuals(make_scenarios(150, seed=4))
     at_peak = 8.0 * scenarios.d_y / scenarios.T**2 + scenarios.v_mean**2 * np.abs(scenarios.c_0) + 1.0
     scenarios = dataclasses.replace(scenarios, sigma_y=0.2 * scenarios.sigma_y).take(at_peak < 4.0)
-    found, wanted = start_of_a_held_wheel(scenarios, options=HELD[option], start="steady", seed=3)
+    found, wanted = start_of_a_held_wheel(scenarios, options=HELD[option], seed=3)
     assert wanted.size > 40
     assert np.abs(wanted).max() > 2.0
     assert np.abs(found - wanted).max() < 0.02  # 0.013 with residuals, whose acceleration changes, 0.001 without
-    printed, _ = start_of_a_held_wheel(scenarios, options=HELD[option], seed=3)
+    printed, _ = start_of_a_held_wheel(scenarios, options=HELD[option], start="printed", seed=3)
     assert np.abs(printed - wanted).max() > 2.0
 
 
@@ -306,9 +294,7 @@ def test_the_printed_start_has_no_side_slip() -> None:
 def test_either_matrix_starts_on_the_path(convention: str) -> None:
     scenarios = make_scenarios(40, seed=2)
     for yaw_rate in ("path", "zero"):
-        found, wanted = start_of_a_held_wheel(
-            scenarios, start="steady", convention=convention, initial_yaw_rate=yaw_rate
-        )
+        found, wanted = start_of_a_held_wheel(scenarios, convention=convention, initial_yaw_rate=yaw_rate)
         # without the path's yaw rate the turn is no steady one, and two milliseconds are enough to see it
         np.testing.assert_allclose(found, wanted, rtol=0.05 if yaw_rate == "zero" else 0.02, atol=0.05)
 
@@ -333,10 +319,18 @@ def test_shapes_and_arguments_are_checked() -> None:
 
     with pytest.raises(LdcError, match="'wrong': F has shape"):
         simulate(Wrong(), scenarios, y_s=0.0)
-    bad_values = ({"y_s": -0.1}, {"y_s": np.nan}, {"dt": 0.0}, {"settle": -0.1}, {"settle": 61.0}, {"settle": np.nan})
-    for bad in bad_values:
-        with pytest.raises(InputError, match=r"(y_s|dt|settle): .*allowed"):
-            simulate(LQR(), scenarios, **bad)  # type: ignore[arg-type]
+    bad_values = {"y_s": (-0.1, np.nan), "dt": (0.0, 50.0), "settle": (-0.1, 61.0, np.nan)}
+    for name, value in ((name, value) for name, values in bad_values.items() for value in values):
+        with pytest.raises(InputError, match=rf"^{name}: {value}; allowed"):
+            simulate(LQR(), scenarios, **{name: value})  # type: ignore[arg-type]
+    for given, message in (
+        ((scenarios, LQR()), r"^controller, scenarios: swapped; allowed: simulate\(controller, scenarios\)$"),
+        ((LQR(), {"T": 1.0}), r"^scenarios: an object of type dict; allowed: Scenarios.from_arrays"),
+    ):
+        with pytest.raises(InputError, match=message):
+            simulate(*given)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^setup: an object of type dict; allowed: Setup\(...\), or None"):
+        simulate(LQR(), scenarios, setup={"dt": 0.1})  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"window: 'departures'; did you mean 'departure'"):
         simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):

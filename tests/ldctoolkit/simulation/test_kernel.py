@@ -195,7 +195,7 @@ def test_nobody_triggers(options: str, design: str, settle: float) -> None:
     assert not out.triggered.any()
     np.testing.assert_array_equal(out.S, out.S_uncorrected)
     np.testing.assert_array_equal(out.companions.t_back, scenarios.T)
-    for name in ("overshoot", "a_y_peak", "jerk_peak", "delta_peak", "delta_rate_peak", "effort", "travel"):
+    for name in set(METRICS) - {"deepest", "dtle", "t_back"}:
         np.testing.assert_array_equal(getattr(out.companions, name), 0.0)
     assert out.mean_reduction == 0.0
 
@@ -204,7 +204,7 @@ def test_nobody_triggers(options: str, design: str, settle: float) -> None:
     ("options", "design"), grid(["ideal", "all"], ["linear", "general"], ("ideal", "linear"), ("all", "general"))
 )
 def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, design: str) -> None:
-    scenarios = with_residuals(make_scenarios(40, seed=8))
+    scenarios = with_residuals(make_scenarios(40, seed=11))
     late = CLOSED["late"] if design == "linear" else Stepped(CLOSED["late"])
     none, short, whole_sample, long = (
         simulate(late, scenarios, y_s=0.02, options=OPTIONS[options], seed=5, settle=settle, trajectories=True)
@@ -220,7 +220,7 @@ def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, desi
             np.testing.assert_array_equal(getattr(out, name), getattr(none, name))
         for name in ("deepest", "dtle"):  # up to T only
             np.testing.assert_array_equal(getattr(out.companions, name), getattr(none.companions, name))
-        for name in ("delta_peak", "effort", "travel", "overshoot"):
+        for name in ("delta_peak", "effort", "travel", "opposite_crossing"):
             assert (getattr(out.companions, name) >= getattr(none.companions, name)).all()
     assert np.isinf(none.companions.t_back).sum() > np.isinf(long.companions.t_back).sum()
 

@@ -15,6 +15,8 @@ from helpers import reference_loop as reference
 from helpers.closed_loop import METRICS, Stepped, assert_within_the_bound
 from helpers.grids import some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, simulate
+from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
+from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import (
     Actuator,
     KalmanFilter,
@@ -24,8 +26,6 @@ from ldctoolkit.plant_options import (
     Sensors,
     Tyres,
 )
-from ldctoolkit.simulation.random_streams import RandomStream, normals, uniforms
-from ldctoolkit.simulation.uncorrected import UncorrectedPath
 
 SEED = 11
 Y_S, DT, SETTLE = 0.1, 0.05, 1.0
@@ -34,14 +34,18 @@ Y_S, DT, SETTLE = 0.1, 0.05, 1.0
 # a law that uses everything a linear law can see
 F = (-0.02, -0.01, -0.25, -0.03)
 TIMES, G_YAW_RATE, G_HEADING = (0.0, 0.35, 1.2), (0.02, 0.01, 0.0), (0.0, -0.05, -0.2)
-F_U = 0.2
+F_U, F_PAST, F_WHEEL = 0.2, (0.06, -0.04, 0.03), -0.15
 
 
-def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float) -> float:
+def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, *_: Any) -> float:
     ahead = sum(
         g * yaw_rate(s) + h * (heading(s) if h else 0.0) for s, g, h in zip(TIMES, G_YAW_RATE, G_HEADING, strict=True)
     )
     return float(np.dot(F, x)) + ahead + F_U * before
+
+
+def knowing(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, earlier: list[float], wheel: float) -> float:
+    return formula(x, yaw_rate, heading, before) + float(np.dot(F_PAST, earlier)) + F_WHEEL * wheel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +62,17 @@ class Everything(Controller):
             G_heading=np.tile(G_HEADING, (n, 1)),
             f_u=np.full(n, F_U),
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class Knowing(Everything):
+    """It weighs earlier commands and the wheel angle too."""
+
+    name = "knowing"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        past, wheel = np.tile(F_PAST, (plant.n, 1)), np.full(plant.n, F_WHEEL)
+        return dataclasses.replace(super().prepare(plant), f_past=past, f_wheel=wheel)
 
 
 SCENARIOS = Scenarios.from_arrays(
@@ -105,6 +120,12 @@ CASES = {
     "camera": PlantOptions(sensors=CAMERA),
     "filter": PlantOptions(sensors=Sensors(kalman=KalmanFilter(q_y=1.0)), mismatch=DRAWN),
     "camera and filter": PlantOptions(sensors=FILTERED),
+    "late filter": PlantOptions(
+        actuator=Actuator(lag=0.07, delay=0.083), sensors=Sensors(delay=3 * DT, kalman=KalmanFilter())
+    ),
+    "all, late filter": PlantOptions(
+        speed="profile", actuator=STEERING, mismatch=DRAWN, sensors=dataclasses.replace(CAMERA, kalman=KalmanFilter())
+    ),
     "residual of y": PlantOptions(residuals=Residuals(y=True)),
     "residual of v": PlantOptions(residuals=Residuals(v=True), speed="profile"),
     "residuals, speed frozen": PlantOptions(residuals=RESIDUALS),
@@ -128,6 +149,8 @@ def driven(
     *,
     dt: float = DT,
     as_printed: bool = False,
+    law: reference.Law = formula,
+    known: bool = True,
 ) -> Any:
     """The reference's drive of scenario i, with the package's draws."""
     a, b = (), ()
@@ -141,9 +164,9 @@ def driven(
     factors = {name: low + (high - low) * u for name, (low, high), u in zip(names, ranges, draws, strict=True)}
     draw = normals(SEED, scenarios.index, RandomStream.CURVATURE, 1)[i, 0]
     return reference.drive(
-        reference.Path.of(scenarios, i, a, b), formula, options=options, vehicle=nominal,
+        reference.Path.of(scenarios, i, a, b), law, options=options, vehicle=nominal,
         true=nominal.times(**factors), y_s=Y_S, dt=dt, settle=SETTLE,
-        curvature_draw=options.sensors.curvature_noise * draw,
+        curvature_draw=options.sensors.curvature_noise * draw, known=known,
     )  # fmt: skip
 
 
@@ -188,6 +211,19 @@ def test_both_loops_equal_the_reference(case: str) -> None:
     assert_within_the_bound(general, linear)
 
 
+KNOWN = ("ideal", "actuator", "camera", "late filter", "all, late filter")
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("case", some(KNOWN, "ideal", "all, late filter"))
+def test_earlier_commands_and_the_wheel_angle_equal_the_reference(case: str, known: bool) -> None:
+    """With a filter that knows lag and delays, or does not."""
+    knowledge = {"plant_knowledge": "nominal" if known else "ideal"}
+    out = run(Knowing(), CASES[case], SCENARIOS, **knowledge)
+    for i in range(2):
+        assert_same_drive(out, i, driven(SCENARIOS, CASES[case], i, law=knowing, known=known))
+
+
 @pytest.mark.parametrize("case", ["ideal", "all, magic formula"])
 def test_never_triggered_is_the_recorded_path(case: str) -> None:
     """Its deepest points are no interpolant; nobody steered."""
@@ -211,7 +247,7 @@ def test_saturating_tyres_at_small_angles_are_linear_ones() -> None:
     for d_y in (0.2, 0.02):
         path = reference.Path(side=1, T=1.2, d_y=d_y, v_mean=20.0)
         ends = [
-            reference.drive(path, lambda x, r, h, u: -0.1 * x[2], options=PlantOptions(tyres=tyres), y_s=0.3 * d_y).x_T
+            reference.drive(path, lambda x, *_: -0.1 * x[2], options=PlantOptions(tyres=tyres), y_s=0.3 * d_y).x_T
             for tyres in (Tyres(), MAGIC)
         ]
         deviation.append(np.abs(ends[0] - ends[1]).max())
@@ -260,9 +296,8 @@ def test_samples_longer_than_the_departure(case: str) -> None:
 @pytest.mark.parametrize("case", some(LOOSE, "linear", "magic formula"))
 def test_low_speed(case: str) -> None:
     """At 2 m/s the lateral mode dies within a tenth of a sample."""
-    slow = dataclasses.replace(SCENARIOS, v_mean=np.array([2.6, 2.0, 2.0]), a_mean=np.array([-0.8, 0.6, 0.0])).take(
-        [0, 1]
-    )
+    change = {"v_mean": [2.6, 2.0, 2.0], "a_mean": [-0.8, 0.6, 0.0], "d_y": [0.25, 0.2, 0.06]}
+    slow = dataclasses.replace(SCENARIOS, **{name: np.array(value) for name, value in change.items()}).take([0, 1])
     outs = [run(law, LOOSE[case], slow) for law in (Everything(), Stepped(Everything(), drops=True))]
     for i in range(2):
         expected = driven(slow, LOOSE[case], i)

@@ -128,12 +128,16 @@ def test_values_are_rounded_to_the_step_last_of_all() -> None:
 
 
 def recorded(scenarios: Scenarios, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """e_y and e_psi of the first scenario's recorded path, from the paper's parabola."""
-    T, d_y, v_mean, a_mean = (getattr(scenarios, name)[0] for name in ("T", "d_y", "v_mean", "a_mean"))
-    x = v_mean * t + a_mean * (t**2 - T * t) / 2
+    """e_y and e_psi of the first scenario's recorded path, from the paper's parabola and Table I's steady side slip."""
+    T, d_y, v_mean, a_mean, c_0, dc = (
+        getattr(scenarios, name)[0] for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")
+    )
+    x, v = v_mean * t + a_mean * (t**2 - T * t) / 2, v_mean + a_mean * (t - T / 2)
     bend = -4 * d_y / (v_mean * T) ** 2
-    y = bend * (x - v_mean * T / 2) ** 2 + d_y
-    return y + 0.85, np.arctan(2 * bend * (x - v_mean * T / 2))
+    slope = 2 * bend * (x - v_mean * T / 2)
+    yaw_rate = v * (c_0 + dc * t / T) + (2 * bend * v**2 + slope * a_mean) / v
+    beta = yaw_rate * (1.47 / v - 1.43 * 1000.0 * v / (2 * 80000.0 * 2.9))
+    return bend * (x - v_mean * T / 2) ** 2 + d_y + 0.85, slope - beta
 
 
 @pytest.mark.parametrize(("period", "delay"), [(3, 0), (1, 2), (4, 3), (2, 5)])

@@ -15,10 +15,11 @@ from scipy.optimize import brentq
 
 from helpers.examples import examples
 from helpers.grids import grid, some
-from ldctoolkit import DepartureSignals, Scenarios, reduce_signals
+from ldctoolkit import DepartureSignals, Scenarios, Setup, reduce_signals
 from ldctoolkit import departures as dep
-from ldctoolkit.plant_options import Residuals
-from ldctoolkit.simulation.uncorrected import UncorrectedPath
+from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.plant_options import PlantOptions, Residuals
+from ldctoolkit.simulation import Takeover
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -110,11 +111,7 @@ def test_derivatives_equal_central_differences(residuals: Residuals) -> None:
     path = UncorrectedPath.of(MANY, residuals, seed=2)
     t = MANY.T * np.random.default_rng(3).uniform(-0.1, 0.98, MANY.n)
     h = 1e-4
-    for value, rate in (
-        ("position", "speed"),
-        ("lateral", "lateral_rate"),
-        ("lateral_rate", "lateral_acceleration"),
-    ):
+    for value, rate in (("position", "speed"), ("lateral", "lateral_rate"), ("lateral_rate", "lateral_acceleration")):
         f = getattr(path, value)
         difference = (f(t + h) - f(t - h)) / (2.0 * h)
         exact = getattr(path, rate)(t)
@@ -150,11 +147,7 @@ def test_reducing_the_path_gives_its_parameters_back(residuals: Residuals) -> No
     path = UncorrectedPath.of(few, residuals, seed=11)
     t = dense(path, k)
     signals = DepartureSignals(
-        np.arange(few.n + 1) * k,
-        t.ravel(),
-        path.lateral(t).ravel(),
-        path.speed(t).ravel(),
-        path.curvature(t).ravel(),
+        np.arange(few.n + 1) * k, t.ravel(), path.lateral(t).ravel(), path.speed(t).ravel(), path.curvature(t).ravel()
     )
     back = reduce_signals(signals, few.side)
     np.testing.assert_array_equal(back.T, few.T)
@@ -208,17 +201,14 @@ def test_no_mode_above_the_bandwidth_but_always_three(bandwidth: float) -> None:
     for modes in (path.modes_y, path.modes_v):
         frequency = np.arange(1, modes.shape[1] + 1) / (2.0 * MANY.T[:, None])
         used = modes != 0.0
-        assert np.all(
-            frequency[used] <= np.broadcast_to(np.maximum(bandwidth, 1.5 / MANY.T)[:, None], used.shape)[used]
-        )
+        assert np.all((frequency <= np.maximum(bandwidth, 1.5 / MANY.T)[:, None])[used])
         np.testing.assert_array_equal(used.sum(axis=1), np.clip(np.floor(2.0 * MANY.T * bandwidth), 3, 100))
     # and seen from outside: a long residual's spectrum, its even extension made of whole waves
     longest = int(np.argmax(MANY.T))
     T = MANY.T[longest]
     k = 4096
-    eps = path.take([longest]).speed((np.arange(k) + 0.5)[None, :] / k * T) - dep.speed(
-        MANY.take([longest]), (np.arange(k) + 0.5) / k * T
-    )
+    t = (np.arange(k) + 0.5) / k * T
+    eps = path.take([longest]).speed(t[None, :]) - dep.speed(MANY.take([longest]), t)
     spectrum = np.abs(np.fft.rfft(np.concatenate([eps[0], eps[0, ::-1]]))) / k
     beyond = np.arange(spectrum.size) / (2.0 * T) > bandwidth
     assert spectrum[beyond].max() < 1e-12
@@ -248,9 +238,8 @@ def test_residuals_over_many_scenarios() -> None:
     # orthogonality to the parabola takes the first mode away almost wholly: it is -a_3/27 - a_5/125 - a_7/343
     assert np.std(path.modes_y[:, 0]) < 0.06 * np.std(path.modes_y[:, 1])
     # in the middle about normal: seven directions of fixed length have a kurtosis of -2/3 at most
-    middle = path.lateral(np.full(n, 1.7)) - UncorrectedPath(same, path.modes_y[:, :0], path.modes_v).lateral(
-        np.full(n, 1.7)
-    )
+    t, plain = np.full(n, 1.7), UncorrectedPath(same, path.modes_y[:, :0], path.modes_v)
+    middle = path.lateral(t) - plain.lateral(t)
     assert abs(scipy.stats.skew(middle)) < 4 * np.sqrt(6 / n)
     assert -0.8 < scipy.stats.kurtosis(middle) < 0.0
 
@@ -263,9 +252,8 @@ def test_the_seed_decides_and_residuals_have_nothing_in_common() -> None:
     drawn = (path.modes_y != 0.0) & (other.modes_y != 0.0)
     assert not np.any(path.modes_y[drawn] == other.modes_y[drawn])
     # the two residuals of a scenario have nothing in common
-    assert abs(np.corrcoef(path.modes_y[:, 1] / MANY.sigma_y, path.modes_v[:, 1] / MANY.sigma_v)[0, 1]) < 4 / np.sqrt(
-        300
-    )
+    correlation = np.corrcoef(path.modes_y[:, 1] / MANY.sigma_y, path.modes_v[:, 1] / MANY.sigma_v)
+    assert abs(correlation[0, 1]) < 4 / np.sqrt(300)
 
 
 # --- the trigger
@@ -317,4 +305,17 @@ def test_a_path_that_first_goes_inwards_triggers_when_it_is_back() -> None:
     assert crossing[0] == pytest.approx(4.0 * u, abs=1e-13)
 
 
-# --- bad rows
+@pytest.mark.parametrize("residuals", [OFF, BOTH])
+def test_recorded_peaks_from_the_trigger_on_are_those_of_differences(residuals: Residuals) -> None:
+    over = Takeover.build(MANY, Setup(options=PlantOptions(residuals=residuals)), y_s=0.1)
+    path, start, T, h = over.driven, over.start[:, None], over.driven.scenarios.T[:, None], 2e-5
+    t = np.minimum(start + 0.05 * np.arange(202), T)
+
+    def a(t: FloatArray) -> FloatArray:
+        t = np.minimum(np.maximum(t, start), T - h)
+        bend = path.lateral(t - h) - 2 * path.lateral(t) + path.lateral(t + h)
+        return bend / h**2 + path.speed(t) ** 2 * path.curvature(t)
+
+    a_y, jerk = over.recorded_peaks()
+    np.testing.assert_allclose(a_y, np.abs(a(t)).max(axis=1), rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(jerk, np.abs(a(t) - a(t - 0.5)).max(axis=1) / 0.5, rtol=2e-3, atol=1e-3)

@@ -371,7 +371,7 @@ def test_workers_are_processes_only_where_there_is_much_to_read(
 ) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
     from studies.extraction import runner
-    from studies.running.executors.serial import SerialExecutor
+    from studies.running.executors.protocol import SerialExecutor
 
     asked: list[Any] = []
 

@@ -18,8 +18,8 @@ import pytest
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Extraction
 from ldctoolkit.recordings.opened import OpenedRecordings
-from ldctoolkit.recordings.part_result import PartResult
 from ldctoolkit.recordings.recording import Label, Problem, Recording
+from ldctoolkit.recordings.result import PartResult
 from ldctoolkit.recordings.source_file import SourceFile
 
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from helpers.bits import assert_same_bits
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.extract_part import extract_items
-from ldctoolkit.recordings.part_result import PartResult
+from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.result import PartResult
 from studies.extraction.part_work import Unread
 from studies.extraction.work_folder import part_bytes, read_part
 

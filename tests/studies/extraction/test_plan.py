@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 import ldctoolkit
-from ldctoolkit.recordings.criteria import Criteria
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.opened import ReadersTogether
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.sources import FoundParts, recording_reader
-from ldctoolkit.recordings.together import ReadersTogether
 from studies.extraction.plan import _program, plan_of
 
 HOME = Path(ldctoolkit.__file__).parent
@@ -34,7 +34,7 @@ def test_every_module_that_decides_numbers_is_reached(copied: Path) -> None:
     before = _program(copied)
     assert before == _program(HOME)
     modules = [*(copied / "recordings").rglob("*.py"), copied / "departures.py", copied / "departure_columns.py"]
-    assert {path.parent.name for path in modules} >= {"recordings", "plain", "spmd", "trips", "uah"}
+    assert {"spmd_das1.py", "uah_driveset.py", "csv_text.py", "departures.py"} <= {path.name for path in modules}
     for path in modules:
         content = path.read_bytes()
         path.write_bytes(content + b"# another\n")
@@ -45,7 +45,8 @@ def test_every_module_that_decides_numbers_is_reached(copied: Path) -> None:
 
 def test_a_module_in_another_room_is_another(copied: Path) -> None:
     before = _program(copied)
-    (copied / "recordings" / "uah" / "tables.py").rename(copied / "recordings" / "plain" / "tables.py")
+    (copied / "recordings" / "other").mkdir()
+    (copied / "recordings" / "uah_driveset.py").rename(copied / "recordings" / "other" / "uah_driveset.py")
     assert _program(copied) != before
 
 

@@ -20,7 +20,7 @@ from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.preparation import Preparation
 from studies.extraction import NothingReadError, run_extraction
 from studies.running.executors import Ended, Work
-from studies.storage.folder_lock import locked
+from studies.storage.files import locked
 
 Made = Callable[..., OpenedRecordings]
 Content = Callable[[Any], tuple[Any, ...]]

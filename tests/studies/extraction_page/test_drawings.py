@@ -13,9 +13,8 @@ from helpers.extractions import make_extraction
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.recordings.drawn import KEPT
 from studies.extraction_page import event_plots
-from studies.extraction_page.axis_ticks import Axis
-from studies.extraction_page.histograms import MOST_BINS, Shares, histogram, shared_edges, width_shares
-from studies.extraction_page.quantities import PARAMETERS
+from studies.extraction_page.panels import MOST_BINS, Shares, histogram, shared_edges, width_shares
+from studies.extraction_page.svg_plot import PARAMETERS, Axis
 
 NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 

@@ -19,7 +19,7 @@ from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
 from studies.fit_page import write_fit_page
-from studies.fit_page.figures_pairs import density_levels, pairs_figure
+from studies.fit_page.figures import density_levels, pairs_figure
 from studies.fit_page.page import SECTIONS, render_page
 
 

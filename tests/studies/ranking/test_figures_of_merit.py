@@ -17,11 +17,7 @@ from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
 from studies import rank_study, read_manifest, read_results
 from studies.ranking.case_figures import mean_reduction
-from studies.ranking.figures import (
-    figure,
-    figure_values,
-    parse_requirement,
-)
+from studies.ranking.figures import figure, figure_values, parse_requirement
 from studies.ranking.ranking_csv import write_csv
 
 NAN = math.nan
@@ -36,6 +32,10 @@ def test_every_metric_answers_to_its_column() -> None:
 def test_names_of_a_ranking_csv_row_are_all_aliases() -> None:
     assert figure("S_m_s").name == "S"
     assert figure("a_y_peak_p95_m_s2").name == figure("ay_p95").name == "a_y_peak_p95"
+    assert figure("ay_added_max").name == "a_y_added_peak_max"
+    # what earlier versions called it
+    assert figure("overshoot_max").name == figure("overshoot_max_m").name == "opposite_crossing_max"
+    assert figure("overshoot_share").name == "opposite_crossed_share"
     assert figure("dtle_0p3_share").name == figure("within_dtle_share").name == "within_dtle"
     assert figure("deeper_than_D_y_share").name == "deeper"
 

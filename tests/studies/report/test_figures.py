@@ -20,13 +20,7 @@ from studies.design import Design
 from studies.report.figures.landscape import color_range, on_the_edge, swept_axes
 from studies.report.figures.landscape_figures import Landscape, heat_map
 from studies.report.figures.landscape_panels import landscape_panels
-from studies.report.figures.scores import (
-    Curve,
-    distribution_figure,
-    interleaved,
-    running_mean,
-    sides_figure,
-)
+from studies.report.figures.scores import Curve, distribution_figure, interleaved, running_mean, sides_figure
 from studies.report.look.style import RECORDED, law_styles
 from studies.report.look.svg import inline_svg
 from studies.report.replay.picks import choose

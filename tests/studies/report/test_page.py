@@ -71,7 +71,9 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, pa
             name: np.full(len(ranking), value)
             for name, value in {
                 "within_dtle": 0.911, "dtle_p5": -0.121, "dtle_min": -0.987, "back_inside": 0.878, "t_back_median": 1.2,
-                "overshoot_share": 0.432, "overshoot_max": 0.654, "comfortable": 0.765, "a_y_peak_mean": 1.1,
+                "opposite_crossed_share": 0.432, "opposite_crossing_max": 0.654, "comfortable": 0.765,
+                "a_y_added_peak_mean": 0.1, "a_y_added_peak_p95": 0.2, "a_y_added_peak_max": 0.3, "a_y_peak_mean": 1.1,
+                "jerk_added_peak_mean": 0.4, "jerk_added_peak_p95": 0.5, "jerk_added_peak_max": 0.6,
                 "a_y_peak_p95": 2.2, "a_y_peak_max": 3.3, "jerk_peak_mean": 4.4, "jerk_peak_p95": 5.5,
                 "jerk_peak_max": 6.6, "delta_peak_max": 0.1, "delta_rate_peak_max": 0.5, "effort_mean": 0.01,
                 "needless": 0.234,
@@ -91,11 +93,15 @@ def test_limits_show_the_best_of_each_law_and_no_control(report: ReportInput, pa
     of_interventions = [
         ("Back inside at some time", "87.8 %"), ("Back inside after, median [s]", "1.20"),
         ("Opposite line crossed", "43.2 %"), ("Opposite line crossed by at most [m]", "0.65"),
-        ("Both limits kept", "76.5 %"), ("Peak lateral acceleration [m/s²]", "1.1 / 2.2 / 3.3"),
-        ("Peak lateral jerk [m/s³]", "4.4 / 5.5 / 6.6"), ("Largest angle [°]", "5.7"), ("Largest rate [°/s]", "28.6"),
+        ("Both limits kept", "76.5 %"), ("Added lateral acceleration [m/s²]", "0.1 / 0.2 / 0.3"),
+        ("Added lateral jerk [m/s³]", "0.4 / 0.5 / 0.6"), ("Peak lateral acceleration [m/s²]", "1.1 / 2.2 / 3.3"),
+        ("Peak lateral jerk [m/s³]", "4.4 / 5.5 / 6.6"),
+        ("Recorded path alone beyond these limits", "1.0 % / 0.0 %"), ("Largest angle [°]", "5.7"),
+        ("Largest rate [°/s]", "28.6"),
         ("Mean effort ∫δ² dt [°²·s]", "32.83"), ("Departures taken over", "56.7 %"),
-        ("Needless: without control not deeper than 0.5 m", "23.4 %"), ("Departures with a failed solve", "3"),
+        ("Needless: without control not deeper than 0.3 m", "23.4 %"), ("Departures with a failed solve", "3"),
         ("Departures that diverged", "5"), ("Departures that timed out or crashed", "24"),
+        ("Takeovers beyond delta_max", "0"),
         ("Time of the law per command [µs]", "linear"),
     ]  # fmt: skip
     assert [cells[:3] for cells in found.values()] == [
@@ -255,7 +261,7 @@ def nothing_triggered(make: Make) -> None:
     assert page.words("departures") == (
         "Departures No design took over in any departure, so there is no corrected path to show."
     )
-    assert "there is no lateral acceleration" in page.words("distributions")
+    assert "there is no acceleration or jerk to show" in page.words("distributions")
     assert "no number of departures tells them apart" in page.words("confidence")
 
 

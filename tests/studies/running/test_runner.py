@@ -25,9 +25,10 @@ from ldctoolkit import (
 )
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
-from ldctoolkit.simulation import Run, Takeover, closed_loop
+from ldctoolkit.simulation import Run, Takeover, loop
 from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 from studies.storage.store import Store
+from studies.study_file.plant_table import simulation_settings
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -79,7 +80,7 @@ def counting(drives: list[Controller]) -> Callable[..., Iterator[Run]]:
 
     def drive(controllers: list[Controller], takeover: Takeover, **settings: int) -> Iterator[Run]:
         drives.extend(controllers)
-        return closed_loop.drive_many(controllers, takeover, **settings)
+        return loop.drive_many(controllers, takeover, **settings)
 
     return drive
 
@@ -379,6 +380,21 @@ def test_another_model_or_version_is_refused(make_study: MakeStudy, reference: S
         path.write_text(json.dumps(content | change))
         with pytest.raises(StoreError, match=message):
             run_study(make_study(), directory=tmp_path / "reference")
+
+
+def test_a_folder_from_before_the_steady_start_is_read_as_printed(
+    make_study: MakeStudy, reference: StudyResults, tmp_path: Path
+) -> None:
+    path = tmp_path / "reference" / "manifest.json"
+    content = json.loads(path.read_text())
+    for part in (content["study"], content["inputs"]):
+        assert part["simulation"].pop("start") == "steady"
+    path.write_text(json.dumps(content))
+    study = read_manifest(path.parent).read_study()
+    assert ("state at the trigger", "printed") in simulation_settings(study.setup())
+    assert rank_study(read_results(path.parent), study)[0].designs
+    with pytest.raises(StoreError, match=r"simulation\.start: not set there, 'steady' now; choose another folder$"):
+        run_study(make_study(), directory=path.parent)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from ldctoolkit.errors import InputError, StoreError
 from studies import Study, rank_study, read_manifest, read_results, run_study
 from studies.running import campaign
-from studies.storage.folder_lock import locked
+from studies.storage.files import locked
 from studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]

@@ -10,7 +10,7 @@ import pytest
 
 from ldctoolkit.errors import StoreError
 from studies.running import worker
-from studies.storage.folder_lock import locked
+from studies.storage.files import locked
 
 
 def test_a_huge_limit_is_taken_by_this_platform() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.storage.shared_rows import SharedRows
+from studies.storage.run_table import SharedRows
 
 D, N = 4, 6
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
-from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
+from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, RELEASE_METRICS
 from studies import Study, StudyResults, read_results, run_study
 from studies.ranking.ranking import rank_study
 from studies.running import campaign
@@ -181,3 +181,31 @@ def test_every_column_is_checked_though_it_is_not_kept(
     table.write_parquet(part)
     with pytest.raises(StoreError, match=f"{part.name}: broken: column travel_rad holds a value that is not finite"):
         read_results(tmp_path / "copy")
+
+
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_a_folder_of_an_earlier_version_is_read_and_ranked(
+    folder: Path, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_memory: bool
+) -> None:
+    """Under other names, and without what was not recorded then: everything else is what it was."""
+    import polars as pl
+
+    if not in_memory:
+        monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
+    monkeypatch.setattr(store, "checked_content", lambda path: path.read_bytes())
+    shutil.copytree(folder, tmp_path / "old")
+    added = ("a_y_added_peak", "jerk_added_peak")
+    for part in (tmp_path / "old" / "results").iterdir():
+        table = pl.read_parquet(part).drop(COMPANION_COLUMNS[name] for name in added)
+        table.rename({"opposite_crossing_m": "overshoot_m"}).write_parquet(part)
+    old, new = read_results(tmp_path / "old"), read_results(folder)
+    for name in COMPANION_UNITS:
+        values, wanted = (np.asarray(getattr(one.cases[0].companions, name)) for one in (old, new))
+        np.testing.assert_array_equal(values, wanted + (np.nan if name in added else 0.0))
+    before, now = rank_study(old, study)[0], rank_study(new, study)[0]
+    assert before.designs == now.designs
+    for name in RELEASE_METRICS:
+        missing = np.nan if name.startswith(added) or name == "comfortable" else 0.0
+        np.testing.assert_array_equal(getattr(before.release, name), getattr(now.release, name) + missing)
+    assert "Added peaks of lateral acceleration and jerk are not recorded in these results" in before.warnings[0]
+    assert not any("not recorded" in text for text in now.warnings)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from ldctoolkit import load_model
+from ldctoolkit import Scenarios, load_model
 from ldctoolkit.errors import StoreError
 from studies import Study, run_study
+from studies.storage.files import read_scenarios, scenario_table
 from studies.storage.manifest import read_manifest
 from studies.storage.stored_model import MODEL, read_model
 
@@ -55,3 +56,10 @@ def test_a_model_that_json_does_not_know_runs(tmp_path: Path, caplog: pytest.Log
         run_study(Study.from_dict(STUDY), directory=tmp_path / "o", model=odd, workers=1)
     assert "the report will not show the scenario model" in caplog.text
     assert not (tmp_path / "o" / MODEL).exists()
+
+
+def test_stored_scenarios_beyond_the_limits_of_new_ones_are_read(tmp_path: Path) -> None:
+    odd = Scenarios.drawn(T=2.0, d_y=30.0, v_mean=120.0, a_mean=0.0, c_0=0.1, dc=0.0, sigma_y=0.0, sigma_v=0.0, side=1)
+    scenario_table(odd).write_parquet(tmp_path / "scenarios.parquet")
+    found = read_scenarios(tmp_path / "scenarios.parquet")
+    assert (found.v_mean.tolist(), found.d_y.tolist()) == ([120.0], [30.0])

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ldctoolkit import VehicleParameters
+from ldctoolkit import VehicleParameters, load_model, simulate
 from ldctoolkit.errors import StudyError
 from ldctoolkit.plant_options import PlantOptions
 from studies import Case, Design, Study
@@ -425,6 +426,18 @@ def test_whole_values_of_a_range_and_the_scale_that_a_gain_declares() -> None:
     assert expand({"from": 0, "to": 16, "count": 3}, "log") == (0.0, 8.0, 16.0)  # no logarithm of 0
     assert expand({"from": -1, "to": 1, "count": 3}, "log") == (-1.0, 0.0, 1.0)
     assert expand({"from": 1, "to": 3, "count": 3, "scale": "linear"}, "log") == (1.0, 2.0, 3.0)
+
+
+def test_the_paper_is_run_from_the_printed_start() -> None:
+    """Mean S in its four cases, from before there was another start, where they were these to the last bit."""
+    study = load_study("paper")
+    scenarios = load_model("reference").sample(200, 200, seed=study.seed)
+    found = []
+    for case in study.cases:
+        controller, setup = study.designs[1].controller(case.convention), study.setup(case.convention)
+        found.append(simulate(controller, scenarios, setup=setup, y_s=0.2, window=case.window).S.mean())
+    expected = [2.3499438880925223, 2.7894257077927547, 1.1628440396314486, 1.60232585933168]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)  # to what the loop promises on any processor
 
 
 def test_the_catalog_loads() -> None:

@@ -97,7 +97,7 @@
     second.across(0, "frame");
     third.across(0, "frame");
     [-LIMIT, LIMIT].forEach(function (value) { third.across(value, "limit"); });
-    root.appendChild(LDC.svg("text", { "class": "limit-text", x: LEFT + inner, y: third.y(LIMIT) - 4, "text-anchor": "end" }, "±3 m/s², ISO 11270"));
+    root.appendChild(LDC.svg("text", { "class": "limit-text", x: LEFT + inner, y: third.y(LIMIT) - 4, "text-anchor": "end" }, "±3 m/s²"));
     panels.forEach(function (panel) {
       panel.back.appendChild(LDC.svg("line", { "class": "end", x1: x(shown.T), x2: x(shown.T), y1: panel.top, y2: panel.top + panel.height }));
     });

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.trips.table_text import COMPILED_FROM, read_cells
+from ldctoolkit.recordings.trip_index import TEXT_COMPILED_FROM, read_cells
 
 COLUMNS = ("a", "b", "c", "d")
 WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
@@ -74,10 +74,10 @@ text = st.builds(
 @given(
     text=text,
     wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]),
-    compiled_from=st.sampled_from([0, COMPILED_FROM]),
+    compiled_from=st.sampled_from([0, TEXT_COMPILED_FROM]),
 )
 @example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=0)
-@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=COMPILED_FROM)
+@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=TEXT_COMPILED_FROM)
 @example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"), compiled_from=0)
 @example(text=b"1,2,3,e0\n", wanted=("d",), compiled_from=0)
 @example(text=b"1,2,3,", wanted=("d",), compiled_from=0)
@@ -124,7 +124,7 @@ def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], 
         np.testing.assert_array_equal(np.signbit(found[name]), np.signbit(expected))
 
 
-@pytest.mark.parametrize("compiled_from", [0, COMPILED_FROM])
+@pytest.mark.parametrize("compiled_from", [0, TEXT_COMPILED_FROM])
 @pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
 def test_every_allowed_number_of_cells_alone(line: bytes, compiled_from: int) -> None:
     found = read_cells(line * 3, COLUMNS, ("d", "a"), cells=(4, 6), compiled_from=compiled_from)

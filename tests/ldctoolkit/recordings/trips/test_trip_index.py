@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from helpers.examples import examples
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.trips import trip_index
-from ldctoolkit.recordings.trips.trip_index import Stretch, index_trips
+from ldctoolkit.recordings import trip_index
+from ldctoolkit.recordings.trip_index import Stretch, index_trips
 
 HEADER = b"Device,Trip,Time\r\n"
 

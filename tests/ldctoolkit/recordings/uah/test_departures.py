@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ldctoolkit.recordings.criteria import Criteria
 from ldctoolkit.recordings.events import REASONS
 from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.uah_driveset import READER
 

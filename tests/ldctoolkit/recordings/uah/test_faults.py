@@ -245,7 +245,7 @@ def test_positions_of_another_trip(made, tmp_path):
 
 
 def test_a_file_too_large(folder, monkeypatch):
-    monkeypatch.setattr("ldctoolkit.recordings.uah.tables.LARGEST_FILE", 1000)
+    monkeypatch.setattr("ldctoolkit.recordings.uah_driveset.LARGEST_FILE", 1000)
     problems, found = read(folder)
     assert found is None
     assert problems[0].endswith("bytes; a file of one trip has at most 1000")

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.rising_times import rising_rows
-from ldctoolkit.recordings.uah.tables import Column, read_number_text
+from ldctoolkit.recordings.signals_in_time import rising_rows
+from ldctoolkit.recordings.uah_driveset import Column, read_number_text
 
 COLUMNS = (Column(0, "time"), Column(1, "offset"), Column(3, "lane width"))
 TOKENS = st.sampled_from(

@@ -155,9 +155,7 @@ def test_numbers_beyond_16_bits_are_kept() -> None:
 
 def test_no_control_and_laws_without_paths_are_not_held() -> None:
     results = run(
-        [Design.of(LQR(), 0.1), Design.of(NoControl(), 0.1)],
-        invented_scenarios(5, 5),
-        [Case("control", "consistent")],
+        [Design.of(LQR(), 0.1), Design.of(NoControl(), 0.1)], invented_scenarios(5, 5), [Case("control", "consistent")]
     )
     context, page = held(report_input(results))
     assert len(list(page.lines("paths", "y"))) == 10

@@ -31,14 +31,14 @@ def test_shares_beyond_are_those_of_the_ranking(report: ReportInput) -> None:
     assert [curve.beyond for curve in depth_curves(context)] == pytest.approx(ranking.deeper[places], abs=1e-12)
     within = ranking.release.within_dtle[places]
     assert [1.0 - curve.beyond for curve in axle_curves(context)] == pytest.approx(within, abs=1e-12)
-    a_y, jerk = comfort_curves(context, "a_y_peak"), comfort_curves(context, "jerk_peak")
+    a_y, jerk = comfort_curves(context, "a_y_added_peak"), comfort_curves(context, "jerk_added_peak")
     assert len(a_y) == len(jerk) == len(context.shown)
     for row, one, other in zip(context.shown, a_y, jerk, strict=True):
         acted = case.companions.delta_peak[row.index] > 0  # 0 where nobody intervened
         assert one.values.size == acted.sum() > 0
-        assert one.values.max() == pytest.approx(ranking.release.a_y_peak_max[row.place])
-        assert one.beyond == np.mean([peak > 3.0 for peak in case.companions.a_y_peak[row.index][acted]])
-        assert other.beyond == np.mean([peak > 5.0 for peak in case.companions.jerk_peak[row.index][acted]])
+        assert one.values.max() == pytest.approx(ranking.release.a_y_added_peak_max[row.place])
+        assert one.beyond == np.mean([peak > 3.0 for peak in case.companions.a_y_added_peak[row.index][acted]])
+        assert other.beyond == np.mean([peak > 5.0 for peak in case.companions.jerk_added_peak[row.index][acted]])
         # kept by both limits at once is at most what is kept by one of them
         assert ranking.release.comfortable[row.place] <= 1.0 - max(one.beyond, other.beyond) + 1e-12
 

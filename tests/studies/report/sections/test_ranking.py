@@ -33,7 +33,8 @@ def test_each_number_stands_in_its_column() -> None:
     study = scored([[0.9, 1.4, 0.7, 1.8], [1.1, 2.6, 1.3, 2.2]], [1.0, 2.0, 1.0, 2.0], designs)
     given = {
         "S_low": 1.7, "S_high": 1.95, "difference_low": 0.5, "difference_high": 0.8, "triggered": 0.567,
-        "deeper": 0.345, "solver_failed": 1, "diverged": 20, "timed_out": 300, "crashed": 4000, "invalid": 50000,
+        "deeper": 0.345, "solver_failed": 1, "diverged": 20, "timed_out": 300, "crashed": 4000,
+        "beyond_delta_max": 7, "invalid": 50000,
     }  # fmt: skip
     ranking = Ranking.of(study, study.cases[0], bootstrap=50)
     ranking = dataclasses.replace(ranking, **{name: np.full(2, value) for name, value in given.items()})

@@ -18,8 +18,8 @@ def test_more_than_a_lane_beyond_the_other_line_is_marked(report: ReportInput, m
     ranking, table = context.ranking, context.primary
     release = dataclasses.replace(
         ranking.release,
-        overshoot_max=np.full(len(ranking.designs), most),
-        overshoot_share=np.full(len(ranking.designs), 0.5),
+        opposite_crossing_max=np.full(len(ranking.designs), most),
+        opposite_crossed_share=np.full(len(ranking.designs), 0.5),
     )
     ranking = dataclasses.replace(ranking, release=release)
     (group,) = (one for one in limits_table(report, table, ranking).groups if one.title == "Back to the lane")

@@ -1,0 +1,332 @@
+"""The recorded path of scenarios, with or without residuals about the fitted parabola and the fitted speed.
+
+Without residuals everything is the closed form of `ldctoolkit.departures`, to the bit. Paths end at T; beyond it speed
+and curvature are held, everything else merely continues its formula, as it does before the start.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import departures as dep
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.departures import DepartureParameters
+from ldctoolkit.option_checks import checked_seed
+from ldctoolkit.paths.random_streams import RandomStream, normals
+from ldctoolkit.plant_options import Residuals
+from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Scenarios, slowest_speed
+
+if TYPE_CHECKING:
+    from ldctoolkit.paths.residual_kernels import Path
+
+FEWEST_MODES: Final = 3
+"""A residual has at least this many modes: fewer would leave no freedom beside what the parameters fix already."""
+
+MOST_MODES: Final = 100
+
+# rows that cannot be driven give NaN in silence: they are marked elsewhere
+_quiet = np.errstate(divide="ignore", invalid="ignore", over="ignore")
+
+
+@dataclasses.dataclass(frozen=True)
+class UncorrectedPath:
+    """Recorded paths of n scenarios, functions of the time t since the departure's start.
+
+    Built with `of`. Times are (n,) or (n, k); results have their shape.
+
+    Attributes
+    ----------
+    scenarios : Scenarios
+        n departures.
+    modes_y : (n, J_y) [m]
+        Amplitudes a_j of eps_y(t) = sum a_j sin(j pi t/T); no columns without this residual.
+    modes_v : (n, J_v) [m/s]
+        Amplitudes b_j of eps_v(t) = sum b_j cos(j pi t/T); no columns without this residual.
+    """
+
+    scenarios: Scenarios
+    modes_y: FloatArray
+    modes_v: FloatArray
+
+    @classmethod
+    @_quiet
+    def of(cls, scenarios: Scenarios, residuals: Residuals, seed: int) -> Self:
+        """Draw the residuals of every scenario.
+
+        Parameters
+        ----------
+        scenarios : Scenarios
+            n departures.
+        residuals : Residuals
+            Which residuals, and their bandwidth.
+        seed : int
+            0 to 2^63 - 1; with a scenario's number it fixes the residuals.
+
+        Returns
+        -------
+        UncorrectedPath
+
+        Raises
+        ------
+        InputError
+            For a seed outside what is allowed.
+
+        Notes
+        -----
+        A scenario has the modes j/(2 T) <= bandwidth, at least 3 and at most 100. Amplitudes are independent normal
+        numbers, projected so that reducing the path gives the eight parameters back: eps_v is orthogonal over [0, T]
+        to a straight line in t (a_mean, v_mean), eps_y to the path's own parabola 4 s (1 - s), s = x(t)/d_x (d_y). The
+        latter is 4 u (1 - u), u = t/T, only at constant speed; x(t) is what the regression sees, so x(t) it is. Then
+        each is scaled to the scenario's sigma: its standard deviation in time over [0, T], about its own mean, as in
+        `reduce_signals`. y is zero at both ends and may be negative between.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> one = Scenarios.from_arrays(T=[4.0], d_y=[0.3], v_mean=[20.0], sigma_y=[0.02])
+        >>> path = UncorrectedPath.of(one, Residuals(y=True), seed=1)
+        >>> path.modes_y.shape, path.modes_v.shape
+        ((1, 8), (1, 0))
+        >>> eps = path.lateral(np.linspace(0.0, 4.0, 1001)[None, :]) - 0.3 * (1 - np.linspace(-1, 1, 1001) ** 2)
+        >>> round(float(np.std(eps)), 4)
+        0.02
+        """
+        seed = checked_seed(seed)
+        none = np.zeros((scenarios.n, 0))
+        path = cls(scenarios, none, none)
+        if residuals.ideal:
+            return path
+        from ldctoolkit.paths.residual_kernels import shape_lateral_modes, shape_speed_modes
+
+        count = _mode_count(scenarios.T, residuals.bandwidth)
+        most = int(count.max(initial=0))
+        if residuals.v:
+            modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_V, most)
+            shape_speed_modes(scenarios.sigma_v, count, modes)
+            path = dataclasses.replace(path, modes_v=modes)
+        if residuals.y:
+            modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_Y, most)
+            shape_lateral_modes(path.columns(), scenarios.sigma_y, count, modes)
+            path = dataclasses.replace(path, modes_y=modes)
+        return path
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return self.scenarios.n
+
+    def take(self, rows: npt.ArrayLike | slice) -> Self:
+        """The chosen paths: an index array, a mask or a slice."""
+        index = rows if isinstance(rows, slice) else np.asarray(rows)
+        if not isinstance(index, slice) and index.size == 0:
+            index = index.astype(np.int64)
+        return dataclasses.replace(
+            self, scenarios=self.scenarios.take(index), modes_y=self.modes_y[index], modes_v=self.modes_v[index]
+        )
+
+    @_quiet
+    def position(self, t: FloatArray) -> FloatArray:
+        """Distance x(t) along the lane [m]; x(T) = v_mean T, with residuals too."""
+        return self._values("POSITION", dep.position, t, self._varied)
+
+    @_quiet
+    def speed(self, t: FloatArray) -> FloatArray:
+        """Speed v(t) [m/s]; v(T) beyond T."""
+        return self._values("SPEED", dep.speed, np.minimum(t, _like(self.scenarios.T, t)), self._varied)
+
+    @_quiet
+    def lateral(self, t: FloatArray) -> FloatArray:
+        """Distance y(t) of the edge beyond the line [m]."""
+        return self._values("LATERAL", dep.lateral, t, self._disturbed)
+
+    @_quiet
+    def lateral_rate(self, t: FloatArray) -> FloatArray:
+        """Lateral speed dy/dt [m/s]."""
+        return self._values("LATERAL_RATE", dep.lateral_rate, t, self._disturbed)
+
+    @_quiet
+    def lateral_acceleration(self, t: FloatArray) -> FloatArray:
+        """Second derivative d2y/dt2 [m/s^2], relative to the lane."""
+        return self._values("LATERAL_ACCELERATION", dep.lateral_acceleration, t, self._disturbed)
+
+    @_quiet
+    def curvature(self, t: FloatArray) -> FloatArray:
+        """Lane curvature c(t) [1/m], outward; c(T) beyond T. It has no residual."""
+        return dep.curvature(self._shaped(t), t)
+
+    @_quiet
+    def area(self, t: FloatArray) -> FloatArray:
+        """Integral of y from 0 to t [m s]: closed form, or a Gauss rule that is exact to rounding where v has eps_v."""
+        if not self._disturbed:
+            return dep.lateral_integral(self._shaped(t), t)
+        from ldctoolkit.paths.residual_kernels import areas
+
+        out = np.empty(_table(t).shape)
+        areas(self.columns(), _table(t), out)
+        return out.reshape(t.shape)
+
+    @_quiet
+    def crossing_time(self, y_s: float) -> FloatArray:
+        """First time at which y(t) exceeds y_s [s], (n,); infinite where it never does.
+
+        Parameters
+        ----------
+        y_s : float [m]
+            Trigger threshold, >= 0.
+
+        Notes
+        -----
+        With residuals: 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to
+        1e-14 T.
+        """
+        if not self._disturbed:
+            return dep.crossing_time(self.scenarios, y_s)
+        from ldctoolkit.paths.residual_kernels import crossings
+
+        out = np.empty(self.n)
+        crossings(self.columns(), float(y_s), out)
+        return out
+
+    @_quiet
+    def deepest(self, t_end: FloatArray) -> FloatArray:
+        """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
+        end = np.minimum(t_end, self.scenarios.T)
+        if self._disturbed:
+            return self._highest("EDGE", 0.0, np.zeros_like(end), end)
+        p = self.scenarios
+        past = dep.position(p, end) >= 0.5 * p.v_mean * p.T
+        return np.where(past, p.d_y, np.maximum(dep.lateral(p, end), 0.0))
+
+    @_quiet
+    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
+        """Largest distance of the front axle's edge beyond the line over [0, t_end] [m].
+
+        Parameters
+        ----------
+        t_end : (n,) [s]
+            Cut off at T.
+        l_f : float [m]
+            Distance from the centre of gravity to the front axle.
+
+        Returns
+        -------
+        (n,) [m]
+            Largest y + l_f e_psi, with e_psi = arctan of the slope (dy/dt)/v.
+        """
+        end = np.minimum(t_end, self.scenarios.T)
+        if self._disturbed:
+            return self._highest("FRONT_EDGE", l_f, np.zeros_like(end), end)
+        p = self.scenarios
+        d_x = p.v_mean * p.T
+        # 4 d_y s (1 - s) + l_f arctan(q), q = 4 d_y/d_x (1 - 2 s), is highest where q (1 + q^2) = 8 l_f d_y/d_x^2
+        q = 2.0 / np.sqrt(3.0) * np.sinh(np.arcsinh(12.0 * np.sqrt(3.0) * l_f * p.d_y / d_x**2) / 3.0)
+        share = np.clip(0.5 - l_f / (d_x * (1.0 + q**2)), 0.0, dep.position(p, end) / d_x)
+        slope = 4.0 * p.d_y / d_x * (1.0 - 2.0 * share)
+        highest: FloatArray = 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(slope)
+        return highest
+
+    @_quiet
+    def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
+        """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
+        start, end = np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
+        if self._varied:
+            return -self._highest("SLOWNESS", 0.0, start, end)
+        return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
+
+    def drivable(self) -> npt.NDArray[np.bool_]:
+        """Scenarios whose numbers are finite and have their signs, and whose speed stays where plant and gains are."""
+        p = self.scenarios
+        finite = np.isfinite(p.matrix()).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            sound = finite & (p.T > 0) & (p.d_y >= 0) & (p.sigma_y >= 0) & (p.sigma_v >= 0)
+            slowest = slowest_speed(p.v_mean, p.a_mean, p.T)
+            fast = sound & (slowest >= SPEED_FLOOR) & (2.0 * p.v_mean - slowest <= SPEED_CEILING)
+        if self.modes_v.shape[1] and fast.any():
+            rows = np.flatnonzero(fast)
+            some = self.take(rows)
+            fast[rows] = some.slowest_speed(np.zeros(rows.size), some.scenarios.T) >= SPEED_FLOOR
+        return np.asarray(fast, dtype=bool)
+
+    def columns(self) -> Path:
+        """The columns for compiled functions."""
+        from ldctoolkit.paths.residual_kernels import Path
+
+        p = self.scenarios
+        T, d_y, v_mean, a_mean = (np.ascontiguousarray(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
+        modes_y, modes_v = np.ascontiguousarray(self.modes_y), np.ascontiguousarray(self.modes_v)
+        return Path(T, d_y, v_mean, a_mean, modes_y, modes_v, _used(modes_y), _used(modes_v))
+
+    @property
+    def _varied(self) -> bool:
+        """The speed has a residual."""
+        return bool(self.modes_v.shape[1])
+
+    @property
+    def _disturbed(self) -> bool:
+        """The lateral path is not the plain parabola."""
+        return self._varied or bool(self.modes_y.shape[1])
+
+    def _shaped(self, t: FloatArray) -> DepartureParameters:
+        """The parameters as columns that broadcast against t."""
+        return self.scenarios if t.ndim == 1 else _as_columns(self.scenarios)
+
+    def _values(
+        self, what: str, plain: Callable[[DepartureParameters, FloatArray], FloatArray], t: FloatArray, moved: bool
+    ) -> FloatArray:
+        if not moved:
+            return plain(self._shaped(t), t)
+        from ldctoolkit.paths import residual_kernels as kernels
+
+        out = np.empty(_table(t).shape)
+        kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
+        return out.reshape(t.shape)
+
+    def _highest(self, which: str, l_f: float, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
+        from ldctoolkit.paths import residual_kernels as kernels
+
+        out = np.empty(self.n)
+        kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)
+        return out
+
+
+def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:
+    """Number of modes of each scenario; none where T is not a duration."""
+    valid = np.isfinite(T) & (T > 0)
+    most = np.floor(2.0 * np.where(valid, T, 0.0) * bandwidth)
+    return np.where(valid, np.clip(most, FEWEST_MODES, MOST_MODES), 0).astype(np.int64)
+
+
+def _used(modes: FloatArray) -> IntArray:
+    """Columns up to the last that is not zero, (n,)."""
+    last = np.max(np.where(modes != 0.0, np.arange(1, modes.shape[1] + 1), 0), axis=1, initial=0)
+    return np.asarray(last, dtype=np.int64)
+
+
+def _like(column: FloatArray, t: FloatArray) -> FloatArray:
+    return column if t.ndim == 1 else column[:, None]
+
+
+def _table(t: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(t if t.ndim == 2 else t[:, None], dtype=np.float64)
+
+
+def _as_columns(scenarios: Scenarios) -> Scenarios:
+    return dataclasses.replace(
+        scenarios, **{f.name: getattr(scenarios, f.name)[:, None] for f in dataclasses.fields(scenarios)}
+    )
+
+
+def harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
+    """The same with a flat departure in place of the rows that cannot be driven."""
+    flat = {"T": 1.0, "v_mean": 20.0}
+    columns = {
+        field.name: np.where(valid, getattr(scenarios, field.name), flat.get(field.name, 0.0))
+        for field in dataclasses.fields(scenarios)
+        if field.name not in ("side", "index")
+    }
+    return dataclasses.replace(scenarios, **columns)

@@ -1,1 +1,0 @@
-"""Trips of the SPMD tables as recordings."""

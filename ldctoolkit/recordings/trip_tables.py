@@ -1,0 +1,418 @@
+"""Tables of trips: their header, the look through all files, and the rows of single trips."""
+
+from __future__ import annotations
+
+import codecs
+import concurrent.futures
+import dataclasses
+import os
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final, TypeVar
+
+import numpy as np
+
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.recording import Problem
+from ldctoolkit.recordings.signals_in_time import rising_rows
+from ldctoolkit.recordings.sources import find_tables, shown_names
+from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
+
+LONGEST_HEADER: Final = 1 << 16
+_DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
+_PACKED: Final = {b"\x1f\x8b": "gzip", b"PK": "a ZIP archive", b"PAR1": "Parquet", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
+_BLANKS: Final = " \t\r\"'"
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """First line of a table."""
+
+    columns: tuple[str, ...]  # names, without blanks around them
+    begin: int  # byte where the second line begins
+
+
+@dataclasses.dataclass(frozen=True)
+class TableLayout:
+    """How the rows of a table are laid out."""
+
+    columns: tuple[str, ...]  # name of each cell
+    begin: int  # byte and number of the line where the rows begin
+    line: int = 2  # byte and number of the line where the rows begin
+    kind: str = ""  # which table it is, where a reader knows several
+    cells: tuple[int, ...] = ()  # allowed numbers of cells in a row; empty for one for each column
+
+
+def read_header(path: Path) -> Header:
+    """The first line of a comma-separated table in UTF-8."""
+    try:
+        if path.exists() and not path.is_file():
+            raise RecordingError("it is not a regular file")  # a pipe would be waited for
+        with path.open("rb") as stream:
+            first = stream.readline(LONGEST_HEADER)
+    except (OSError, ValueError) as error:  # a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise RecordingError(f"cannot be read: {reason or error}") from None
+    for magic, name in _PACKED.items():
+        if first.startswith(magic):
+            raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
+    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in first[:64]:
+        raise RecordingError("the text is UTF-16 or not a text; allowed: UTF-8, so save it as that")
+    if not first:
+        raise RecordingError("the file is empty; a header is needed")
+    if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
+        raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
+    try:
+        text = first.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"the first line is not UTF-8 ({error.reason})") from None
+    if "\r" in text.rstrip("\r\n"):
+        raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
+    names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
+    if len(names) == 1:
+        for mark, words in _DELIMITERS.items():
+            if text.strip().count(mark) > 1:
+                raise RecordingError(f"the columns are separated by {words}; allowed: commas")
+    return Header(names, len(first))
+
+
+def check_columns(
+    columns: Sequence[str], key: Sequence[str], required: Sequence[str], optional: Sequence[str] = ()
+) -> None:
+    """Refuse a table of trips whose header lacks a column or repeats one; letters may be of either case."""
+    lower = [name.lower() for name in columns]
+    if lower[: len(key)] != [name.lower() for name in key]:
+        raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
+    for name in required:
+        if name.lower() not in lower:
+            raise RecordingError(f"column {name!r} is missing; {textwrap.shorten(nearest(name, columns[:64]), 400)}")
+    for name in (*required, *optional):
+        if lower.count(name.lower()) > 1:
+            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
+
+
+def is_plain(columns: Sequence[str]) -> bool:
+    """Whether columns are those of a plain recording table, whatever the file's name."""
+    return {"recording", "lane_offset"}.issubset(columns)
+
+
+Key = tuple[int, int]
+T = TypeVar("T")
+
+MOST_PROBLEMS: Final = 20
+"""Problems of one kind that are told one by one; the others are counted."""
+
+LARGEST_TIME: Final = 1e11
+"""A time of this size or more, in the table's own unit, is none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TripTable:
+    """A text table that holds trips."""
+
+    name: str  # what it is called in problems
+    path: str  # where it is
+    columns: tuple[str, ...]  # names of its columns
+    bytes: int  # size when it was indexed
+
+    def spelled(self, wanted: Iterable[str]) -> dict[str, str]:
+        """Those of the wanted columns that the table has, and their names as it spells them."""
+        known = {name.lower(): name for name in self.columns}
+        return {name: known[name.lower()] for name in wanted if name.lower() in known}
+
+
+@dataclasses.dataclass(frozen=True)
+class TripRows:
+    """Cells of several trips, one trip after the other, times of a trip never falling."""
+
+    cells: Cells  # m rows
+    trip: IntArray  # (m,): which of the trips asked for a row belongs to; never falls
+    problems: tuple[Problem, ...]  # what was left out
+
+
+def collect_trips(
+    indexed: Sequence[tuple[TripTable, TripIndex]],
+) -> tuple[dict[Key, tuple[int, tuple[Stretch, ...]]], list[Problem]]:
+    """Put the stretches of each trip together."""
+    trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
+    problems: list[Problem] = []
+    seen: dict[Key, str] = {}
+    for number, (table, index) in enumerate(indexed):
+        own: dict[Key, list[Stretch]] = {}
+        apart: dict[Key, int] = {}
+        last: Key | None = None
+        for one in index.stretches:
+            key = (one.device, one.trip)
+            own.setdefault(key, []).append(one)
+            if key != last and len(own[key]) > 1 and key not in apart:
+                apart[key] = one.line
+            last = key
+        faults = [(fault.line, "key", fault.what) for fault in index.faults]
+        problems += told(table.name, faults)
+        if index.more_faults:
+            problems.append(
+                Problem(table.name, "", f"{index.more_faults} more lines do not begin with a trip's numbers")
+            )
+        problems += told(
+            table.name,
+            (
+                (line, "apart", f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; "
+                 "they are put together in the order of time")
+                for key, line in apart.items()
+            ),
+        )  # fmt: skip
+        twice: list[tuple[int, str, str]] = []
+        for key, stretches in own.items():
+            line = stretches[0].line
+            if key in seen:
+                words = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
+                twice.append((line, "twice", words))
+                continue
+            seen[key] = f"{table.name}, line {line}"
+            trips[key] = number, tuple(stretches)
+        problems += told(table.name, twice)
+    return trips, problems
+
+
+def _shown(key: Key) -> str:
+    return f"{key[0]}/{key[1]}"
+
+
+def batches(
+    trips: Sequence[T], size_of: Callable[[T], int], most: int, apart: Callable[[T, T], bool] | None = None
+) -> Iterator[tuple[T, ...]]:
+    """Neighbouring trips that are read in one go."""
+    batch: list[T] = []
+    size = 0
+    for i, trip in enumerate(trips):
+        batch.append(trip)
+        size += size_of(trip)
+        if i + 1 == len(trips) or size >= most or (apart is not None and apart(trip, trips[i + 1])):
+            yield tuple(batch)
+            batch, size = [], 0
+
+
+def told(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:
+    """Problems of a file from (line, kind, words): the first of each kind one by one, the others counted."""
+    problems: list[Problem] = []
+    seen: dict[str, list[int]] = {}
+    for line, kind, words in faults:
+        seen.setdefault(kind, []).append(line)
+        if len(seen[kind]) <= most:
+            problems.append(Problem(file, f"line {line}", words))
+    for lines in seen.values():
+        if len(lines) > most:
+            count = len(lines) - most
+            more = f"{count} more line{'s' * (count > 1)} like line {lines[0]}, to line {lines[-1]}"
+            problems.append(Problem(file, f"line {lines[most]}", more))
+    return problems
+
+
+def read_trips(
+    table: TripTable,
+    trips: Sequence[tuple[Stretch, ...]],
+    wanted: Mapping[str, str],
+    *,
+    time: str,
+    cells: Sequence[int] = (),
+) -> TripRows:
+    """Read the rows of trips, and leave out those that cannot be used."""
+    pieces = [one for stretches in trips for one in stretches]
+    text = _read(table, pieces)
+    found = read_cells(text, table.columns, list(wanted.values()), cells=cells)
+    if found.lines != sum(one.lines for one in pieces):
+        raise _changed(table)
+    first = np.array([one.line for one in pieces], dtype=np.int64)
+    lines = np.array([one.lines for one in pieces], dtype=np.int64)
+    before = np.cumsum(lines) - lines
+    owner = np.repeat(np.arange(len(trips)), [sum(one.lines for one in stretches) for stretches in trips])
+
+    def line_of(row: IntArray) -> IntArray:
+        piece = np.searchsorted(before, row, side="right") - 1
+        # an empty piece would share its place with the next; there is none
+        line: IntArray = row - before[piece] + first[piece]
+        return line
+
+    at = line_of(np.array([fault.row for fault in found.faults], dtype=np.int64)).tolist()
+    faults = [
+        (line, fault.kind, f"{fault.what}; the line is left out") for line, fault in zip(at, found.faults, strict=True)
+    ]
+    values = dict(zip(wanted, found.values, strict=True))
+    trip, t = owner[found.row], values[time]
+    timed = np.abs(t) < LARGEST_TIME  # False for NaN
+    column = wanted[time]
+    faults += [
+        (line, "time", f"column {column!r} holds no usable time; the line is left out")
+        for line in line_of(found.row[~timed]).tolist()
+    ]
+    keep = np.flatnonzero(timed)
+    apart = len(pieces) > len(trips)
+    if apart:
+        keep = keep[pieces_in_time(trip[keep], np.searchsorted(before, found.row[keep], side="right"), t[keep])]
+    forward, back = forward_rows(trip[keep], t[keep])
+    for row, count in back:
+        line, i = int(line_of(found.row[keep[row : row + 1]])[0]), int(keep[row])
+        one = trips[int(trip[i])][0]
+        rows = "this line is" if count == 1 else f"{count} lines of the trip are"
+        faults.append((line, "back", f"trip {one.device}/{one.trip}: the time runs backwards; {rows} left out"))
+    if apart or not forward.all() or keep.size < t.size:
+        keep = keep[forward]
+        trip = trip[keep]
+        values = {name: column_[keep] for name, column_ in values.items()}
+    faults.sort(key=lambda fault: fault[0])
+    named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
+    return TripRows(named, trip, tuple(told(table.name, faults)))
+
+
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
+    """Text of stretches, one after the other; each ends its last line."""
+    text = np.empty(sum(one.end - one.begin for one in pieces) + len(pieces), dtype=np.uint8).data
+    at, changed = 0, False
+    try:
+        with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
+            changed = os.fstat(stream.fileno()).st_size != table.bytes
+            i = 0
+            while i < len(pieces) and not changed:
+                begin, end = pieces[i].begin, pieces[i].end
+                i += 1
+                while i < len(pieces) and pieces[i].begin == end:
+                    end = pieces[i].end
+                    i += 1
+                stream.seek(begin)
+                while begin < end and (count := stream.readinto(text[at : at + end - begin])):
+                    begin += count
+                    at += count
+                changed = begin < end
+                if at and text[at - 1] != 10:
+                    text[at] = 10
+                    at += 1
+    except OSError as error:
+        raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
+    if changed:
+        raise _changed(table)
+    return text[:at]
+
+
+def _changed(table: TripTable) -> RecordingError:
+    return RecordingError(f"{table.name}: the file has changed since it was looked through")
+
+
+def pieces_in_time(trip: IntArray, piece: IntArray, t: FloatArray) -> IntArray:
+    """Order of the rows that puts the pieces of each trip in the order of their median times.
+
+    One time far ahead at the begin of a piece does not move it. Trips whose times never fall from one piece to the next
+    stay as they are.
+    """
+    order = np.arange(t.size)
+    falls = (t[1:] < t[:-1]) & (trip[1:] == trip[:-1])
+    moved = np.isin(trip, trip[1:][falls & (piece[1:] != piece[:-1])])
+    if not moved.any():
+        return order
+    rows = np.flatnonzero(moved)
+    begins = np.flatnonzero(np.diff(piece[rows], prepend=-1))
+    counts = np.diff(begins, append=rows.size)
+    middle = np.lexsort((t[rows], piece[rows]))[begins + (counts - 1) // 2]
+    pieces = np.lexsort((t[rows][middle], trip[rows[begins]]))  # stable: equal ones stay in the order of the file
+    place = np.empty_like(pieces)
+    place[pieces] = np.arange(pieces.size)
+    order[rows] = rows[np.argsort(np.repeat(place, counts), kind="stable")]
+    return order
+
+
+def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, int]]]:
+    """Which rows to keep so that the times of no trip fall."""
+    keep = np.ones(t.size, dtype=bool)
+    falls = np.flatnonzero((t[1:] < t[:-1]) & (trip[1:] == trip[:-1]))
+    back: list[tuple[int, int]] = []
+    for one in np.unique(trip[falls + 1]):
+        low, high = np.searchsorted(trip, one), np.searchsorted(trip, one, side="right")
+        good = rising_rows(t[low:high])
+        keep[low:high] = good
+        back.append((int(low + np.argmin(good)), int(np.sum(~good))))
+    return keep, back
+
+
+AT_ONCE: Final = 4
+"""Tables that are read side by side; two keep two cores busy, more than these only make a disk jump."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundTable:
+    """A table that can be used."""
+
+    table: TripTable  # what it is called, and where it is
+    layout: TableLayout  # what the reader said of it
+    index: TripIndex  # where its trips lie
+
+
+def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
+    """How many tables there are of each kind, in words; empty if there are none."""
+    kinds: list[str] = []
+    for path, _ in find_tables(paths):
+        kind, plain = "", False
+        try:
+            kind = kind_of(path)
+            plain = is_plain(read_header(path).columns)
+        except RecordingError:
+            pass  # opening it tells what is wrong
+        if kind:
+            kinds.append(kind)
+        elif named(path) and not plain:
+            kinds.append(f"{named(path)} by name alone")
+    return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
+
+
+def look_through(
+    paths: Sequence[Path], named: Callable[[Path], str], layout_of: Callable[[Path], tuple[TableLayout | None, str]]
+) -> tuple[list[FoundTable], list[Problem]]:
+    """Look through the tables that a reader is for; several are read at the same time."""
+    files = find_tables(paths)
+    shown = shown_names([path for path, _ in files])
+    said: list[list[Problem]] = [[] for _ in files]
+    layouts: list[tuple[int, TableLayout]] = []
+
+    def tell(number: int, place: str, words: str) -> None:
+        path, by_user = files[number]
+        if by_user or named(path):
+            said[number].append(Problem(shown[number], place, words.removeprefix(f"{path.name}: ")))
+
+    for number, (path, _) in enumerate(files):
+        try:
+            layout, words = layout_of(path)
+        except RecordingError as error:
+            tell(number, "", f"{error}; it is left out")
+            continue
+        if layout is None:
+            tell(number, "line 1", words)
+            continue
+        if words:
+            tell(number, "", words)
+        layouts.append((number, layout))
+    indexes = _index_all([(files[number][0], layout) for number, layout in layouts])
+    found: dict[str, FoundTable] = {}
+    for (number, layout), index in zip(layouts, indexes, strict=True):
+        if isinstance(index, RecordingError):
+            tell(number, "", f"{index}; it is left out")
+        elif index.sha256 in found:
+            twin = found[index.sha256].table.name
+            said[number].append(Problem(shown[number], "", f"holds the same as {twin}, byte by byte; it is left out"))
+        else:
+            if not index.stretches:
+                said[number].append(Problem(shown[number], "", "no usable row"))
+            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, index.bytes)
+            found[index.sha256] = FoundTable(table, layout, index)
+    return list(found.values()), [problem for some in said for problem in some]
+
+
+def _index_all(tables: Sequence[tuple[Path, TableLayout]]) -> list[TripIndex | RecordingError]:
+    def index(table: tuple[Path, TableLayout]) -> TripIndex | RecordingError:
+        path, layout = table
+        try:
+            return index_trips(path, layout.begin, layout.line)
+        except RecordingError as error:
+            return error
+
+    with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
+        return list(beside.map(index, tables))

@@ -1,1 +1,0 @@
-"""Big text tables of many trips: where each trip lies, and its rows as numbers."""

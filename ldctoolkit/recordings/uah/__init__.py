@@ -1,1 +1,0 @@
-"""Trips of UAH-DriveSet as recordings."""

@@ -1,0 +1,349 @@
+"""Linear laws on the ideal plant: eight scenarios side by side, in the lanes of the processor's vector registers.
+
+Neighbours in the takeover's order last about equally long. Each whole step is a product with the exactly discretised
+plant, the same arithmetic in every lane, so that a scenario's numbers do not depend on its neighbours. What happens
+rarely is looked at one lane at a time: events within a step, steps that T cuts, and last ones that are not whole, which
+are driven with their own exact matrices.
+"""
+
+# mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numba
+
+from ldctoolkit.simulation.kernel import data as at
+from ldctoolkit.simulation.kernel.lanes import (
+    LARGEST,
+    OPTIONS,
+    L,
+    begin,
+    copy,
+    diverge,
+    fma,
+    larger,
+    lay_bend,
+    length_of,
+    look_back,
+    look_back_from_end,
+    look_closer,
+    score_limits,
+    touches,
+)
+
+_B, _E_0, _E_1, _AREA_X = (at.STEP + n * L for n in (at.EX_B, at.EX_E_0, at.EX_E_1, at.EX_X))
+
+_WRONG: Final = 2.0
+"""Flag of a command that is not finite."""
+
+
+@numba.njit(**OPTIONS)
+def _load(scene, exact, block, w):
+    """Plant of a block."""
+    for l in range(L):
+        i = min(block * L + l, scene.shape[0] - 1)
+        w[at.V + l], w[at.PER_T + l] = scene[i, at.SPEED], 1.0 / scene[i, at.T_END]
+        for n in range(at.EXACT):
+            w[at.STEP + n * L + l] = exact[0, i, n]
+        for n in range(5):
+            w[at.OF_A + n * L + l] = scene[i, at.A_11 + n]
+
+
+@numba.njit(**OPTIONS)
+def _start(scene, setting, law, times, design, block, w, g):
+    """Start of a design on a block."""
+    begin(scene, setting, block, w)
+    single = times.shape[1] == 1
+    for l in range(L):
+        i, alive = min(block * L + l, scene.shape[0] - 1), w[at.ALIVE + l]
+        v = w[at.V + l] * alive
+        w[at.V_C_0 + l], w[at.V_DC + l] = v * scene[i, at.C_0], v * scene[i, at.DC]
+        w[at.LANE + l] = _lane_rate(w, l, w[at.T_0 + l])
+        w[at.SINGLE + l] = 0.0
+        a_y = (w[at.OF_A + 4 * L + l] + v) * w[at.LANE + l] + w[at.OF_A + 3 * L + l] * w[at.LAST + l]
+        for n in range(3):
+            a_y += w[at.OF_A + n * L + l] * w[at.X + (n + 1) * L + l]
+        w[at.BEFORE + l] = a_y
+        for n in range(at.LAW):
+            w[at.OF_LAW + n * L + l] = law[design, i, n] * alive
+        for j in range(2 * times.shape[1]):
+            g[j * L + l] = law[design, i, at.LAW + j] * alive
+        w[at.WEIGHTS + l] = g[l] if single else 0.0
+        w[at.WEIGHTS + L + l] = g[L + l] if single else 0.0
+
+
+@numba.njit(**OPTIONS)
+def _leave(w, g, l, out, design, i, score_only):
+    """Take the scores of a lane that has ended and empty it: everything in it stays 0."""
+    for n in range(1 if score_only else at.SCORES):
+        out[design, n, i] = w[at.S + n * L + l]
+    for n in range(4):
+        w[at.X + n * L + l] = w[at.N + n * L + l] = 0.0
+    for n in range(at.LAW):
+        w[at.OF_LAW + n * L + l] = 0.0
+    for j in range(g.shape[0] // L):
+        g[j * L + l] = 0.0
+    w[at.WEIGHTS + l] = w[at.WEIGHTS + L + l] = w[at.LAST + l] = w[at.TARGET + l] = w[at.Z + l] = 0.0
+    w[at.V_C_0 + l] = w[at.V_DC + l] = w[at.LANE + l] = w[at.COUNTED + l] = w[at.ALIVE + l] = 0.0
+    w[at.S + at.BACK * L + l] = 0.0
+
+
+# ------------------------------------------------------------------------------------------------ a step of every lane
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _lane_rate(w, l, t):
+    return fma(w[at.V_DC + l], min(t * w[at.PER_T + l], 1.0), w[at.V_C_0 + l])
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _ahead(T, per_T, t, ahead):
+    """Shares of v dc in the lane's yaw rate at t + ahead, and in its turn until then."""
+    t_1 = t + ahead
+    in_0, in_1 = min(t, T), min(t_1, T)
+    within = 0.5 * (in_1 - in_0) * (in_1 + in_0)
+    return in_1 * per_T, fma(within, per_T, (t_1 - in_1) - (t - in_0))
+
+
+@numba.njit(**OPTIONS)
+def _look_ahead(setting, times, design, k, w, g, width):
+    """What a law with several lookahead times makes of the lane ahead, into `TARGET`."""
+    for j in range(times.shape[1]):
+        ahead = times[design, j]
+        for l in range(width):
+            rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], w[at.T_0 + l] + k * setting[at.DT], ahead)
+            c_0, dc = w[at.V_C_0 + l], w[at.V_DC + l]
+            d = fma(g[2 * j * L + l], fma(dc, rate, c_0), w[at.TARGET + l])
+            w[at.TARGET + l] = fma(g[(2 * j + 1) * L + l], fma(dc, turn, c_0 * ahead), d)
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _three(w, row, l, x, y, z):
+    """Product of a row of three with a state's rates."""
+    return fma(w[row + l], x, fma(w[row + L + l], y, w[row + 2 * L + l] * z))
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _step(setting, k, ahead, w, full):
+    """Command and one whole step of every lane; True if something rare happens in one."""
+    dt, offset, bound, l_f = setting[at.DT], setting[at.OFFSET], setting[at.BOUND], setting[at.AXLE]
+    B, E_0, E_1, area_x = _B, _E_0, _E_1, _AREA_X
+    rare = False
+    for l in range(L):
+        t = w[at.T_0 + l] + k * dt
+        x_0, x_1, x_2, x_3 = w[at.X + l], w[at.X + L + l], w[at.X + 2 * L + l], w[at.X + 3 * L + l]
+        u, z, c_0, dc = w[at.LAST + l], w[at.Z + l], w[at.V_C_0 + l], w[at.V_DC + l]
+        r_0, r_1 = w[at.LANE + l], fma(dc, min((w[at.T_0 + l] + (k + 1) * dt) * w[at.PER_T + l], 1.0), c_0)
+        w[at.LANE + l] = r_1
+        rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], t, ahead)
+        d = fma(w[at.WEIGHTS + l], fma(dc, rate, c_0), w[at.TARGET + l])
+        d = fma(w[at.WEIGHTS + L + l], fma(dc, turn, c_0 * ahead), d)
+        d = fma(w[at.OF_LAW + at.LAW_I * L + l], z, fma(w[at.OF_LAW + at.LAW_U * L + l], u, d))
+        d += fma(w[at.OF_LAW + l], x_0, _three(w, at.OF_LAW + L, l, x_1, x_2, x_3))
+        w[at.Z + l] = fma(dt, x_0, z)
+        wrong = not abs(d) < LARGEST
+        d = u if wrong else d
+        w[at.TARGET + l] = d
+        # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
+        n_0 = x_0 + _three(w, at.STEP, l, x_1, x_2, x_3)
+        n_1 = _three(w, at.STEP + 3 * L, l, x_1, x_2, x_3)
+        n_2 = _three(w, at.STEP + 6 * L, l, x_1, x_2, x_3)
+        n_3 = _three(w, at.STEP + 9 * L, l, x_1, x_2, x_3)
+        n_0 = fma(w[B + l], d, fma(w[E_0 + l], r_0, fma(w[E_1 + l], r_1, n_0)))
+        n_1 = fma(w[B + L + l], d, fma(w[E_0 + L + l], r_0, fma(w[E_1 + L + l], r_1, n_1)))
+        n_2 = fma(w[B + 2 * L + l], d, fma(w[E_0 + 2 * L + l], r_0, fma(w[E_1 + 2 * L + l], r_1, n_2)))
+        n_3 = fma(w[B + 3 * L + l], d, fma(w[E_0 + 3 * L + l], r_0, fma(w[E_1 + 3 * L + l], r_1, n_3)))
+        area = fma(w[area_x + l], x_0, _three(w, area_x + L, l, x_1, x_2, x_3))
+        area = fma(w[at.STEP + at.EX_DELTA * L + l], d, area)
+        area = fma(w[at.STEP + at.EX_R_0 * L + l], r_0, fma(w[at.STEP + at.EX_R_1 * L + l], r_1, area))
+        w[at.N + l], w[at.N + L + l], w[at.N + 2 * L + l], w[at.N + 3 * L + l] = n_0, n_1, n_2, n_3
+        w[at.SIGNED + l] = area
+        counted = w[at.COUNTED + l] > 0.0
+        event = not abs(n_0) <= bound  # also true for NaN
+        event |= counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt))
+        if full:
+            v, q_d, q_r = w[at.V + l], w[at.OF_A + 3 * L + l] * d, w[at.OF_A + 4 * L + l]
+            right = fma(q_r, r_0, _three(w, at.OF_A, l, x_1, x_2, x_3) + q_d)
+            left = fma(q_r, r_1, _three(w, at.OF_A, l, n_1, n_2, n_3) + q_d)
+            w[at.LIMITS + l], w[at.LIMITS + L + l] = fma(v, r_0, right), fma(v, r_1, left)
+            w[at.LIMITS + 2 * L + l], w[at.LIMITS + 3 * L + l] = right, left
+            event |= (w[at.S + at.BACK * L + l] == math.inf) & (n_0 < offset)
+            # an extreme between the samples that may be a new one
+            f_0, f_1 = fma(l_f, x_3, x_1), fma(l_f, n_3, n_1)
+            front = fma(dt, f_0 - f_1, max(fma(l_f, x_2, x_0), fma(l_f, n_2, n_0)))
+            deep, over = fma(dt, x_1 - n_1, max(x_0, n_0)), fma(dt, n_1 - x_1, -min(x_0, n_0))
+            event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[at.S + at.DEEP * L + l])
+            event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[at.S + at.FRONT * L + l])
+            event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[at.S + at.OPPOSITE * L + l], offset))
+        w[at.FLAG + l] = _WRONG if wrong else (1.0 if event else 0.0)
+        rare |= event | wrong
+    return rare
+
+
+@numba.njit(**OPTIONS)
+def _light_step(setting, k, ahead, w):
+    """The same for S alone."""
+    return _step(setting, k, ahead, w, False)
+
+
+@numba.njit(**OPTIONS)
+def _light_score(w):
+    """S of a step in every lane."""
+    for l in range(L):
+        counted = w[at.COUNTED + l] * (1.0 - w[at.SINGLE + l])
+        w[at.S + at.AREA * L + l] = fma(abs(w[at.SIGNED + l]), counted, w[at.S + at.AREA * L + l])
+        w[at.LAST + l], w[at.TARGET + l] = w[at.TARGET + l], 0.0
+        w[at.X + l], w[at.X + L + l] = w[at.N + l], w[at.N + L + l]
+        w[at.X + 2 * L + l], w[at.X + 3 * L + l] = w[at.N + 2 * L + l], w[at.N + 3 * L + l]
+
+
+@numba.njit(inline="always", **OPTIONS)
+def _score(setting, w):
+    """Scores of a step in every lane but acceleration and jerk; `single` lanes have theirs but for the rate."""
+    dt, l_f = setting[at.DT], setting[at.AXLE]
+    per_step = 1.0 / dt
+    for l in range(L):
+        together = 1.0 - w[at.SINGLE + l]
+        n_0, n_2, d, u = w[at.N + l], w[at.N + 2 * L + l], w[at.TARGET + l], w[at.LAST + l]
+        counted, alive = w[at.COUNTED + l] * together, w[at.ALIVE + l] * together
+        w[at.S + at.AREA * L + l] = fma(abs(w[at.SIGNED + l]), counted, w[at.S + at.AREA * L + l])
+        front = fma(l_f, n_2, n_0)
+        w[at.S + at.DEEP * L + l] = larger(w[at.S + at.DEEP * L + l], n_0 if counted > 0.0 else -math.inf)
+        w[at.S + at.FRONT * L + l] = larger(w[at.S + at.FRONT * L + l], front if counted > 0.0 else -math.inf)
+        w[at.S + at.OPPOSITE * L + l] = larger(w[at.S + at.OPPOSITE * L + l], -n_0 if alive > 0.0 else -math.inf)
+        change = abs(d - u)
+        w[at.S + at.EFFORT * L + l] = fma(alive, dt * (d * d), w[at.S + at.EFFORT * L + l])
+        w[at.S + at.TRAVEL * L + l] = fma(alive, change, w[at.S + at.TRAVEL * L + l])
+        w[at.S + at.DELTA * L + l] = larger(w[at.S + at.DELTA * L + l], abs(d))
+        w[at.S + at.RATE * L + l] = larger(w[at.S + at.RATE * L + l], change * per_step)
+        w[at.LAST + l], w[at.TARGET + l] = d, 0.0
+        w[at.X + l], w[at.X + L + l] = n_0, w[at.N + L + l]
+        w[at.X + 2 * L + l], w[at.X + 3 * L + l] = n_2, w[at.N + 3 * L + l]
+
+
+# ------------------------------------------------------------------------------------------------ a step that is cut
+
+
+@numba.njit(**OPTIONS)
+def _cut(scene, exact, setting, w, i, l, k, full):
+    """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
+    h, until = length_of(scene, setting, i, k)
+    rest, d, t = scene[i, at.REST], w[at.TARGET + l], w[at.T_0 + l] + k * setting[at.DT]
+    for part in range(1, 2 if h == rest else 3):
+        span, counted = (rest, until > 0.0) if part == 1 else (h - rest, False)
+        r_0, r_1 = _lane_rate(w, l, t), _lane_rate(w, l, t + span)
+        if part == 2:
+            for n in range(4):
+                w[at.X + n * L + l] = w[at.N + n * L + l]
+        area = exact[part, i, at.EX_X] * w[at.X + l]
+        area += exact[part, i, at.EX_DELTA] * d + exact[part, i, at.EX_R_0] * r_0 + exact[part, i, at.EX_R_1] * r_1
+        for n in range(4):
+            value = exact[part, i, at.EX_B + n] * d + exact[part, i, at.EX_E_0 + n] * r_0
+            value += exact[part, i, at.EX_E_1 + n] * r_1 + (w[at.X + l] if n == 0 else 0.0)
+            for j in range(3):
+                value += exact[part, i, 3 * n + j] * w[at.X + (j + 1) * L + l]
+            w[at.N + n * L + l] = value
+            area += exact[part, i, at.EX_X + n] * w[at.X + n * L + l] if n else 0.0
+        w[at.SIGNED + l] = area
+        if not abs(w[at.N + l]) <= setting[at.BOUND]:
+            diverge(setting, w, l, t, counted)
+            return False
+        look_closer(setting, w, l, t, span, counted)
+        if counted:
+            w[at.S + at.AREA * L + l] += abs(w[at.SIGNED + l])
+        t += span
+        if full:
+            own = w[at.OF_A + 3 * L + l] * d + w[at.OF_A + 4 * L + l] * r_1
+            for n in range(3):
+                own += w[at.OF_A + n * L + l] * w[at.N + (n + 1) * L + l]
+            w[at.LIMITS + L + l], w[at.LIMITS + 3 * L + l] = own + w[at.V + l] * r_1, own
+            if counted and h != rest:  # just after T nothing is recorded any more
+                w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], abs(own))
+            w[at.S + at.EFFORT * L + l] += span * (d * d)
+            w[at.S + at.DELTA * L + l] = max(w[at.S + at.DELTA * L + l], abs(d))
+            w[at.S + at.TRAVEL * L + l] += abs(d - w[at.LAST + l]) if part == 1 else 0.0
+    return True
+
+
+@numba.njit(**OPTIONS)
+def _rare(scene, exact, setting, w, i, l, k, full):
+    """What happens in a lane now and then in step k; False if it diverged."""
+    t = w[at.T_0 + l] + k * setting[at.DT]
+    h, until = length_of(scene, setting, i, k)
+    if h < setting[at.DT] or 0.0 < until < h:
+        w[at.SINGLE + l] = 1.0
+        return _cut(scene, exact, setting, w, i, l, k, full)
+    if w[at.FLAG + l] > 0.0:
+        if not abs(w[at.N + l]) <= setting[at.BOUND]:
+            diverge(setting, w, l, t, w[at.COUNTED + l] > 0.0)
+            return False
+        look_closer(setting, w, l, t, setting[at.DT], w[at.COUNTED + l] > 0.0)
+    return True
+
+
+# ------------------------------------------------------------------------------------------------ a whole run
+
+
+@numba.njit(**OPTIONS)
+def drive_block(scene, exact, setting, law, times, recorded, block, score, diverged, failed, tables, score_only):
+    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request.
+
+    The width is that of a block, but unknown to the compiler, which would unroll a small loop instead.
+    """
+    w, g, bend, width = tables
+    first, several, most = block * L, times.shape[1] != 1, 0
+    count = min(L, scene.shape[0] - first)
+    for l in range(count):
+        most = max(most, int(scene[first + l, at.STEPS]))
+    _load(scene, exact, block, w)
+    begin(scene, setting, block, w)
+    if not score_only:
+        for k in range(most):
+            lay_bend(scene, setting, recorded, block, k, w, bend, 4 * k * L)
+    for design in range(law.shape[0]):
+        _start(scene, setting, law, times, design, block, w, g)
+        ahead = 0.0 if several else times[design, 0]
+        for l in range(L):
+            if score_only:
+                w[at.S + at.BACK * L + l] = 0.0  # no time is wanted beside S
+        next_cut = 0  # the first sample at which a lane passes its T or comes to its last step
+        for k in range(most):
+            if several:
+                _look_ahead(setting, times, design, k, w, g, width)
+            quiet = k < next_cut
+            if not quiet:
+                next_cut = most
+                for l in range(count):
+                    i = first + l
+                    _, counted = length_of(scene, setting, i, k)
+                    w[at.COUNTED + l] = w[at.ALIVE + l] if counted > 0.0 else 0.0
+                    full, end = int(scene[i, at.FULL]), int(scene[i, at.STEPS]) - 1
+                    if k < end:
+                        next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
+            rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
+            if rare or not quiet:
+                for l in range(count):
+                    if w[at.ALIVE + l] > 0.0:
+                        failed[design, first + l] += w[at.FLAG + l] == _WRONG  # the command before it was driven
+                        if not _rare(scene, exact, setting, w, first + l, l, k, not score_only):
+                            diverged[design, first + l] = True
+                            _leave(w, g, l, score, design, first + l, score_only)
+            if score_only:
+                _light_score(w)
+            else:
+                copy(w, at.RECORDED, bend, 4 * k * L, 4)
+                look_back(setting, w, k)
+                if not quiet:
+                    for l in range(count):
+                        if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == scene[first + l, at.STEPS]:
+                            look_back_from_end(scene, setting, w, first + l, l, k)
+                score_limits(setting, w)
+                _score(setting, w)
+            if rare or not quiet:
+                for l in range(count):
+                    w[at.SINGLE + l] = 0.0
+                    if w[at.ALIVE + l] > 0.0 and k + 1 == scene[first + l, at.STEPS]:
+                        _leave(w, g, l, score, design, first + l, score_only)

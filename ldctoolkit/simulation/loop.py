@@ -1,0 +1,493 @@
+"""The closed loop over all scenarios at once: linear laws in compiled loops, other laws through `SteeringLaw.step`.
+
+A scenario is driven by itself, whichever loop drives it, so that its numbers cannot depend on which others run beside
+it, on their order or on the number of threads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, Preview, RecordedPath, SolverCalls, SteeringLaw
+from ldctoolkit.errors import InputError, plain
+from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
+from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.mixture.events import usable_cores
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import SETTLE, InitialYawRate, PlantKnowledge, Setup, Start
+from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.outcome import Outcome, Run, SolverLog, Trajectories, Window
+from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of, times_of
+from ldctoolkit.vehicle import BicycleModel, VehicleParameters
+
+Chosen = bool | npt.ArrayLike
+
+_SCENARIOS_A_TASK = 1024
+"""Scenarios that a thread takes at a time."""
+
+_TOGETHER = 2**21
+"""Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""
+
+_DROP_BELOW = 0.9
+"""Share of a batch still running below which the others are dropped from it."""
+
+
+def simulate(
+    controller: Controller,
+    scenarios: Scenarios,
+    *,
+    setup: Setup | None = None,
+    vehicle: VehicleParameters | BicycleModel | None = None,
+    y_s: float = 0.2,
+    dt: float = 0.05,
+    window: Window = "departure",
+    initial_yaw_rate: InitialYawRate = "path",
+    start: Start = "steady",
+    options: PlantOptions | None = None,
+    seed: int = 0,
+    settle: float = SETTLE,
+    plant_knowledge: PlantKnowledge = "nominal",
+    trajectories: bool | npt.ArrayLike = False,
+    threads: int | None = None,
+) -> Outcome:
+    """Run one controller design on all scenarios and score it.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    scenarios : Scenarios
+        n departures.
+    setup : Setup, optional
+        Instead of `vehicle`, `dt`, `initial_yaw_rate`, `start`, `options`, `seed`, `settle` and
+        `plant_knowledge`.
+    vehicle : VehicleParameters or BicycleModel, optional
+        Table I by default; a `BicycleModel` also chooses the convention.
+    y_s : float [m]
+        Trigger threshold: control starts when the edge is further than this beyond the line.
+    dt : float [s]
+        Sample time of the controller, up to 10.
+    window : {"departure", "control"}
+        Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
+    initial_yaw_rate : {"path", "zero"}
+        de_psi/dt at the trigger.
+    start : {"steady", "printed"}
+        Heading error and steering angle at the trigger: those of the steady turn of the recorded path, or the paper's.
+    options : PlantOptions, optional
+        In what the plant differs from the ideal linear one.
+    seed : int
+        Of what is drawn for each scenario; with the scenario's number (`Scenarios.index`) it decides every draw.
+    settle : float [s]
+        How long the loop goes on after the departure, rounded up to whole samples: the way back, acceleration and
+        steering are watched until then. S always ends at T.
+    plant_knowledge : {"nominal", "ideal"}
+        Designs know the lag and the delays of actuator and camera, or take both for ideal.
+    trajectories : bool or (c,) int
+        Keep the paths: of all scenarios, or of those with these row numbers.
+    threads : int, optional
+        All cores this process may use by default. It changes no number.
+
+    Returns
+    -------
+    Outcome
+        Arrays of n in the order of `scenarios`.
+
+    Raises
+    ------
+    InputError
+        For arguments outside what is allowed.
+
+    References
+    ----------
+    Zhao, Wang, LeBlanc (2017), section IV; the consistent reading integrates over the whole departure.
+
+    Examples
+    --------
+    >>> from controllers import NoControl, PreviewProportional
+    >>> from ldctoolkit import Scenarios, simulate
+    >>> scenarios = Scenarios.from_arrays(T=[2.0, 4.0], d_y=[0.3, 0.5], v_mean=[20.0, 28.0])
+    >>> simulate(NoControl(), scenarios).reduction
+    array([0., 0.])
+    >>> simulate(PreviewProportional(), scenarios, y_s=0.1).triggered
+    array([ True,  True])
+    """
+    if isinstance(controller, Scenarios):
+        raise InputError("controller, scenarios: swapped; allowed: simulate(controller, scenarios)")
+    if not isinstance(scenarios, Scenarios):
+        made = "Scenarios.from_arrays(...), ScenarioModel.sample(...)"
+        raise InputError(f"scenarios: an object of type {type(scenarios).__name__}; allowed: {made}")
+    if setup is not None and not isinstance(setup, Setup):
+        raise InputError(f"setup: an object of type {type(setup).__name__}; allowed: Setup(...), or None")
+    if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
+        raise InputError(f"vehicle: {vehicle!r}; allowed: VehicleParameters(...), BicycleModel(...), or None")
+    model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())
+    single = Setup(
+        vehicle=model.parameters,
+        convention=model.convention,
+        options=PlantOptions() if options is None else options,
+        seed=seed,
+        dt=dt,
+        initial_yaw_rate=initial_yaw_rate,
+        start=start,
+        settle=settle,
+        plant_knowledge=plant_knowledge,
+    )
+    if setup is not None and single != Setup():
+        raise InputError("setup: given together with values that it holds; allowed: one of the two")
+    takeover = Takeover.build(scenarios, single if setup is None else setup, y_s=y_s)
+    return drive(controller, takeover, trajectories=trajectories, threads=threads).outcome(window)
+
+
+def drive(
+    controller: Controller, takeover: Takeover, *, trajectories: Chosen = False, threads: int | None = None
+) -> Run:
+    """Drive one design from the trigger to the end of every departure and of the settling horizon.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    takeover : Takeover
+        Scenarios at their triggers.
+    trajectories : bool or (c,) int
+        Keep the paths: of all scenarios, or of those with these row numbers.
+    threads : int, optional
+        Of the compiled loops; all cores this process may use by default. It changes no number.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    InputError
+        If the design, its law or the result of a step is not what the interface promises.
+    """
+    rows = _chosen_rows(trajectories, takeover.scenarios.n)
+    law = _prepared(controller, takeover)
+    if isinstance(law, SteeringLaw):
+        return _drive_general(law, takeover, controller.name, rows, threads)
+    if isinstance(law, RecordedPath):
+        return recorded_run(takeover)
+    return _drive_linear([law], takeover, rows, threads)[0]
+
+
+def drive_many(
+    controllers: Iterable[Controller], takeover: Takeover, *, score_only: bool = False, threads: int | None = None
+) -> Iterator[Run]:
+    """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
+
+    Parameters
+    ----------
+    controllers : iterable of Controller
+        The designs.
+    takeover : Takeover
+        Scenarios at their triggers.
+    score_only : bool
+        S is all that is wanted: linear laws on the ideal plant are then driven to T only, which takes less time, and
+        their companions are NaN; what would diverge or fail after T is not seen. S is the same to rounding. Other laws
+        and plants are driven as ever.
+    threads : int, optional
+        As in `drive`.
+
+    Yields
+    ------
+    Run
+        In the order of the designs; the same bits as from `drive`.
+
+    Raises
+    ------
+    InputError
+        As in `drive`.
+    """
+    most = max(1, _TOGETHER // max(1, takeover.m * data.SCORES))
+    waiting: list[LinearLaw] = []
+    for controller in controllers:
+        law = _prepared(controller, takeover)
+        if waiting and not (
+            isinstance(law, LinearLaw)
+            and len(waiting) < most
+            and shape_of(law) == shape_of(waiting[0])
+            and law.knows_actuator == waiting[0].knows_actuator
+        ):
+            yield from _drive_linear(waiting, takeover, None, threads, score_only)
+            waiting = []
+        if isinstance(law, LinearLaw):
+            waiting.append(law)
+        elif isinstance(law, SteeringLaw):
+            yield _drive_general(law, takeover, controller.name, None, threads)
+        else:
+            yield recorded_run(takeover)
+    if waiting:
+        yield from _drive_linear(waiting, takeover, None, threads, score_only)
+
+
+def _prepared(controller: Controller, takeover: Takeover) -> Law:
+    check_controller(controller)
+    return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
+
+
+def _drive_linear(
+    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None, score_only: bool = False
+) -> list[Run]:
+    from ldctoolkit.simulation.kernel import entry
+
+    tables, d, m = takeover.tables, len(laws), takeover.m
+    options = takeover.setup.options
+    exactly = options.drives_exactly and options.sensors.ideal and not laws[0].knows_actuator
+    times = np.stack([times_of(law) for law in laws])
+    lookaheads, past = shape_of(laws[0])
+    table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
+    scene, setting = tables.scene_to_T if score_only and exactly else tables.scene, tables.setting.copy()
+    setting[data.COMMANDS] = max(setting[data.COMMANDS], past + 2)
+    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that were left out would be seen
+    diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
+    paths, place, found = tables.paths(rows)
+
+    def drive_any(places: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
+        """The blocks of scenarios with these places, by the method of Runge and Kutta."""
+        blocks = np.unique(places // data.LANES)
+
+        def work(first: int, last: int) -> None:
+            rows = blocks[first:last]
+            entry.drive_any(
+                scene, setting, table, times, tables.recorded, paths, place, rows, score, diverged, failed, data.LANES
+            )
+
+        _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
+
+    if not exactly:
+        drive_any(np.arange(m), score, diverged, failed)
+    elif m:
+        exact = tables.exact
+
+        def work(first: int, last: int) -> None:
+            most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
+            own = (*entry.scratch(setting, lookaheads, most), data.LANES, score_only)
+            out = score, diverged, failed
+            entry.drive_lanes(scene, exact, setting, table, times, tables.recorded, first, last, *out, *own)
+
+        _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
+        # a step that is long beside the fastest time constant hides what happens within it; paths are kept there too
+        stiff = np.flatnonzero(scene[:, data.SUBSTEPS] > data.STIFF)
+        again = np.union1d(stiff, np.flatnonzero(place >= 0))
+        if again.size:
+            other = np.empty_like(score), diverged.copy(), failed.copy()
+            drive_any(again, *other)
+            score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
+            failed[:, stiff] = other[2][:, stiff]
+    if score_only and exactly:
+        return [_run_of_area(takeover, score[i, data.AREA], diverged[i], failed[i]) for i in range(d)]
+    kept = _trajectories_of(paths, rows, found)
+    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
+
+
+# ---------------------------------------------------------------------- a law that is called sample by sample
+
+
+def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None) -> Run:
+    """Drive a law, made for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
+    tables, m = takeover.tables, takeover.m
+    plant = _PlantSide(tables, tables.blocks(), *tables.paths(rows), threads)
+    times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
+    seen, lane = np.zeros((m, 4)), np.zeros((2, m, times.size))
+    last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
+    beyond = np.zeros(m, dtype=np.bool_)
+    batch, alive = np.arange(m), plant.begin()
+    own = law.init(m)
+    law_seconds, sample = 0.0, 0
+    calls: list[tuple[IntArray, int, SolverCalls]] = []
+    while True:
+        going = np.flatnonzero(alive[batch])
+        if not going.size:
+            break
+        if going.size < _DROP_BELOW * batch.size:
+            taken = check_taken(law.take(going, own), going.size, name, times)
+            if taken is not None:
+                law, own = taken
+                batch, going = batch[going], np.arange(going.size)
+        running = batch[going]
+        blocks = np.unique(running // data.LANES)
+        plant.look(sample, blocks, times, seen, lane)
+        t = takeover.start[batch] + sample * takeover.setup.dt
+        ended = np.delete(np.arange(batch.size), going)
+        x, previous, yaw_rate, heading = seen[batch], last[batch], lane[0, batch], lane[1, batch]
+        for values in (x, previous, yaw_rate, heading):
+            values[ended] = 0.0
+        started = time.perf_counter()
+        result = law.step(t, x, Preview(yaw_rate, heading), previous.copy(), own)
+        law_seconds += time.perf_counter() - started
+        delta, own, status = check_step(result, batch.size, name)
+        made = law.solver_calls(own)
+        if made is not None:
+            calls.append(_of_running(made, batch, going, sample, name))
+        wrong = ~np.isfinite(delta)
+        delta[wrong] = previous[wrong]
+        failed[running] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
+        beyond[running] |= (status == EventStatus.BEYOND_DELTA_MAX)[going]
+        last[running] = delta[going]
+        plant.go_on(sample, blocks, last, alive)
+        sample += 1
+    score, diverged = plant.scores()
+    kept = _trajectories_of(plant.paths, rows, plant.found)
+    run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
+    status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
+    return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
+
+
+def _of_running(
+    made: SolverCalls, batch: IntArray, going: IntArray, sample: int, name: str
+) -> tuple[IntArray, int, SolverCalls]:
+    """Calls of scenarios that still go on, with their numbers among the triggered ones."""
+    check_calls(made, batch.size, name)
+    kept = np.isin(made.place, going)
+    columns = {field.name: getattr(made, field.name)[kept] for field in dataclasses.fields(made)}
+    return batch[made.place[kept]], sample, SolverCalls(**columns)
+
+
+@dataclasses.dataclass(frozen=True)
+class _PlantSide:
+    """The compiled part of a sample, in threads: tables of blocks (b, numbers), of scenarios that come in lanes."""
+
+    tables: Tables
+    state: FloatArray
+    paths: FloatArray
+    place: IntArray
+    found: IntArray
+    threads: int | None
+
+    def begin(self) -> BoolArray:
+        """Start every scenario; which ones go on, (m,)."""
+        from ldctoolkit.simulation.kernel import entry
+
+        scene, setting, blocks = self.tables.scene, self.tables.setting, np.arange(self.state.shape[0])
+        entry.begin(scene, setting, self.state, self.paths, self.place, blocks)
+        return self._alive()
+
+    def look(self, k: int, blocks: IntArray, times: FloatArray, seen: FloatArray, lane: FloatArray) -> None:
+        """What the law is shown: state (m, 4); yaw rate and heading of the lane (2, m, p)."""
+        from ldctoolkit.simulation.kernel import entry
+
+        def work(first: int, last: int) -> None:
+            scene, setting = self.tables.scene, self.tables.setting
+            entry.look(scene, setting, self.state, k, blocks[first:last], times, seen, lane)
+
+        _in_threads(work, blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+
+    def go_on(self, k: int, blocks: IntArray, command: FloatArray, alive: BoolArray) -> None:
+        """Drive to the next sample with the commands (m,); which ones go on into `alive` (m,)."""
+        from ldctoolkit.simulation.kernel import entry
+
+        def work(first: int, last: int) -> None:
+            scene, setting = self.tables.scene, self.tables.setting
+            entry.go_on(
+                scene, setting, self.state, self.tables.recorded, self.paths, self.place, k, blocks[first:last], command
+            )
+
+        _in_threads(work, blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+        alive[:] = self._alive()
+
+    def _alive(self) -> BoolArray:
+        return self._row(data.ALIVE) > 0.0
+
+    def _row(self, row: int) -> FloatArray:
+        return self.state[:, row : row + data.LANES].ravel()[: self.tables.over.m]
+
+    def scores(self) -> tuple[FloatArray, BoolArray]:
+        """Scores (columns, m), and who diverged (m,)."""
+        rows = [self._row(data.S + n * data.LANES) for n in range(data.SCORES)]
+        return np.array(rows), self._row(data.DIVERGED) > 0.0
+
+
+# ------------------------------------------------------------------------------------------------ paths, threads, runs
+
+
+def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
+    """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
+    if isinstance(trajectories, bool | np.bool_):
+        return np.arange(n) if trajectories else None
+    rows = np.atleast_1d(np.asarray(trajectories))
+    if rows.size == 0:
+        rows = rows.astype(np.int64)
+    if rows.ndim != 1 or rows.dtype.kind not in "iu":
+        raise InputError("trajectories: allowed: true, false, or a list of row numbers of scenarios")
+    outside = (rows < 0) | (rows >= n)
+    if outside.any():
+        raise InputError(f"trajectories: no scenario {rows[outside][0]}; allowed: 0 to {n - 1}")
+    if np.unique(rows).size != rows.size:
+        raise InputError("trajectories: a row number is given twice; allowed: each once")
+    return rows.astype(np.int64)
+
+
+def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
+    """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
+    chosen = plain(threads)
+    if chosen is not None and (isinstance(chosen, bool) or not isinstance(chosen, int) or chosen < 1):
+        raise InputError(f"threads: {chosen!r}; allowed: a whole number >= 1")
+    firsts = range(0, count, least)
+    number = min(usable_cores() if threads is None else threads, len(firsts))
+    if number <= 1:
+        work(0, count)
+        return
+    with ThreadPoolExecutor(number) as pool:
+        list(pool.map(lambda first: work(first, min(first + least, count)), firsts))
+
+
+def recorded_run(takeover: Takeover) -> Run:
+    """The recorded paths."""
+    rows, recorded = takeover.rows, takeover.recorded
+    companions = Companions(**{name: getattr(recorded, name)[rows] for name in COMPANION_UNITS})
+    zeros = np.zeros(takeover.m, dtype=np.int64)
+    return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
+
+
+def _status(diverged: npt.NDArray[np.bool_], failed: IntArray) -> npt.NDArray[np.int8]:
+    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
+    return np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+
+
+def _run_of_area(takeover: Takeover, area: FloatArray, diverged: npt.NDArray[np.bool_], failed: IntArray) -> Run:
+    """A run of which S alone was worked out, from the integral (m,), who diverged (m,), and failed commands (m,)."""
+    unknown = np.full(area.size, np.nan)
+    companions = Companions(**dict.fromkeys(COMPANION_UNITS, unknown))
+    return Run(takeover, area.copy(), _status(diverged, failed), failed, companions, 0.0, None)
+
+
+def _run_of_scores(
+    takeover: Takeover,
+    score: FloatArray,
+    diverged: npt.NDArray[np.bool_],
+    failed: IntArray,
+    law_seconds: float,
+    trajectories: Trajectories | None,
+) -> Run:
+    """A run from scores (columns, m), who diverged (m,), and failed commands (m,)."""
+    edge = takeover.setup.vehicle.edge_offset
+    status = _status(diverged, failed)
+    # before the trigger the vehicle was on the recorded path
+    front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
+    values = dict(zip(COMPANION_UNITS, score[data.AREA + 1 :], strict=True)) | {
+        "deepest": np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
+        "dtle": -front,
+        "opposite_crossing": np.maximum(score[data.OPPOSITE] - edge, 0.0),
+    }
+    companions = Companions(**values)
+    return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
+
+
+def _trajectories_of(paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+    """Paths of the chosen rows; NaN where a scenario never triggered."""
+    if rows is None:
+        return None
+    used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
+    out = np.full((rows.size, int(used), data.PATH), np.nan)
+    out[found] = paths[:, : int(used)]
+    return Trajectories(rows, out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA])
