@@ -105,6 +105,10 @@ _SIZES: Final = {
     "t_0": 1,
     "T": 1,
     "stop": 1,  # end of the settling horizon
+    "ends": 3,  # whole steps to T, the rest of T, steps to the end
+    "index": 1,
+    "kept": 1,  # place of the path among those that are kept, or -1
+    "road": 5,  # speed and its rate at t = 0 without residuals, c_0, dc/T, pi/T
     "bend": 3,
     "before": 1,  # a_y before the trigger
     "law": LAW,
@@ -119,6 +123,12 @@ _SIZES: Final = {
     "a": 5,  # row of e_y'': 3 states, delta, the lane's yaw rate
     "step": EXACT,
     # Runge-Kutta steps
+    "times": 1,  # at which the road is wanted
+    "motion": 4,  # speed, its rate, way since t = 0, and turn of the lane along it
+    "way": 2,  # way and turn at the present sample
+    "curve_bias": 1,  # error of the previewed curvature
+    "wave": 5,  # cosine and sine of pi t/T, and of its multiple; amplitude
+    "modes": 1,  # of the speed residual that are in use in the block, in every lane
     "substeps": 1,
     "h": 1,  # length of a substep
     "span": 1,  # of a piece so far
@@ -146,8 +156,10 @@ _SIZES: Final = {
     "filter": FILTER,
 }
 (
-    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, POLYNOMIAL,
-    BEFORE, OF_LAW, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, PARTS, H, SPAN, NOW, DUE, POINTS,
+    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT,
+    ROAD, POLYNOMIAL,
+    BEFORE, OF_LAW, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES, MOTION, WAY, CURVE_BIAS, WAVE,
+    USED, PARTS, H, SPAN, NOW, DUE, POINTS,
     SEGMENT, SLOPE, RAMP, FROM, LEFT, WHEEL, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN,
     DIVERGED, FAILED, ENTRIES, OUTWARD, CAR, OF_FILTER, RINGS,
 ) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
@@ -158,8 +170,8 @@ _SIZES: Final = {
 (
     DT, OFFSET, AXLE, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES,
     DELAY_PART, MODES, EARLIER, CAMERA, PERIOD, LATE, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
-    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMANDS, FRAMES, RING,
-) = range(33)  # fmt: skip
+    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMANDS, FRAMES, RING, WIDTH,
+) = range(34)  # fmt: skip
 
 
 def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> npt.NDArray[np.float64]:
@@ -205,5 +217,6 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         FRAMES: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
         # length of the ring of lateral accelerations, a power of two
         RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
+        WIDTH: LANES,  # unknown to the compiler, which would unroll a short loop over the lanes instead
     }
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)

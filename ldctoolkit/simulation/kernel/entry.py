@@ -75,8 +75,8 @@ def _entries(digest: int) -> Any:
         ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
-            sight.look_ahead(scene, setting, block, k, times, ahead, 0)
-            sight.noise_of(scene, setting, block, k, noise, 0)
+            sight.look_ahead(setting, k, w, times, ahead, 0)
+            sight.noise_of(setting, k, w, noise, 0)
             sight.see(setting, w, k, ahead, 0, noise, 0)
             for l in range(min(LANES, scene.shape[0] - block * LANES)):
                 i = block * LANES + l
@@ -101,9 +101,9 @@ def _entries(digest: int) -> Any:
             w, parts = state[block], sight.substeps_of(scene, block)
             for l in range(min(LANES, scene.shape[0] - block * LANES)):
                 w[TARGET + l] = command[block * LANES + l]
-            end = sight.lay_road(scene, setting, block, k, w, parts, road, 0)
-            lanes.lay_bend(scene, setting, recorded, block, k, w, bend, 0)
-            rk4_lanes.advance(scene, setting, block, w, k, parts, road, 0, end, bend, 0, paths, chosen)
+            end = sight.lay_road(setting, k, w, parts, road, 0)
+            lanes.lay_bend(setting, recorded, block, k, w, bend, 0)
+            rk4_lanes.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_any(scene, setting, law, times, recorded, paths, chosen, blocks, score, diverged, failed, width):

@@ -228,10 +228,10 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _cut(scene, exact, setting, w, i, l, k, full):
+def _cut(exact, setting, w, i, l, k, full):
     """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
-    h, until = length_of(scene, setting, i, k)
-    rest, d, t = scene[i, at.REST], w[at.TARGET + l], w[at.T_0 + l] + k * setting[at.DT]
+    h, until = length_of(setting, w, l, k)
+    rest, d, t = w[at.ENDS + L + l], w[at.TARGET + l], w[at.T_0 + l] + k * setting[at.DT]
     for part in range(1, 2 if h == rest else 3):
         span, counted = (rest, until > 0.0) if part == 1 else (h - rest, False)
         r_0, r_1 = _lane_rate(w, l, t), _lane_rate(w, l, t + span)
@@ -269,13 +269,13 @@ def _cut(scene, exact, setting, w, i, l, k, full):
 
 
 @numba.njit(**OPTIONS)
-def _rare(scene, exact, setting, w, i, l, k, full):
+def _rare(exact, setting, w, i, l, k, full):
     """What happens in a lane now and then in step k; False if it diverged."""
     t = w[at.T_0 + l] + k * setting[at.DT]
-    h, until = length_of(scene, setting, i, k)
+    h, until = length_of(setting, w, l, k)
     if h < setting[at.DT] or 0.0 < until < h:
         w[at.SINGLE + l] = 1.0
-        return _cut(scene, exact, setting, w, i, l, k, full)
+        return _cut(exact, setting, w, i, l, k, full)
     if w[at.FLAG + l] > 0.0:
         if not abs(w[at.N + l]) <= setting[at.BOUND]:
             diverge(setting, w, l, t, w[at.COUNTED + l] > 0.0)
@@ -302,7 +302,7 @@ def drive_block(scene, exact, setting, law, times, recorded, block, score, diver
     begin(scene, setting, block, w)
     if not score_only:
         for k in range(most):
-            lay_bend(scene, setting, recorded, block, k, w, bend, 4 * k * L)
+            lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
         _start(scene, setting, law, times, design, block, w, g)
         ahead = 0.0 if several else times[design, 0]
@@ -317,10 +317,9 @@ def drive_block(scene, exact, setting, law, times, recorded, block, score, diver
             if not quiet:
                 next_cut = most
                 for l in range(count):
-                    i = first + l
-                    _, counted = length_of(scene, setting, i, k)
+                    _, counted = length_of(setting, w, l, k)
                     w[at.COUNTED + l] = w[at.ALIVE + l] if counted > 0.0 else 0.0
-                    full, end = int(scene[i, at.FULL]), int(scene[i, at.STEPS]) - 1
+                    full, end = int(w[at.ENDS + l]), int(w[at.ENDS + 2 * L + l]) - 1
                     if k < end:
                         next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
             rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
@@ -328,7 +327,7 @@ def drive_block(scene, exact, setting, law, times, recorded, block, score, diver
                 for l in range(count):
                     if w[at.ALIVE + l] > 0.0:
                         failed[design, first + l] += w[at.FLAG + l] == _WRONG  # the command before it was driven
-                        if not _rare(scene, exact, setting, w, first + l, l, k, not score_only):
+                        if not _rare(exact, setting, w, first + l, l, k, not score_only):
                             diverged[design, first + l] = True
                             _leave(w, g, l, score, design, first + l, score_only)
             if score_only:
@@ -338,12 +337,12 @@ def drive_block(scene, exact, setting, law, times, recorded, block, score, diver
                 look_back(setting, w, k)
                 if not quiet:
                     for l in range(count):
-                        if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == scene[first + l, at.STEPS]:
-                            look_back_from_end(scene, setting, w, first + l, l, k)
+                        if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
+                            look_back_from_end(setting, w, l, k)
                 score_limits(setting, w)
                 _score(setting, w)
             if rare or not quiet:
                 for l in range(count):
                     w[at.SINGLE + l] = 0.0
-                    if w[at.ALIVE + l] > 0.0 and k + 1 == scene[first + l, at.STEPS]:
+                    if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
                         _leave(w, g, l, score, design, first + l, score_only)

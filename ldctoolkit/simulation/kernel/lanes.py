@@ -205,10 +205,10 @@ POSITIVE: Final = (1 << 48) - 1
 
 
 @numba.njit(inline="always", **OPTIONS)
-def length_of(scene, setting, i, k):
+def length_of(setting, w, l, k):
     """Length of sample k, and how much of it lies before T."""
-    full, rest = scene[i, at.FULL], scene[i, at.REST]
-    h = rest if k + 1 == scene[i, at.STEPS] and rest > 0.0 else setting[at.DT]
+    full, rest, steps = w[at.ENDS + l], w[at.ENDS + L + l], w[at.ENDS + 2 * L + l]
+    h = rest if (k + 1 == steps) & (rest > 0.0) else setting[at.DT]
     return h, (h if k < full else (rest if k == full else 0.0))
 
 
@@ -219,8 +219,9 @@ def begin(scene, setting, block, w):
         i = min(block * L + l, scene.shape[0] - 1)
         alive = block * L + l < scene.shape[0] and scene[i, at.STEPS] > 0.0
         w[at.T_0 + l], w[at.T + l] = scene[i, at.START], scene[i, at.T_END]
-        last = scene[i, at.STEPS] - 1.0
-        h, _ = length_of(scene, setting, i, last)
+        w[at.ENDS + l], w[at.ENDS + L + l] = scene[i, at.FULL], scene[i, at.REST]
+        w[at.ENDS + 2 * L + l], last = scene[i, at.STEPS], scene[i, at.STEPS] - 1.0
+        h, _ = length_of(setting, w, l, last)
         w[at.STOP + l] = scene[i, at.START] + last * setting[at.DT] + h
         for n in range(3):
             w[at.POLYNOMIAL + n * L + l] = scene[i, at.BEND + n]
@@ -275,10 +276,11 @@ def diverge(setting, w, l, t, counted):
 
 @numba.njit(**OPTIONS)
 def rings(setting):
-    """First rows of the rings behind those of commands and wheel angles: of frames, of a_y; the end."""
+    """First rows behind the rings of commands and wheel angles: of frames, of a_y, of the residual's modes; the end."""
     frames = at.RINGS + 2 * L * int(setting[at.COMMANDS])
     limits = frames + 2 * L * int(setting[at.FRAMES])
-    return frames, limits, limits + 4 * L * int(setting[at.RING])
+    modes = limits + 4 * L * int(setting[at.RING])
+    return frames, limits, modes, modes + L * int(setting[at.MODES])
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -308,7 +310,7 @@ def _past(setting, position, left):
 
     The ring holds four rows a sample: a_y just after and just before it, then the same without the lane's part.
     """
-    _, limits, _ = rings(setting)
+    _, limits, _, _ = rings(setting)
     mask, j = int(setting[at.RING]) - 1, math.floor(position + SAME)
     share = position - j
     if j < 0 or (left and j == 0 and share <= SAME):
@@ -331,7 +333,7 @@ def _before(setting, w, l, position, left, n):
 @numba.njit(inline="always", **OPTIONS)
 def look_back(setting, w, k):
     """Put the limits of sample k into the ring, and what they were a window earlier into `PAST`."""
-    _, limits, _ = rings(setting)
+    _, limits, _, _ = rings(setting)
     mask = int(setting[at.RING]) - 1
     for n in range(2):
         _put(w, limits + (4 * (k & mask) + 2 * n) * L, _row(w, at.LIMITS + 2 * n * L))
@@ -355,9 +357,9 @@ def look_back(setting, w, k):
 
 
 @numba.njit(**OPTIONS)
-def look_back_from_end(scene, setting, w, i, l, k):
+def look_back_from_end(setting, w, l, k):
     """The same at the end of a last sample that may be shorter, in one lane."""
-    h, _ = length_of(scene, setting, i, k)
+    h, _ = length_of(setting, w, l, k)
     part = h / setting[at.DT] if h < setting[at.DT] else 1.0
     past = k + part - setting[at.WINDOW]
     for n in range(2):
@@ -389,13 +391,13 @@ def score_limits(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def lay_bend(scene, setting, recorded, block, k, w, bend, place):
+def lay_bend(setting, recorded, block, k, w, bend, place):
     """Recorded y'' at both ends of sample k and a window before them, from `place` on; 0 beyond T.
 
     With residuals it comes from `recorded` (m, samples, 2), at the samples and a window before them.
     """
     t, window = k * setting[at.DT], setting[at.WINDOW] * setting[at.DT]
-    for l in range(L):
+    for l in range(int(setting[at.WIDTH])):
         a = w[at.T_0 + l] + t
         b = min(a + setting[at.DT], w[at.STOP + l])
         c_0, c_1, c_2 = w[at.POLYNOMIAL + l], w[at.POLYNOMIAL + L + l], w[at.POLYNOMIAL + 2 * L + l]
@@ -407,7 +409,7 @@ def lay_bend(scene, setting, recorded, block, k, w, bend, place):
         bend[place + 3 * L + l] = fma(q, fma(q, c_2, c_1), c_0) if q < late else 0.0
     if recorded.shape[0]:
         for l in range(L):
-            i, a = min(block * L + l, scene.shape[0] - 1), w[at.T_0 + l] + t
+            i, a = min(block * L + l, recorded.shape[0] - 1), w[at.T_0 + l] + t
             b = min(a + setting[at.DT], w[at.STOP + l])
             share = (b - a) / setting[at.DT]
             j, after = min(k, recorded.shape[1] - 1), min(k + 1, recorded.shape[1] - 1)

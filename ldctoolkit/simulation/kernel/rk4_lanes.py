@@ -48,15 +48,14 @@ from ldctoolkit.simulation.kernel.sight import (
     HEADER,
     POINT_SIZE,
     command,
-    curvature,
     frame_of,
+    lay_point,
     lay_road,
     look_ahead,
     noise_of,
     parabola,
     see,
     segment_size,
-    speed,
     substeps_of,
     take_between,
 )
@@ -329,7 +328,7 @@ def _drive_segment(setting, w, k, parts, road, place):
 
 
 @numba.njit(**OPTIONS)
-def advance(scene, setting, block, w, k, parts, road, place, end, bend, now, paths, chosen):
+def advance(setting, w, k, parts, road, place, end, bend, now, paths):
     """Sample k with the command in `TARGET`: segments of the road from `place` to `end`. Lanes that go on after it."""
     ring, whole, mine = int(setting[at.COMMANDS]), k - int(setting[at.DELAY_SAMPLES]), segment_size(parts)
     newest = at.RINGS + (k % ring) * L
@@ -347,7 +346,7 @@ def advance(scene, setting, block, w, k, parts, road, place, end, bend, now, pat
     _accelerations(setting, w, road, place + HEADER, at.PARABOLA, at.LIMITS)
     if paths.shape[0]:
         for l in range(L):
-            c = chosen[min(block * L + l, scene.shape[0] - 1)]
+            c = int(w[at.KEPT + l])
             if w[at.ALIVE + l] > 0.0 and c >= 0:
                 paths[c, int(w[at.ENTRIES + l]) - 1, at.P_DELTA] = w[at.PARABOLA + l]
     while place < end:
@@ -363,7 +362,7 @@ def advance(scene, setting, block, w, k, parts, road, place, end, bend, now, pat
                     diverge(setting, w, l, w[at.BEGAN + l], w[at.COUNTED + l] > 0.0)
                     w[at.DIVERGED + l], w[at.ALIVE + l] = 1.0, 0.0
         if place + mine < end:
-            _at_T(scene, block, setting, w, road, place + mine, paths, chosen)
+            _at_T(setting, w, road, place + mine, paths)
         place += mine
     for l in range(L):
         if not w[at.ALIVE + l] > 0.0:  # a lane that has ended stays finite
@@ -376,19 +375,17 @@ def advance(scene, setting, block, w, k, parts, road, place, end, bend, now, pat
     look_back(setting, w, k)
     going = 0
     for l in range(L):
-        i = min(block * L + l, scene.shape[0] - 1)
-        if w[at.ALIVE + l] > 0.0 and k + 1 == scene[i, at.STEPS]:
-            look_back_from_end(scene, setting, w, i, l, k)
+        if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
+            look_back_from_end(setting, w, l, k)
     score_limits(setting, w)
     for l in range(L):
         if w[at.ALIVE + l] > 0.0:
-            i = block * L + l
-            if paths.shape[0] and chosen[i] >= 0:
-                h, _ = length_of(scene, setting, i, k)
-                full, rest = scene[i, at.FULL], scene[i, at.REST]
+            if paths.shape[0] and w[at.KEPT + l] >= 0.0:
+                h, _ = length_of(setting, w, l, k)
+                full, rest = w[at.ENDS + l], w[at.ENDS + L + l]
                 at_T = (k == full and h == rest) or (k + 1 == full and rest == 0.0)
-                _record(paths, chosen[i], w, l, w[at.T + l] if at_T else w[at.T_0 + l] + k * setting[at.DT] + h)
-            if k + 1 == scene[i, at.STEPS]:
+                _record(paths, w, l, w[at.T + l] if at_T else w[at.T_0 + l] + k * setting[at.DT] + h)
+            if k + 1 == w[at.ENDS + 2 * L + l]:
                 w[at.ALIVE + l] = 0.0
             else:
                 going += 1
@@ -396,22 +393,21 @@ def advance(scene, setting, block, w, k, parts, road, place, end, bend, now, pat
 
 
 @numba.njit(**OPTIONS)
-def _at_T(scene, block, setting, w, road, place, paths, chosen):
+def _at_T(setting, w, road, place, paths):
     """Lanes whose T is where the segment from `place` on begins: just after it nothing is recorded any more."""
     _accelerations(setting, w, road, place + HEADER, at.WHEEL, at.PAST)
     for l in range(L):
         if w[at.COUNTED + l] * w[at.ALIVE + l] > 0.0 and road[place + L + l] == 0.0 and road[place + l] > 0.0:
             peak = abs(w[at.PAST + 2 * L + l])
             w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], peak)
-            c = chosen[min(block * L + l, scene.shape[0] - 1)]
-            if paths.shape[0] and c >= 0:
-                _record(paths, c, w, l, w[at.T + l])
+            if paths.shape[0] and w[at.KEPT + l] >= 0.0:
+                _record(paths, w, l, w[at.T + l])
 
 
 @numba.njit(**OPTIONS)
-def _record(paths, c, w, l, t):
+def _record(paths, w, l, t):
     """Put the present state into the path of a chosen scenario."""
-    n = int(w[at.ENTRIES + l])
+    c, n = int(w[at.KEPT + l]), int(w[at.ENTRIES + l])
     paths[c, n, at.P_TIME] = t
     for j in range(4):
         paths[c, n, at.P_X + j] = w[at.N + j * L + l]
@@ -427,11 +423,22 @@ def start(scene, setting, block, w, paths, chosen):
     """Everything before the first sample of a block."""
     w[:] = 0.0
     begin(scene, setting, block, w)
-    size, earlier = int(setting[at.FRAMES]), at.SCENE + int(setting[at.MODES])
-    point = np.empty(POINT_SIZE)
+    size, count, modes = int(setting[at.FRAMES]), int(setting[at.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
         w[at.OUTWARD + l], w[at.PARTS + l] = scene[i, at.SIDE], scene[i, at.SUBSTEPS]
+        w[at.NUMBER + l], w[at.CURVE_BIAS + l] = scene[i, at.INDEX], scene[i, at.CURVATURE_BIAS]
+        w[at.KEPT + l] = chosen[i]
+        T, v, a = scene[i, at.T_END], scene[i, at.SPEED], 0.0
+        if setting[at.PROFILE] > 0.0:
+            v, a = scene[i, at.V_MEAN] - 0.5 * scene[i, at.A_MEAN] * T, scene[i, at.A_MEAN]
+        road = (v, a, scene[i, at.C_0], scene[i, at.DC] / T, math.pi / T)
+        for n in range(5):
+            w[at.ROAD + n * L + l] = road[n]
+        for j in range(count):
+            w[modes + j * L + l] = scene[i, at.SCENE + j]
+            if setting[at.PROFILE] > 0.0 and scene[i, at.SCENE + j] != 0.0:
+                w[at.USED] = max(w[at.USED], j + 1.0)
         mass, I_z, l_f, l_r = scene[i, at.MASS], scene[i, at.I_Z], scene[i, at.L_F], scene[i, at.L_R]
         # forces over the mass: of an axle per slip angle, or its largest; lever arms over the yaw inertia, times mass
         front, rear = 2.0 * scene[i, at.C_AF] / mass, 2.0 * scene[i, at.C_AR] / mass
@@ -445,7 +452,7 @@ def start(scene, setting, block, w, paths, chosen):
             w[at.RINGS + n * L + l] = scene[i, at.DELTA_0]
         w[at.WHEEL + l] = w[at.WHEEL_SEEN + l] = w[at.LAST + l]
         if setting[at.FILTERED] > 0.0:
-            model = at.SCENE + int(setting[at.MODES]) + 2 * int(setting[at.EARLIER])
+            model = at.SCENE + count + 2 * int(setting[at.EARLIER])
             for n in range(at.FILTER):
                 w[at.OF_FILTER + n * L + l] = scene[i, model + n]
             for n in range(4):
@@ -455,16 +462,15 @@ def start(scene, setting, block, w, paths, chosen):
             while frame_of(setting, k) < 0:
                 frame = rings(setting)[0] + 2 * (k % size) * L + l
                 for n in range(2):
-                    w[frame + n * L] = scene[i, earlier + 2 * (-frame_of(setting, k) - 1) + n]
+                    w[frame + n * L] = scene[i, at.SCENE + count + 2 * (-frame_of(setting, k) - 1) + n]
                 k += 1
-        v, dv = speed(scene, setting, i, w[at.T_0 + l])
-        point[l], point[L + l], point[2 * L + l] = v, dv, 1.0 / v
-        point[3 * L + l] = v * curvature(scene, i, w[at.T_0 + l])
-    _accelerations(setting, w, point, 0, at.WHEEL, at.LIMITS)
+        w[at.BEGAN + l] = w[at.T_0 + l]
+    lay_point(setting, w, 0.0)
+    _accelerations(setting, w, w, at.POINTS, at.WHEEL, at.LIMITS)
     for l in range(L):
         w[at.BEFORE + l] = w[at.LIMITS + l]
-        if paths.shape[0] and w[at.ALIVE + l] > 0.0 and chosen[block * L + l] >= 0:
-            _record(paths, chosen[block * L + l], w, l, w[at.T_0 + l])
+        if paths.shape[0] and w[at.ALIVE + l] > 0.0 and w[at.KEPT + l] >= 0.0:
+            _record(paths, w, l, w[at.T_0 + l])
 
 
 @numba.njit(**OPTIONS)
@@ -476,23 +482,23 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
         most = max(most, int(scene[block * L + l, at.STEPS]))
     if setting[at.DELAY_PART] > 0.0:
         segments = 2
-    _, _, size = rings(setting)
+    _, _, _, size = rings(setting)
     w, g, bend = np.empty(size), np.empty(columns * L), np.empty(4 * most * L)
     road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
     wide = (1 + 2 * lookaheads) * L
     ahead, noise = np.empty(most * wide), np.empty(most * 2 * L)
     start(scene, setting, block, w, paths[:0], chosen)
     for k in range(most):
-        ends[k + 1] = lay_road(scene, setting, block, k, w, parts, road, ends[k])
-        lay_bend(scene, setting, recorded, block, k, w, bend, 4 * k * L)
-        noise_of(scene, setting, block, k, noise, k * 2 * L)
+        ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
+        lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        noise_of(setting, k, w, noise, k * 2 * L)
     for design in range(law.shape[0]):
         same = design > 0
         for j in range(lookaheads):
             same &= times[design, j] == times[design - 1, j]
         if not same:
             for k in range(most):
-                look_ahead(scene, setting, block, k, times[design], ahead, k * wide)
+                look_ahead(setting, k, w, times[design], ahead, k * wide)
         start(scene, setting, block, w, paths, chosen)
         for l in range(L):
             i = min(block * L + l, m - 1)
@@ -503,8 +509,7 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
         for k in range(most):
             see(setting, w, k, ahead, k * wide, noise, k * 2 * L)
             command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads, width)
-            road_end = ends[k + 1]
-            if not advance(scene, setting, block, w, k, parts, road, ends[k], road_end, bend, 4 * k * L, paths, chosen):
+            if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
         for l in range(count):
             i = block * L + l

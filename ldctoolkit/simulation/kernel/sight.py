@@ -12,7 +12,20 @@ import numpy as np
 
 from ldctoolkit.paths.philox import normal_pair
 from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel.lanes import LARGEST, OPTIONS, SAME, L, copy, decay, fma, length_of, moments, rings
+from ldctoolkit.simulation.kernel.lanes import (
+    LARGEST,
+    OPTIONS,
+    SAME,
+    L,
+    copy,
+    cosine,
+    decay,
+    fma,
+    length_of,
+    moments,
+    rings,
+    sine,
+)
 
 # a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
 # leaves of a distance over both lengths, and the parabola of that over a substep; then two points a substep and one
@@ -27,80 +40,70 @@ _FRAME_ZERO: Final = 1 << 20
 
 
 @numba.njit(**OPTIONS)
-def speed(scene, setting, i, t):
-    """Speed and its rate."""
-    if setting[at.PROFILE] == 0.0:
-        return scene[i, at.SPEED], 0.0
-    T = scene[i, at.T_END]
-    s = min(t, T)
-    v = scene[i, at.V_MEAN] + scene[i, at.A_MEAN] * (s - 0.5 * T)
-    rate = scene[i, at.A_MEAN]
-    if setting[at.MODES] > 0.0:
-        w = math.pi / T
-        cos_1, sin_1 = math.cos(w * s), math.sin(w * s)
-        c, d = 1.0, 0.0
-        for j in range(int(setting[at.MODES])):
-            c, d = c * cos_1 - d * sin_1, d * cos_1 + c * sin_1
-            v += scene[i, at.SCENE + j] * c
-            rate -= scene[i, at.SCENE + j] * (j + 1) * w * d
-    return v, rate
+def along(setting, w, turns):
+    """Speed and its rate at `TIMES`, held beyond T; on request the way driven since t = 0, and the lane's turn."""
+    width = int(setting[at.WIDTH])
+    for l in range(width):
+        s, v_0, a = min(w[at.TIMES + l], w[at.T + l]), w[at.ROAD + l], w[at.ROAD + L + l]
+        way = s * fma(0.5 * a, s, v_0)
+        turn = w[at.ROAD + 3 * L + l] * s * s * fma(a * (1.0 / 3.0), s, 0.5 * v_0)
+        w[at.MOTION + l], w[at.MOTION + L + l] = fma(a, s, v_0), a
+        w[at.MOTION + 2 * L + l], w[at.MOTION + 3 * L + l] = way, fma(w[at.ROAD + 2 * L + l], way, turn)
+    if w[at.USED] > 0.0:
+        _, _, modes, _ = rings(setting)
+        for l in range(width):
+            angle = w[at.ROAD + 4 * L + l] * min(w[at.TIMES + l], w[at.T + l])
+            w[at.WAVE + l], w[at.WAVE + L + l] = cosine(angle), sine(angle)
+            w[at.WAVE + 2 * L + l], w[at.WAVE + 3 * L + l] = 1.0, 0.0
+        for j in range(int(w[at.USED])):
+            copy(w, at.WAVE + 4 * L, w, modes + j * L, 1)
+            _add_mode(w, j + 1.0, width)
+            if turns:
+                _add_turn(w, 1.0 / (math.pi * (j + 1.0)), width)
+    if turns:
+        for l in range(width):
+            after = max(w[at.TIMES + l] - w[at.T + l], 0.0) * w[at.MOTION + l]
+            w[at.MOTION + 2 * L + l] += after
+            curve = fma(w[at.ROAD + 3 * L + l], w[at.T + l], w[at.ROAD + 2 * L + l])
+            w[at.MOTION + 3 * L + l] = fma(after, curve, w[at.MOTION + 3 * L + l])
 
 
 @numba.njit(**OPTIONS)
-def curvature(scene, i, t):
-    """Lane curvature, held beyond T."""
-    return scene[i, at.C_0] + scene[i, at.DC] * min(t / scene[i, at.T_END], 1.0)
+def _add_mode(w, number, width):
+    """What a mode of the residual adds to the speed and its rate."""
+    for l in range(width):
+        cos_1, sin_1, c, d = w[at.WAVE + l], w[at.WAVE + L + l], w[at.WAVE + 2 * L + l], w[at.WAVE + 3 * L + l]
+        c, d, b = fma(c, cos_1, -d * sin_1), fma(d, cos_1, c * sin_1), w[at.WAVE + 4 * L + l]
+        w[at.WAVE + 2 * L + l], w[at.WAVE + 3 * L + l] = c, d
+        w[at.MOTION + l] = fma(b, c, w[at.MOTION + l])
+        w[at.MOTION + L + l] = fma(-b * number * w[at.ROAD + 4 * L + l], d, w[at.MOTION + L + l])
 
 
 @numba.njit(**OPTIONS)
-def _turned(scene, setting, i, t):
-    """Integral of v(t) (c(t), 1) from 0 to t, t at most T, in closed form."""
-    T, c_0, slope = scene[i, at.T_END], scene[i, at.C_0], scene[i, at.DC] / scene[i, at.T_END]
-    v_0 = scene[i, at.V_MEAN] - 0.5 * scene[i, at.A_MEAN] * T
-    a = scene[i, at.A_MEAN]
-    way = t * (v_0 + 0.5 * a * t)
-    turn = c_0 * way + slope * t * t * (0.5 * v_0 + a * t / 3.0)
-    if setting[at.MODES] > 0.0:
-        w = math.pi / T
-        cos_1, sin_1 = math.cos(w * t), math.sin(w * t)
-        c, d = 1.0, 0.0
-        for j in range(int(setting[at.MODES])):
-            c, d = c * cos_1 - d * sin_1, d * cos_1 + c * sin_1
-            f = (j + 1) * w
-            part = scene[i, at.SCENE + j] * d / f
-            way += part
-            turn += part * (c_0 + slope * t) + scene[i, at.SCENE + j] * slope * (c - 1.0) / (f * f)
-    return turn, way
+def _add_turn(w, per_angle, width):
+    """And to the way and the turn."""
+    for l in range(width):
+        T, slope, per_rate = w[at.T + l], w[at.ROAD + 3 * L + l], per_angle * w[at.T + l]
+        curve = fma(slope, min(w[at.TIMES + l], T), w[at.ROAD + 2 * L + l])
+        part = w[at.WAVE + 4 * L + l] * per_rate
+        way = part * w[at.WAVE + 3 * L + l]
+        w[at.MOTION + 2 * L + l] += way
+        turn = fma(way, curve, part * per_rate * slope * (w[at.WAVE + 2 * L + l] - 1.0))
+        w[at.MOTION + 3 * L + l] += turn
 
 
 @numba.njit(**OPTIONS)
-def heading(scene, setting, i, t_0, t_1):
-    """Turn of the lane between two times, and the way driven."""
-    T, c_0, dc = scene[i, at.T_END], scene[i, at.C_0], scene[i, at.DC]
-    if setting[at.PROFILE] == 0.0:
-        v = scene[i, at.SPEED]
-        in_0, in_1 = min(t_0, T), min(t_1, T)
-        turn = c_0 * (t_1 - t_0) + dc * (
-            0.5 * (in_1 * in_1 - in_0 * in_0) / T + (max(t_1 - T, 0.0) - max(t_0 - T, 0.0))
-        )
-        return v * turn, v * (t_1 - t_0)
-    turn_0, way_0 = _turned(scene, setting, i, min(t_0, T))
-    turn_1, way_1 = _turned(scene, setting, i, min(t_1, T))
-    after = max(t_1 - T, 0.0) - max(t_0 - T, 0.0)
-    v, _ = speed(scene, setting, i, T)
-    return turn_1 - turn_0 + v * (c_0 + dc) * after, way_1 - way_0 + v * after
-
-
-@numba.njit(**OPTIONS)
-def lane_ahead(scene, setting, i, t, ahead):
-    """Yaw rate and turn of the lane at a lookahead time, as the law sees them."""
-    v, _ = speed(scene, setting, i, t + ahead)
-    c = curvature(scene, i, t + ahead)
-    turn, way = heading(scene, setting, i, t, t + ahead)
-    if setting[at.CAMERA] == 0.0:
-        return v * c, turn
-    gain, bias = 1.0 + setting[at.CURVATURE_GAIN], scene[i, at.CURVATURE_BIAS]
-    return v * (gain * c + bias), gain * turn + bias * way
+def lay_point(setting, w, substep):
+    """The road after so many substeps of a segment into the first of the rows `POINTS`."""
+    width = int(setting[at.WIDTH])
+    for l in range(width):
+        w[at.TIMES + l] = w[at.BEGAN + l] + min(substep * w[at.SEGMENT + 3 * L + l], w[at.SEGMENT + l])
+    along(setting, w, False)
+    for l in range(width):
+        v, s = w[at.MOTION + l], min(w[at.TIMES + l], w[at.T + l])
+        dv = w[at.MOTION + L + l] * w[at.SEGMENT + L + l]  # beyond T the speed stays
+        w[at.POINTS + l], w[at.POINTS + L + l], w[at.POINTS + 2 * L + l] = v, dv, 1.0 / v
+        w[at.POINTS + 3 * L + l] = v * fma(w[at.ROAD + 3 * L + l], s, w[at.ROAD + 2 * L + l])
 
 
 @numba.njit(**OPTIONS)
@@ -119,46 +122,48 @@ def segment_size(parts):
 
 
 @numba.njit(**OPTIONS)
-def lay_road(scene, setting, block, k, w, parts, road, to):
+def lay_road(setting, k, w, parts, road, to):
     """Segments of sample k and the road along their substeps, from `to` on; where they end."""
     dt, switch, lag, cut = setting[at.DT], setting[at.DELAY_PART], setting[at.LAG], False
     for l in range(L):
-        h, until = length_of(scene, setting, min(block * L + l, scene.shape[0] - 1), k)
+        h, until = length_of(setting, w, l, k)
         cut |= 0.0 < until < h
     segments = 1 + int(cut) + int(switch > 0.0)
     for n in range(segments):
         for l in range(L):
-            i = min(block * L + l, scene.shape[0] - 1)
-            h, until = length_of(scene, setting, i, k)
+            h, until = length_of(setting, w, l, k)
             inside = until if 0.0 < until < h else h
             low, high = (min(inside, switch), max(inside, switch)) if segments == 3 else (inside, h)
             if segments == 2 and not cut:
                 low = switch
             first = 0.0 if n == 0 else min(low if n == 1 else high, h)
             last = h if n + 1 == segments else min(low if n == 0 else high, h)
-            length, own = last - first, w[at.PARTS + l]
-            counted = last <= until and until > 0.0
-            road[to + l], road[to + 3 * L + l] = length, length / own
-            road[to + L + l] = 1.0 if counted else 0.0
-            road[to + 2 * L + l] = 1.0 if first >= switch else 0.0
-            z, m_0, m_1, m_2 = length / (own * lag) if lag > 0.0 else math.inf, 0.0, 0.0, 0.0
-            if lag > 0.0:
-                m_0, m_1, m_2 = moments(z, 1.0)
-            road[to + 4 * L + l], road[to + 5 * L + l] = decay(-z * own), decay(-z)
-            u_0, u_1, u_2 = parabola(m_0, m_1, m_2)
-            road[to + 6 * L + l], road[to + 7 * L + l], road[to + 8 * L + l] = u_0, u_1, u_2
-            t = scene[i, at.START] + k * dt + first
-            for j in range(2 * parts + 1):
-                s = t + length * min(0.5 * j / own, 1.0)
-                v, dv = speed(scene, setting, i, s)
-                point = to + HEADER + j * POINT_SIZE + l
-                road[point], road[point + 2 * L], road[point + 3 * L] = v, 1.0 / v, v * curvature(scene, i, s)
-                road[point + L] = dv if counted else 0.0  # beyond T the speed stays
+            w[at.SEGMENT + l], w[at.SEGMENT + 3 * L + l] = last - first, (last - first) / w[at.PARTS + l]
+            w[at.SEGMENT + L + l] = 1.0 if last <= until and until > 0.0 else 0.0
+            w[at.SEGMENT + 2 * L + l] = 1.0 if first >= switch else 0.0
+            w[at.BEGAN + l] = w[at.T_0 + l] + k * dt + first
+        if lag > 0.0:
+            _lay_lag(w, 1.0 / lag)
+        copy(road, to, w, at.SEGMENT, 9)
+        for j in range(2 * parts + 1):
+            lay_point(setting, w, 0.5 * j)
+            copy(road, to + HEADER + j * POINT_SIZE, w, at.POINTS, 4)
         to += segment_size(parts)
     return to
 
 
 @numba.njit(**OPTIONS)
+def _lay_lag(w, per_lag):
+    """What a lag leaves of a distance over a segment and over a substep, and the parabola of that."""
+    for l in range(L):
+        z = w[at.SEGMENT + 3 * L + l] * per_lag
+        m_0, m_1, m_2 = moments(z, 1.0)
+        a, b, c = parabola(m_0, m_1, m_2)
+        w[at.SEGMENT + 4 * L + l], w[at.SEGMENT + 5 * L + l] = decay(-w[at.SEGMENT + l] * per_lag), decay(-z)
+        w[at.SEGMENT + 6 * L + l], w[at.SEGMENT + 7 * L + l], w[at.SEGMENT + 8 * L + l] = a, b, c
+
+
+@numba.njit(forceinline=True, **OPTIONS)
 def parabola(m_0, m_1, m_2):
     """Start, middle and end of the parabola with these moments over [0, 1]."""
     tilt, bend = 3.0 * (2.0 * m_1 - m_0), 5.0 * (6.0 * (m_2 - m_1) + m_0)
@@ -172,27 +177,37 @@ def frame_of(setting, k):
 
 
 @numba.njit(**OPTIONS)
-def look_ahead(scene, setting, block, k, times, ahead, place):
+def look_ahead(setting, k, w, times, ahead, place):
     """The lane at sample k, from `place` on: yaw rate at the filter's time; it and turn at each lookahead time."""
-    for l in range(L):
-        i = min(block * L + l, scene.shape[0] - 1)
-        t = scene[i, at.START] + k * setting[at.DT]
-        if setting[at.FILTERED] > 0.0:
-            ahead[place + l], _ = lane_ahead(scene, setting, i, t, -setting[at.KNOWN_AGE])
-        for j in range(times.shape[0]):
-            rate, turn = lane_ahead(scene, setting, i, t, times[j])
-            ahead[place + (1 + 2 * j) * L + l], ahead[place + (2 + 2 * j) * L + l] = rate, turn
+    gain, width = 1.0 + setting[at.CURVATURE_GAIN], int(setting[at.WIDTH])
+    for j in range(0 if setting[at.FILTERED] > 0.0 else 1, times.shape[0] + 2):
+        # the time of the filter's state, now, and then the lookahead times
+        late = -setting[at.KNOWN_AGE] if j == 0 else (times[j - 2] if j > 1 else 0.0)
+        for l in range(width):
+            w[at.TIMES + l] = w[at.T_0 + l] + k * setting[at.DT] + late
+        along(setting, w, True)
+        if j == 1:
+            copy(w, at.WAY, w, at.MOTION + 2 * L, 2)
+            continue
+        for l in range(width):
+            curve = fma(w[at.ROAD + 3 * L + l], min(w[at.TIMES + l], w[at.T + l]), w[at.ROAD + 2 * L + l])
+            way, turn = w[at.MOTION + 2 * L + l] - w[at.WAY + l], w[at.MOTION + 3 * L + l] - w[at.WAY + L + l]
+            w[at.MOTION + l] *= fma(gain, curve, w[at.CURVE_BIAS + l])
+            w[at.MOTION + L + l] = fma(gain, turn, w[at.CURVE_BIAS + l] * way)
+        if j == 0:
+            copy(ahead, place, w, at.MOTION, 1)
+        else:
+            copy(ahead, place + (2 * j - 3) * L, w, at.MOTION, 2)
 
 
 @numba.njit(**OPTIONS)
-def noise_of(scene, setting, block, k, noise, place):
+def noise_of(setting, k, w, noise, place):
     """Standard normal numbers of the frame that the law sees at sample k, from `place` on."""
     if setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0:
         seed = (np.uint64(setting[at.SEED_HIGH]) << np.uint64(32)) | np.uint64(setting[at.SEED_LOW])
         frame = np.uint64(_FRAME_ZERO + frame_of(setting, k))
         for l in range(L):
-            i = min(block * L + l, scene.shape[0] - 1)
-            noise[place + l], noise[place + L + l] = normal_pair(seed, np.uint64(scene[i, at.INDEX]), _CAMERA, frame)
+            noise[place + l], noise[place + L + l] = normal_pair(seed, np.uint64(w[at.NUMBER + l]), _CAMERA, frame)
 
 
 @numba.njit(**OPTIONS)
@@ -204,7 +219,7 @@ def _first_after(setting, k):
 @numba.njit(**OPTIONS)
 def _take_frames(setting, k, w):
     """Frames that are taken at sample k itself: e_y and e_psi."""
-    frames, _, _ = rings(setting)
+    frames, _, _, _ = rings(setting)
     size, j = int(setting[at.FRAMES]), _first_after(setting, k)
     while True:
         late = frame_of(setting, j) * setting[at.PERIOD] / setting[at.DT] - k
@@ -220,7 +235,7 @@ def _take_frames(setting, k, w):
 @numba.njit(**OPTIONS)
 def take_between(setting, k, w):
     """Frames that are taken within a piece: on the cubics through its ends."""
-    frames, _, _ = rings(setting)
+    frames, _, _, _ = rings(setting)
     size, j = int(setting[at.FRAMES]), _first_after(setting, k)
     while True:
         late = frame_of(setting, j) * setting[at.PERIOD] - k * setting[at.DT]
@@ -256,7 +271,7 @@ def see(setting, w, k, ahead, now, noise, place):
     if setting[at.CAMERA] == 0.0:
         return
     _take_frames(setting, k, w)
-    frames, _, _ = rings(setting)
+    frames, _, _, _ = rings(setting)
     frame, noisy = frames + 2 * (k % int(setting[at.FRAMES])) * L, setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0
     draws, lane = at.POINTS, at.POINTS + 2 * L  # what is worked on together lies in one array
     if noisy:
