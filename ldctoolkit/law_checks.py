@@ -146,8 +146,8 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     delta, status = _reals(result[0], "delta", where), _reals(result[2], "status", where)
     if delta.shape != (n,) or status.shape != (n,):
         raise InputError(f"{where}: step returned shapes {delta.shape}, {status.shape}; allowed: {(n,)}")
-    unknown = ~np.isin(status, _OF_A_STEP)
-    if unknown.any():
+    if status.any() and not np.isin(status, _OF_A_STEP).all():
+        unknown = ~np.isin(status, _OF_A_STEP)
         allowed = ", ".join(f"EventStatus.{one.name} ({one:d})" for one in _OF_A_STEP)
         raise InputError(f"{where}: step returned status {status[unknown][0]}; allowed: {allowed}")
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)

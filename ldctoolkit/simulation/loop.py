@@ -241,8 +241,7 @@ def _drive_linear(
     from ldctoolkit.simulation.kernel import entry
 
     tables, d, m = takeover.tables, len(laws), takeover.m
-    options = takeover.setup.options
-    exactly = options.drives_exactly and options.sensors.ideal and not laws[0].knows_actuator
+    exactly = tables.stiff < m and not laws[0].knows_actuator
     times = np.stack([times_of(law) for law in laws])
     lookaheads, past = shape_of(laws[0])
     table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
@@ -252,36 +251,32 @@ def _drive_linear(
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     paths, place, found = tables.paths(rows)
 
-    def drive_any(places: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
-        """The blocks of scenarios with these places, by the method of Runge and Kutta."""
-        blocks = np.unique(places // data.LANES)
+    def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
+        """The blocks of these rows, by the method of Runge and Kutta."""
+        blocks = np.unique(rows // data.LANES)
 
         def work(first: int, last: int) -> None:
-            rows = blocks[first:last]
-            entry.drive_any(
-                scene, setting, table, times, tables.recorded, paths, place, rows, score, diverged, failed, data.LANES
-            )
+            out = score, diverged, failed
+            entry.drive_any(scene, setting, table, times, tables.recorded, paths, place, blocks[first:last], *out)
 
         _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
 
     if not exactly:
         drive_any(np.arange(m), score, diverged, failed)
     elif m:
-        exact = tables.exact
+        exact, stiff = tables.exact, np.arange(tables.stiff)
+        elsewhere = place.copy()
+        elsewhere[stiff] = -1
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
-            own = (*entry.scratch(setting, lookaheads, most), data.LANES, score_only)
-            out = score, diverged, failed
-            entry.drive_lanes(scene, exact, setting, table, times, tables.recorded, first, last, *out, *own)
+            own = (score, diverged, failed, *entry.scratch(setting, lookaheads, most), score_only)
+            entry.drive_lanes(scene, exact, setting, table, times, tables.recorded, paths, elsewhere, first, last, *own)
 
         _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
-        # a step that is long beside the fastest time constant hides what happens within it; paths are kept there too
-        stiff = np.flatnonzero(scene[:, data.SUBSTEPS] > data.STIFF)
-        again = np.union1d(stiff, np.flatnonzero(place >= 0))
-        if again.size:
+        if stiff.size:
             other = np.empty_like(score), diverged.copy(), failed.copy()
-            drive_any(again, *other)
+            drive_any(stiff, *other)
             score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
             failed[:, stiff] = other[2][:, stiff]
     if score_only and exactly:
@@ -296,48 +291,51 @@ def _drive_linear(
 def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None) -> Run:
     """Drive a law, made for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     tables, m = takeover.tables, takeover.m
-    plant = _PlantSide(tables, tables.blocks(), *tables.paths(rows), threads)
+    paths, place, found = tables.paths(rows)
+    plants = [_Stretch(tables, slice(0, tables.stiff), np.zeros((3, 0, data.EXACT)), paths, place, threads)]
+    if tables.stiff < m:
+        exact = np.ascontiguousarray(tables.exact[:, tables.stiff :])
+        plants.append(_Stretch(tables, slice(tables.stiff, m), exact, paths, place, threads))
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
-    seen, lane = np.zeros((m, 4)), np.zeros((2, m, times.size))
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
-    beyond = np.zeros(m, dtype=np.bool_)
-    batch, alive = np.arange(m), plant.begin()
+    beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
+    batch: IntArray | slice = slice(None)  # the scenarios that the law still holds
+    going = np.arange(m)  # places in it of those that go on
     own = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
-    while True:
-        going = np.flatnonzero(alive[batch])
-        if not going.size:
-            break
-        if going.size < _DROP_BELOW * batch.size:
-            taken = check_taken(law.take(going, own), going.size, name, times)
-            if taken is not None:
-                law, own = taken
-                batch, going = batch[going], np.arange(going.size)
-        running = batch[going]
-        blocks = np.unique(running // data.LANES)
-        plant.look(sample, blocks, times, seen, lane)
-        t = takeover.start[batch] + sample * takeover.setup.dt
-        ended = np.delete(np.arange(batch.size), going)
-        x, previous, yaw_rate, heading = seen[batch], last[batch], lane[0, batch], lane[1, batch]
-        for values in (x, previous, yaw_rate, heading):
-            values[ended] = 0.0
+    while going.size:
+        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size))
+        for plant in plants:
+            plant.look(sample, times, *shown)
+        x, yaw_rate, heading = (values[batch] for values in shown)
+        t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
         started = time.perf_counter()
         result = law.step(t, x, Preview(yaw_rate, heading), previous.copy(), own)
         law_seconds += time.perf_counter() - started
-        delta, own, status = check_step(result, batch.size, name)
+        delta, own, status = check_step(result, t.size, name)
         made = law.solver_calls(own)
         if made is not None:
-            calls.append(_of_running(made, batch, going, sample, name))
+            calls.append(_of_running(made, np.arange(m)[batch], going, sample, name))
         wrong = ~np.isfinite(delta)
-        delta[wrong] = previous[wrong]
-        failed[running] += (wrong | (status == EventStatus.SOLVER_FAILED))[going]
-        beyond[running] |= (status == EventStatus.BEYOND_DELTA_MAX)[going]
-        last[running] = delta[going]
-        plant.go_on(sample, blocks, last, alive)
+        if wrong.any() or status.any():
+            delta[wrong] = previous[wrong]
+            failed[batch] += alive[batch] & (wrong | (status == EventStatus.SOLVER_FAILED))
+            beyond[batch] |= alive[batch] & (status == EventStatus.BEYOND_DELTA_MAX)
+        last[batch] = delta
+        for plant in plants:
+            plant.go_on(sample, last, alive)
         sample += 1
-    score, diverged = plant.scores()
-    kept = _trajectories_of(plant.paths, rows, plant.found)
+        left = np.flatnonzero(alive[batch])
+        if 0 < left.size < min(going.size, _DROP_BELOW * t.size):
+            taken = check_taken(law.take(left, own), left.size, name, times)
+            if taken is not None:
+                law, own = taken
+                batch, left = np.arange(m)[batch][left], np.arange(left.size)
+        going = left
+    results = [plant.scores() for plant in plants]
+    score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
+    kept = _trajectories_of(paths, rows, found)
     run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
@@ -353,58 +351,49 @@ def _of_running(
     return batch[made.place[kept]], sample, SolverCalls(**columns)
 
 
-@dataclasses.dataclass(frozen=True)
-class _PlantSide:
-    """The compiled part of a sample, in threads: tables of blocks (b, numbers), of scenarios that come in lanes."""
+class _Stretch:
+    """Some neighbours among the triggered scenarios in the compiled loops, sample by sample, in threads."""
 
-    tables: Tables
-    state: FloatArray
-    paths: FloatArray
-    place: IntArray
-    found: IntArray
-    threads: int | None
+    def __init__(
+        self, tables: Tables, rows: slice, exact: FloatArray, paths: FloatArray, place: IntArray, threads: int | None
+    ) -> None:
+        from ldctoolkit.simulation.kernel import entry, lanes
 
-    def begin(self) -> BoolArray:
-        """Start every scenario; which ones go on, (m,)."""
-        from ldctoolkit.simulation.kernel import entry
+        self.entry, self.setting, self.exact, self.paths = entry, tables.setting, exact, paths
+        self.rows, self.recorded, self.threads = rows, tables.recorded[rows], threads
+        self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
+        self.state = np.zeros((self.blocks.size, lanes.rings(self.setting)[-1]))
+        entry.begin(tables.scene[rows], exact, self.setting, self.state, paths, place[rows])
 
-        scene, setting, blocks = self.tables.scene, self.tables.setting, np.arange(self.state.shape[0])
-        entry.begin(scene, setting, self.state, self.paths, self.place, blocks)
-        return self._alive()
-
-    def look(self, k: int, blocks: IntArray, times: FloatArray, seen: FloatArray, lane: FloatArray) -> None:
-        """What the law is shown: state (m, 4); yaw rate and heading of the lane (2, m, p)."""
-        from ldctoolkit.simulation.kernel import entry
+    def look(self, k: int, times: FloatArray, seen: FloatArray, yaw_rate: FloatArray, heading: FloatArray) -> None:
+        """What the law is shown of those that go on: state (m, 4); yaw rate and heading of the lane (m, p) each."""
+        own = seen[self.rows], yaw_rate[self.rows], heading[self.rows]
 
         def work(first: int, last: int) -> None:
-            scene, setting = self.tables.scene, self.tables.setting
-            entry.look(scene, setting, self.state, k, blocks[first:last], times, seen, lane)
+            self.entry.look(self.setting, self.state, k, self.blocks[first:last], times, *own)
 
-        _in_threads(work, blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+        _in_threads(work, self.blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
 
-    def go_on(self, k: int, blocks: IntArray, command: FloatArray, alive: BoolArray) -> None:
+    def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
         """Drive to the next sample with the commands (m,); which ones go on into `alive` (m,)."""
-        from ldctoolkit.simulation.kernel import entry
+        own = command[self.rows]
 
         def work(first: int, last: int) -> None:
-            scene, setting = self.tables.scene, self.tables.setting
-            entry.go_on(
-                scene, setting, self.state, self.tables.recorded, self.paths, self.place, k, blocks[first:last], command
-            )
+            blocks = self.blocks[first:last]
+            self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, own)
 
-        _in_threads(work, blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
-        alive[:] = self._alive()
-
-    def _alive(self) -> BoolArray:
-        return self._row(data.ALIVE) > 0.0
-
-    def _row(self, row: int) -> FloatArray:
-        return self.state[:, row : row + data.LANES].ravel()[: self.tables.over.m]
+        _in_threads(work, self.blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+        going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
+        self.blocks = np.flatnonzero(going.any(axis=1))
+        alive[self.rows] = going.ravel()[: own.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
-        """Scores (columns, m), and who diverged (m,)."""
-        rows = [self._row(data.S + n * data.LANES) for n in range(data.SCORES)]
-        return np.array(rows), self._row(data.DIVERGED) > 0.0
+        """Scores (columns, rows), and who diverged (rows,)."""
+        first, last = data.S, data.S + data.SCORES * data.LANES
+        count, shape = self.rows.stop - self.rows.start, (-1, data.SCORES, data.LANES)
+        score = self.state[:, first:last].reshape(shape).swapaxes(0, 1).reshape(data.SCORES, -1)
+        diverged = self.state[:, data.DIVERGED : data.DIVERGED + data.LANES].ravel() > 0.0
+        return score[:, :count], diverged[:count]
 
 
 # ------------------------------------------------------------------------------------------------ paths, threads, runs

@@ -221,8 +221,7 @@ class Takeover:
         remaining = np.where(triggered, T - np.where(triggered, t_s, 0.0), -1.0)
         full = np.floor(remaining / dt).astype(np.int64)
         # neighbours share the lanes of the compiled loops: they should take as many substeps, and last about as long
-        lateral = 2.0 * (model.parameters.C_af + model.parameters.C_ar) / model.parameters.m
-        stiffness = np.ceil(dt * lateral / np.where(triggered, at_trigger, np.inf) / _REACH)
+        stiffness = _substeps(setup, np.where(triggered, at_trigger, np.inf))
         if options.drives_exactly:
             stiffness = np.where(stiffness > data.STIFF, stiffness, 0.0)
         order = np.lexsort((-full, -stiffness, ~triggered))
@@ -338,12 +337,13 @@ class Tables:
         t = over.start[:, None] + dt * samples
         return np.stack([over.driven.lateral_acceleration(t - back) for back in (0.0, JERK_WINDOW)], axis=-1)
 
-    def blocks(self) -> FloatArray:
-        """Tables of all blocks of lanes, for a law that is called sample by sample."""
-        from ldctoolkit.simulation.kernel import lanes
-
-        size = lanes.rings(self.setting)[-1]
-        return np.zeros((-(-self.over.m // data.LANES), size))
+    @functools.cached_property
+    def stiff(self) -> int:
+        """Leading rows that take Runge-Kutta steps: all but on the ideal plant, where a step hides what is fast."""
+        setup = self.over.setup
+        if not (setup.options.drives_exactly and setup.options.sensors.ideal):
+            return self.over.m
+        return int((_substeps(setup, self.over.plant.v) > data.STIFF).sum())
 
     def paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
         """Room for the paths of chosen rows (c, entries, columns), their places (m,) or -1, and which triggered."""
@@ -357,6 +357,13 @@ class Tables:
         place[chosen] = np.arange(chosen.size)
         longest = int(self.scene[chosen, data.STEPS].max(initial=0)) + 2
         return np.full((chosen.size, longest, data.PATH), np.nan), place, found
+
+
+def _substeps(setup: Setup, v: FloatArray) -> FloatArray:
+    """Substeps a sample at speeds (m,) that follow the nominal vehicle's fastest time constant."""
+    p = setup.vehicle
+    fastest = max((p.C_af + p.C_ar) / p.m, (p.C_af * p.l_f**2 + p.C_ar * p.l_r**2) / p.I_z)
+    return np.ceil(setup.dt * 2.0 * fastest / v / _REACH)
 
 
 def _scene(over: Takeover) -> FloatArray:

@@ -113,6 +113,7 @@ _SIZES: Final = {
     "before": 1,  # a_y before the trigger
     "law": LAW,
     # exact steps
+    "next_cut": 1,  # first sample at which a lane passes its T or ends, in the first lane
     "single": 1,  # 1 where a step was driven by itself
     "lane": 1,  # the lane's yaw rate at the last sample that was looked at
     "weights": 2,  # of yaw rate and turn at a single lookahead time
@@ -157,11 +158,9 @@ _SIZES: Final = {
 }
 (
     X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT,
-    ROAD, POLYNOMIAL,
-    BEFORE, OF_LAW, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES, MOTION, WAY, CURVE_BIAS, WAVE,
-    USED, PARTS, H, SPAN, NOW, DUE, POINTS,
-    SEGMENT, SLOPE, RAMP, FROM, LEFT, WHEEL, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN,
-    DIVERGED, FAILED, ENTRIES, OUTWARD, CAR, OF_FILTER, RINGS,
+    ROAD, POLYNOMIAL, BEFORE, OF_LAW, NEXT_CUT, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES, MOTION,
+    WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, SLOPE, RAMP, FROM, LEFT, WHEEL, PARABOLA,
+    BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, DIVERGED, FAILED, ENTRIES, OUTWARD, CAR, OF_FILTER, RINGS,
 ) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
 """`RINGS`: then come the rings, of a length that the run decides; see `kernel.lanes.rings`."""
 

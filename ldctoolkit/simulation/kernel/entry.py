@@ -24,7 +24,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.paths import philox
 from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
-from ldctoolkit.simulation.kernel.data import LANES, SEEN, TARGET
+from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET
 from ldctoolkit.simulation.kernel.lanes import OPTIONS
 
 
@@ -56,57 +56,65 @@ def _entries(digest: int) -> Any:
     """The entries, each with the digest among what it closes over: numba keeps one version a value."""
 
     @numba.njit(cache=True, **OPTIONS)
-    def begin(scene, setting, state, paths, chosen, blocks):
-        """Start of the scenarios of some blocks, their tables in the rows of `state`."""
+    def begin(scene, exact, setting, state, paths, chosen):
+        """Start of all scenarios, the tables of their blocks in the rows of `state`."""
         if digest < 0:
             return
-        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
+        scene, exact, setting, state = _bare(scene), _bare(exact), _bare(setting), _bare(state)
         paths, chosen = _bare(paths), _bare(chosen)
-        for block in blocks:
+        for block in range(state.shape[0]):
             rk4_lanes.start(scene, setting, block, state[block], paths, chosen)
+            if exact.shape[1]:
+                exact_lanes.load(scene, exact, block, state[block])
+                exact_lanes.start(scene, setting, block, state[block], paths, chosen)
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(scene, setting, state, k, blocks, times, seen, lane):
-        """What the law sees at sample k of the scenarios of some blocks, into (m, 4) and (2, m, p)."""
+    def look(setting, state, k, blocks, times, seen, yaw_rate, heading):
+        """What the law sees at sample k of the scenarios of some blocks that go on, into (m, 4) and twice (m, p)."""
         if digest < 0:
             return
-        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
-        times, seen, lane = _bare(times), _bare(seen), _bare(lane)
+        setting, state, blocks = _bare(setting), _bare(state), _bare(blocks)
+        times, seen, yaw_rate, heading = _bare(times), _bare(seen), _bare(yaw_rate), _bare(heading)
         ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
             sight.look_ahead(setting, k, w, times, ahead, 0)
             sight.noise_of(setting, k, w, noise, 0)
             sight.see(setting, w, k, ahead, 0, noise, 0)
-            for l in range(min(LANES, scene.shape[0] - block * LANES)):
+            for l in range(min(LANES, seen.shape[0] - block * LANES)):
                 i = block * LANES + l
-                for n in range(4):
-                    seen[i, n] = w[SEEN + n * LANES + l]
-                for j in range(times.shape[0]):
-                    lane[0, i, j] = ahead[(1 + 2 * j) * LANES + l]
-                    lane[1, i, j] = ahead[(2 + 2 * j) * LANES + l]
+                if w[ALIVE + l] > 0.0:
+                    for n in range(4):
+                        seen[i, n] = w[SEEN + n * LANES + l]
+                    for j in range(times.shape[0]):
+                        yaw_rate[i, j] = ahead[(1 + 2 * j) * LANES + l]
+                        heading[i, j] = ahead[(2 + 2 * j) * LANES + l]
 
     @numba.njit(cache=True, **OPTIONS)
-    def go_on(scene, setting, state, recorded, paths, chosen, k, blocks, command):
-        """Sample k of the scenarios of some blocks with the commands (m,)."""
+    def go_on(exact, setting, state, recorded, paths, k, blocks, command):
+        """Sample k of the scenarios of some blocks with the commands (m,); exact steps where there are matrices."""
         if digest < 0:
             return
-        scene, setting, state, blocks = _bare(scene), _bare(setting), _bare(state), _bare(blocks)
-        recorded, paths, chosen, command = _bare(recorded), _bare(paths), _bare(chosen), _bare(command)
+        exact, setting, state, blocks = _bare(exact), _bare(setting), _bare(state), _bare(blocks)
+        recorded, paths, command = _bare(recorded), _bare(paths), _bare(command)
         most = 1
         for block in blocks:
-            most = max(most, sight.substeps_of(scene, block))
+            most = max(most, sight.substeps_of(state[block]))
         road, bend = np.empty(3 * sight.segment_size(most)), np.empty(4 * LANES)
         for block in blocks:
-            w, parts = state[block], sight.substeps_of(scene, block)
-            for l in range(min(LANES, scene.shape[0] - block * LANES)):
-                w[TARGET + l] = command[block * LANES + l]
-            end = sight.lay_road(setting, k, w, parts, road, 0)
+            w = state[block]
+            for l in range(min(LANES, command.shape[0] - block * LANES)):
+                w[TARGET + l] = command[block * LANES + l] if w[ALIVE + l] > 0.0 else 0.0
             lanes.lay_bend(setting, recorded, block, k, w, bend, 0)
-            rk4_lanes.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
+            if exact.shape[1]:
+                exact_lanes.advance(exact, setting, w, k, 0.0, block * LANES, False, bend, 0, paths)
+            else:
+                parts = sight.substeps_of(w)
+                end = sight.lay_road(setting, k, w, parts, road, 0)
+                rk4_lanes.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_any(scene, setting, law, times, recorded, paths, chosen, blocks, score, diverged, failed, width):
+    def drive_any(scene, setting, law, times, recorded, paths, chosen, blocks, score, diverged, failed):
         """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if digest < 0:
             return
@@ -115,24 +123,25 @@ def _entries(digest: int) -> Any:
         score, diverged, failed = _bare(score), _bare(diverged), _bare(failed)
         for block in blocks:
             rk4_lanes.drive_block_any(
-                scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, width
+                scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed
             )
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_lanes(
-        scene, exact, setting, law, times, recorded, first, last, score, diverged, failed,
-        work, g, bend, width, score_only,
+        scene, exact, setting, law, times, recorded, paths, chosen, first, last, score, diverged, failed,
+        work, g, bend, score_only,
     ):  # fmt: skip
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant. S alone on request."""
         if digest < 0:
             return
         scene, exact, setting, law, times = _bare(scene), _bare(exact), _bare(setting), _bare(law), _bare(times)
         recorded, score, diverged, failed = _bare(recorded), _bare(score), _bare(diverged), _bare(failed)
-        tables = (_bare(work), _bare(g), _bare(bend), width)
+        paths, chosen, tables = _bare(paths), _bare(chosen), (_bare(work), _bare(g), _bare(bend))
         for block in range(first, last):
             exact_lanes.drive_block(
-                scene, exact, setting, law, times, recorded, block, score, diverged, failed, tables, score_only
-            )
+                scene, exact, setting, law, times, recorded, paths, chosen, block,
+                score, diverged, failed, tables, score_only,
+            )  # fmt: skip
 
     return begin, look, go_on, drive_any, drive_lanes
 

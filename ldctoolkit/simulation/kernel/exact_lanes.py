@@ -23,13 +23,16 @@ from ldctoolkit.simulation.kernel.lanes import (
     begin,
     copy,
     diverge,
+    end_sample,
     fma,
+    hand_over,
     larger,
     lay_bend,
     length_of,
     look_back,
     look_back_from_end,
     look_closer,
+    record,
     score_limits,
     touches,
 )
@@ -41,7 +44,7 @@ _WRONG: Final = 2.0
 
 
 @numba.njit(**OPTIONS)
-def _load(scene, exact, block, w):
+def load(scene, exact, block, w):
     """Plant of a block."""
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -53,13 +56,12 @@ def _load(scene, exact, block, w):
 
 
 @numba.njit(**OPTIONS)
-def _start(scene, setting, law, times, design, block, w, g):
-    """Start of a design on a block."""
-    begin(scene, setting, block, w)
-    single = times.shape[1] == 1
+def start(scene, setting, block, w, paths, chosen):
+    """Everything before the first sample of a block."""
+    begin(scene, setting, block, w, paths, chosen)
+    w[at.NEXT_CUT] = 0.0
     for l in range(L):
-        i, alive = min(block * L + l, scene.shape[0] - 1), w[at.ALIVE + l]
-        v = w[at.V + l] * alive
+        i, v = min(block * L + l, scene.shape[0] - 1), w[at.V + l] * w[at.ALIVE + l]
         w[at.V_C_0 + l], w[at.V_DC + l] = v * scene[i, at.C_0], v * scene[i, at.DC]
         w[at.LANE + l] = _lane_rate(w, l, w[at.T_0 + l])
         w[at.SINGLE + l] = 0.0
@@ -67,28 +69,17 @@ def _start(scene, setting, law, times, design, block, w, g):
         for n in range(3):
             a_y += w[at.OF_A + n * L + l] * w[at.X + (n + 1) * L + l]
         w[at.BEFORE + l] = a_y
-        for n in range(at.LAW):
-            w[at.OF_LAW + n * L + l] = law[design, i, n] * alive
-        for j in range(2 * times.shape[1]):
-            g[j * L + l] = law[design, i, at.LAW + j] * alive
-        w[at.WEIGHTS + l] = g[l] if single else 0.0
-        w[at.WEIGHTS + L + l] = g[L + l] if single else 0.0
 
 
 @numba.njit(**OPTIONS)
-def _leave(w, g, l, out, design, i, score_only):
-    """Take the scores of a lane that has ended and empty it: everything in it stays 0."""
-    for n in range(1 if score_only else at.SCORES):
-        out[design, n, i] = w[at.S + n * L + l]
+def _leave(setting, w, l):
+    """Empty a lane that has ended: everything but its scores stays as it is from here on."""
     for n in range(4):
-        w[at.X + n * L + l] = w[at.N + n * L + l] = 0.0
+        w[at.X + n * L + l] = w[at.N + n * L + l] = setting[at.OFFSET] if n == 0 else 0.0
     for n in range(at.LAW):
         w[at.OF_LAW + n * L + l] = 0.0
-    for j in range(g.shape[0] // L):
-        g[j * L + l] = 0.0
     w[at.WEIGHTS + l] = w[at.WEIGHTS + L + l] = w[at.LAST + l] = w[at.TARGET + l] = w[at.Z + l] = 0.0
     w[at.V_C_0 + l] = w[at.V_DC + l] = w[at.LANE + l] = w[at.COUNTED + l] = w[at.ALIVE + l] = 0.0
-    w[at.S + at.BACK * L + l] = 0.0
 
 
 # ------------------------------------------------------------------------------------------------ a step of every lane
@@ -228,7 +219,7 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _cut(exact, setting, w, i, l, k, full):
+def _cut(exact, setting, w, i, l, k, full, paths):
     """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
     h, until = length_of(setting, w, l, k)
     rest, d, t = w[at.ENDS + L + l], w[at.TARGET + l], w[at.T_0 + l] + k * setting[at.DT]
@@ -255,6 +246,8 @@ def _cut(exact, setting, w, i, l, k, full):
         if counted:
             w[at.S + at.AREA * L + l] += abs(w[at.SIGNED + l])
         t += span
+        if part == 1 and h != rest and paths.shape[0] and w[at.KEPT + l] >= 0.0:
+            record(paths, w, l, w[at.T + l])
         if full:
             own = w[at.OF_A + 3 * L + l] * d + w[at.OF_A + 4 * L + l] * r_1
             for n in range(3):
@@ -269,13 +262,13 @@ def _cut(exact, setting, w, i, l, k, full):
 
 
 @numba.njit(**OPTIONS)
-def _rare(exact, setting, w, i, l, k, full):
+def _rare(exact, setting, w, i, l, k, full, paths):
     """What happens in a lane now and then in step k; False if it diverged."""
     t = w[at.T_0 + l] + k * setting[at.DT]
     h, until = length_of(setting, w, l, k)
     if h < setting[at.DT] or 0.0 < until < h:
         w[at.SINGLE + l] = 1.0
-        return _cut(exact, setting, w, i, l, k, full)
+        return _cut(exact, setting, w, i, l, k, full, paths)
     if w[at.FLAG + l] > 0.0:
         if not abs(w[at.N + l]) <= setting[at.BOUND]:
             diverge(setting, w, l, t, w[at.COUNTED + l] > 0.0)
@@ -284,65 +277,82 @@ def _rare(exact, setting, w, i, l, k, full):
     return True
 
 
-# ------------------------------------------------------------------------------------------------ a whole run
+# ------------------------------------------------------------------------------------------------ a sample, a whole run
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
+    """Sample k: what a law makes of the rows of a block, or the command in `TARGET` where its weights are 0."""
+    quiet = k < w[at.NEXT_CUT]
+    if not quiet:  # a lane passes its T or comes to its last step
+        next_cut = math.inf
+        for l in range(L):
+            _, counted = length_of(setting, w, l, k)
+            w[at.COUNTED + l] = w[at.ALIVE + l] if counted > 0.0 else 0.0
+            full, end = w[at.ENDS + l], w[at.ENDS + 2 * L + l] - 1.0
+            if k < end and w[at.ALIVE + l] > 0.0:
+                next_cut = min(next_cut, min(full, end) if k < full else (k + 1.0 if k == full else end))
+        w[at.NEXT_CUT] = next_cut
+    rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
+    if paths.shape[0]:
+        for l in range(L):
+            w[at.WHEEL + l] = w[at.TARGET + l]
+            if w[at.ALIVE + l] > 0.0 and w[at.KEPT + l] >= 0.0:
+                paths[int(w[at.KEPT + l]), int(w[at.ENTRIES + l]) - 1, at.P_DELTA] = w[at.TARGET + l]
+    if rare or not quiet:
+        for l in range(L):
+            if w[at.ALIVE + l] > 0.0:
+                w[at.FAILED + l] += 1.0 if w[at.FLAG + l] == _WRONG else 0.0  # the command before it was driven
+                if not _rare(exact, setting, w, first + l, l, k, not score_only, paths):
+                    w[at.DIVERGED + l] = 1.0
+                    _leave(setting, w, l)
+    if score_only:
+        _light_score(w)
+    else:
+        copy(w, at.RECORDED, bend, now, 4)
+        look_back(setting, w, k)
+        if not quiet:
+            for l in range(L):
+                if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
+                    look_back_from_end(setting, w, l, k)
+        score_limits(setting, w)
+        _score(setting, w)
+    if rare or not quiet or paths.shape[0]:
+        end_sample(setting, w, k, paths)
+        for l in range(L):
+            w[at.SINGLE + l] = 0.0
+            if w[at.ALIVE + l] == 0.0:
+                _leave(setting, w, l)
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, times, recorded, block, score, diverged, failed, tables, score_only):
-    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request.
-
-    The width is that of a block, but unknown to the compiler, which would unroll a small loop instead.
-    """
-    w, g, bend, width = tables
-    first, several, most = block * L, times.shape[1] != 1, 0
-    count = min(L, scene.shape[0] - first)
-    for l in range(count):
-        most = max(most, int(scene[first + l, at.STEPS]))
-    _load(scene, exact, block, w)
-    begin(scene, setting, block, w)
+def drive_block(
+    scene, exact, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, tables, score_only
+):
+    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
+    w, g, bend = tables
+    several, single, most, width = times.shape[1] != 1, times.shape[1] == 1, 0, int(setting[at.WIDTH])
+    load(scene, exact, block, w)
+    begin(scene, setting, block, w, paths[:0], chosen)
+    for l in range(L):
+        most = max(most, int(w[at.ENDS + 2 * L + l]))
     if not score_only:
         for k in range(most):
             lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
-        _start(scene, setting, law, times, design, block, w, g)
-        ahead = 0.0 if several else times[design, 0]
+        start(scene, setting, block, w, paths, chosen)
         for l in range(L):
+            i, alive = min(block * L + l, scene.shape[0] - 1), w[at.ALIVE + l]
+            for n in range(at.LAW):
+                w[at.OF_LAW + n * L + l] = law[design, i, n] * alive
+            for j in range(2 * times.shape[1]):
+                g[j * L + l] = law[design, i, at.LAW + j] * alive
+            w[at.WEIGHTS + l], w[at.WEIGHTS + L + l] = (g[l], g[L + l]) if single else (0.0, 0.0)
             if score_only:
                 w[at.S + at.BACK * L + l] = 0.0  # no time is wanted beside S
-        next_cut = 0  # the first sample at which a lane passes its T or comes to its last step
+        ahead = times[design, 0] if single else 0.0
         for k in range(most):
             if several:
                 _look_ahead(setting, times, design, k, w, g, width)
-            quiet = k < next_cut
-            if not quiet:
-                next_cut = most
-                for l in range(count):
-                    _, counted = length_of(setting, w, l, k)
-                    w[at.COUNTED + l] = w[at.ALIVE + l] if counted > 0.0 else 0.0
-                    full, end = int(w[at.ENDS + l]), int(w[at.ENDS + 2 * L + l]) - 1
-                    if k < end:
-                        next_cut = min(next_cut, min(full, end) if k < full else (k + 1 if k == full else end))
-            rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
-            if rare or not quiet:
-                for l in range(count):
-                    if w[at.ALIVE + l] > 0.0:
-                        failed[design, first + l] += w[at.FLAG + l] == _WRONG  # the command before it was driven
-                        if not _rare(exact, setting, w, first + l, l, k, not score_only):
-                            diverged[design, first + l] = True
-                            _leave(w, g, l, score, design, first + l, score_only)
-            if score_only:
-                _light_score(w)
-            else:
-                copy(w, at.RECORDED, bend, 4 * k * L, 4)
-                look_back(setting, w, k)
-                if not quiet:
-                    for l in range(count):
-                        if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
-                            look_back_from_end(setting, w, l, k)
-                score_limits(setting, w)
-                _score(setting, w)
-            if rare or not quiet:
-                for l in range(count):
-                    w[at.SINGLE + l] = 0.0
-                    if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
-                        _leave(w, g, l, score, design, first + l, score_only)
+            advance(exact, setting, w, k, ahead, block * L, score_only, bend, 4 * k * L, paths)
+        hand_over(w, design, block, score, diverged, failed)

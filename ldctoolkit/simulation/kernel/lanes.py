@@ -197,7 +197,7 @@ def moments(z, rest):
 SAME: Final = 1e-9
 """Parts of a sample that are rounding."""
 
-LARGEST: Final = 1e300
+LARGEST: Final = 1.7e308
 """Command [rad] that still counts as a finite number: a comparison with infinity itself is not compiled for lanes."""
 
 POSITIVE: Final = (1 << 48) - 1
@@ -213,7 +213,7 @@ def length_of(setting, w, l, k):
 
 
 @numba.njit(**OPTIONS)
-def begin(scene, setting, block, w):
+def begin(scene, setting, block, w, paths, chosen):
     """Scenarios of a block at their triggers; lanes beyond the last repeat it and are never alive."""
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -236,6 +236,10 @@ def begin(scene, setting, block, w):
         w[at.S + at.BACK * L + l] = math.inf if alive else 0.0
         w[at.S + at.OPPOSITE * L + l] = -scene[i, at.X_0]
         w[at.ALIVE + l] = 1.0 if alive else 0.0
+        w[at.WHEEL + l], w[at.KEPT + l] = w[at.LAST + l], chosen[i]
+        w[at.DIVERGED + l] = w[at.FAILED + l] = w[at.ENTRIES + l] = 0.0
+        if paths.shape[0] and alive and chosen[i] >= 0:
+            record(paths, w, l, w[at.T_0 + l])
 
 
 # ------------------------------------------------------------------------------------------------ within a piece
@@ -388,6 +392,44 @@ def score_limits(setting, w):
         w[at.S + at.JERK * L + l] = larger(w[at.S + at.JERK * L + l], driven * jerk)
         w[at.S + at.A_Y_ADDED * L + l] = larger(w[at.S + at.A_Y_ADDED * L + l], driven * added)
         w[at.S + at.JERK_ADDED * L + l] = larger(w[at.S + at.JERK_ADDED * L + l], driven * jerk_added)
+
+
+@numba.njit(**OPTIONS)
+def record(paths, w, l, t):
+    """Put the present state into the path of a chosen scenario."""
+    c, n = int(w[at.KEPT + l]), int(w[at.ENTRIES + l])
+    paths[c, n, at.P_TIME], paths[c, n, at.P_DELTA] = t, w[at.WHEEL + l]
+    for j in range(4):
+        paths[c, n, at.P_X + j] = w[at.N + j * L + l]
+    w[at.ENTRIES + l] = n + 1
+
+
+@numba.njit(**OPTIONS)
+def end_sample(setting, w, k, paths):
+    """Paths at the end of sample k; the number of lanes that go on after it."""
+    going = 0
+    for l in range(L):
+        if w[at.ALIVE + l] > 0.0:
+            if paths.shape[0] and w[at.KEPT + l] >= 0.0:
+                h, _ = length_of(setting, w, l, k)
+                full, rest = w[at.ENDS + l], w[at.ENDS + L + l]
+                at_T = (k == full and h == rest) or (k + 1 == full and rest == 0.0)
+                record(paths, w, l, w[at.T + l] if at_T else w[at.T_0 + l] + k * setting[at.DT] + h)
+            if k + 1 == w[at.ENDS + 2 * L + l]:
+                w[at.ALIVE + l] = 0.0
+            else:
+                going += 1
+    return going
+
+
+@numba.njit(**OPTIONS)
+def hand_over(w, design, block, score, diverged, failed):
+    """Results of a design on a block."""
+    for l in range(min(L, score.shape[2] - block * L)):
+        i = block * L + l
+        for n in range(at.SCORES):
+            score[design, n, i] = w[at.S + n * L + l]
+        diverged[design, i], failed[design, i] = w[at.DIVERGED + l] > 0.0, int(w[at.FAILED + l])
 
 
 @numba.njit(**OPTIONS)

@@ -31,14 +31,16 @@ from ldctoolkit.simulation.kernel.lanes import (
     cosine,
     decay,
     diverge,
+    end_sample,
     fma,
+    hand_over,
     larger,
     lay_bend,
-    length_of,
     look_back,
     look_back_from_end,
     look_closer,
     moments,
+    record,
     rings,
     score_limits,
     sine,
@@ -373,23 +375,11 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
     _accelerations(setting, w, road, end - POINT_SIZE, at.WHEEL, at.LIMITS + L)
     copy(w, at.RECORDED, bend, now, 4)
     look_back(setting, w, k)
-    going = 0
     for l in range(L):
         if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
             look_back_from_end(setting, w, l, k)
     score_limits(setting, w)
-    for l in range(L):
-        if w[at.ALIVE + l] > 0.0:
-            if paths.shape[0] and w[at.KEPT + l] >= 0.0:
-                h, _ = length_of(setting, w, l, k)
-                full, rest = w[at.ENDS + l], w[at.ENDS + L + l]
-                at_T = (k == full and h == rest) or (k + 1 == full and rest == 0.0)
-                _record(paths, w, l, w[at.T + l] if at_T else w[at.T_0 + l] + k * setting[at.DT] + h)
-            if k + 1 == w[at.ENDS + 2 * L + l]:
-                w[at.ALIVE + l] = 0.0
-            else:
-                going += 1
-    return going
+    return end_sample(setting, w, k, paths)
 
 
 @numba.njit(**OPTIONS)
@@ -401,18 +391,7 @@ def _at_T(setting, w, road, place, paths):
             peak = abs(w[at.PAST + 2 * L + l])
             w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], peak)
             if paths.shape[0] and w[at.KEPT + l] >= 0.0:
-                _record(paths, w, l, w[at.T + l])
-
-
-@numba.njit(**OPTIONS)
-def _record(paths, w, l, t):
-    """Put the present state into the path of a chosen scenario."""
-    c, n = int(w[at.KEPT + l]), int(w[at.ENTRIES + l])
-    paths[c, n, at.P_TIME] = t
-    for j in range(4):
-        paths[c, n, at.P_X + j] = w[at.N + j * L + l]
-    paths[c, n, at.P_DELTA] = w[at.WHEEL + l]
-    w[at.ENTRIES + l] = n + 1
+                record(paths, w, l, w[at.T + l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
@@ -422,13 +401,12 @@ def _record(paths, w, l, t):
 def start(scene, setting, block, w, paths, chosen):
     """Everything before the first sample of a block."""
     w[:] = 0.0
-    begin(scene, setting, block, w)
+    begin(scene, setting, block, w, paths, chosen)
     size, count, modes = int(setting[at.FRAMES]), int(setting[at.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
         w[at.OUTWARD + l], w[at.PARTS + l] = scene[i, at.SIDE], scene[i, at.SUBSTEPS]
         w[at.NUMBER + l], w[at.CURVE_BIAS + l] = scene[i, at.INDEX], scene[i, at.CURVATURE_BIAS]
-        w[at.KEPT + l] = chosen[i]
         T, v, a = scene[i, at.T_END], scene[i, at.SPEED], 0.0
         if setting[at.PROFILE] > 0.0:
             v, a = scene[i, at.V_MEAN] - 0.5 * scene[i, at.A_MEAN] * T, scene[i, at.A_MEAN]
@@ -450,7 +428,7 @@ def start(scene, setting, block, w, paths, chosen):
             w[at.CAR + n * L + l] = car[n]
         for n in range(2 * int(setting[at.COMMANDS])):
             w[at.RINGS + n * L + l] = scene[i, at.DELTA_0]
-        w[at.WHEEL + l] = w[at.WHEEL_SEEN + l] = w[at.LAST + l]
+        w[at.WHEEL_SEEN + l] = w[at.LAST + l]
         if setting[at.FILTERED] > 0.0:
             model = at.SCENE + count + 2 * int(setting[at.EARLIER])
             for n in range(at.FILTER):
@@ -467,27 +445,22 @@ def start(scene, setting, block, w, paths, chosen):
         w[at.BEGAN + l] = w[at.T_0 + l]
     lay_point(setting, w, 0.0)
     _accelerations(setting, w, w, at.POINTS, at.WHEEL, at.LIMITS)
-    for l in range(L):
-        w[at.BEFORE + l] = w[at.LIMITS + l]
-        if paths.shape[0] and w[at.ALIVE + l] > 0.0 and w[at.KEPT + l] >= 0.0:
-            _record(paths, w, l, w[at.T_0 + l])
+    copy(w, at.BEFORE, w, at.LIMITS, 1)
 
 
 @numba.njit(**OPTIONS)
-def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, width):
+def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed):
     """Every design of a law on one block of scenarios; what designs share is worked out once."""
     m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - at.LAW
-    count, parts, most, segments = min(L, m - block * L), substeps_of(scene, block), 0, 1
-    for l in range(count):
-        most = max(most, int(scene[block * L + l, at.STEPS]))
-    if setting[at.DELAY_PART] > 0.0:
-        segments = 2
     _, _, _, size = rings(setting)
-    w, g, bend = np.empty(size), np.empty(columns * L), np.empty(4 * most * L)
-    road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
-    wide = (1 + 2 * lookaheads) * L
-    ahead, noise = np.empty(most * wide), np.empty(most * 2 * L)
+    w = np.empty(size)
     start(scene, setting, block, w, paths[:0], chosen)
+    parts, most, segments = substeps_of(w), 0, 2 if setting[at.DELAY_PART] > 0.0 else 1
+    for l in range(L):
+        most = max(most, int(w[at.ENDS + 2 * L + l]))
+    g, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
+    road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
+    ahead, noise = np.empty(most * wide), np.empty(most * 2 * L)
     for k in range(most):
         ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
         lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
@@ -508,12 +481,7 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
                 g[j * L + l] = law[design, i, at.LAW + j]
         for k in range(most):
             see(setting, w, k, ahead, k * wide, noise, k * 2 * L)
-            command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads, width)
+            command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads)
             if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
-        for l in range(count):
-            i = block * L + l
-            for n in range(at.SCORES):
-                score[design, n, i] = w[at.S + n * L + l]
-            diverged[design, i] = w[at.DIVERGED + l] > 0.0
-            failed[design, i] = int(w[at.FAILED + l])
+        hand_over(w, design, block, score, diverged, failed)

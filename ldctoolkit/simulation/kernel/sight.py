@@ -107,11 +107,11 @@ def lay_point(setting, w, substep):
 
 
 @numba.njit(**OPTIONS)
-def substeps_of(scene, block):
+def substeps_of(w):
     """Most substeps that a scenario of a block needs for a segment."""
     most = 1
-    for i in range(block * L, min((block + 1) * L, scene.shape[0])):
-        most = max(most, int(scene[i, at.SUBSTEPS]))
+    for l in range(L):
+        most = max(most, int(w[at.PARTS + l]))
     return most
 
 
@@ -314,12 +314,10 @@ def see(setting, w, k, ahead, now, noise, place):
 
 
 @numba.njit(**OPTIONS)
-def command(setting, w, k, g, ahead, now, lookaheads, past, width):
-    """Command of a linear law into `TARGET`; once a sample, for the integral of e_y goes on with it.
-
-    The width is that of a block, but unknown to the compiler, which would unroll a small loop instead.
-    """
-    for l in range(L):
+def command(setting, w, k, g, ahead, now, lookaheads, past):
+    """Command of a linear law into `TARGET`; once a sample, for the integral of e_y goes on with it."""
+    width = int(setting[at.WIDTH])
+    for l in range(width):
         w[at.TARGET + l] = w[at.OF_LAW + at.LAW_I * L + l] * w[at.Z + l]
         w[at.Z + l] = fma(setting[at.DT], w[at.SEEN + l], w[at.Z + l])
     for j in range(2 * lookaheads):
