@@ -126,6 +126,14 @@ CASES = {
     "all, late filter": PlantOptions(
         speed="profile", actuator=STEERING, mismatch=DRAWN, sensors=dataclasses.replace(CAMERA, kalman=KalmanFilter())
     ),
+    "30 frames a second": PlantOptions(
+        sensors=Sensors(fps=30, delay=0.07, e_y_noise=0.03, e_psi_noise=0.003, e_psi_bias=0.002)
+    ),
+    "30 frames a second and filter": PlantOptions(
+        actuator=Actuator(lag=0.07, delay=0.083),
+        sensors=Sensors(fps=30, delay=0.07, e_y_noise=0.03, e_psi_noise=0.003, kalman=KalmanFilter()),
+    ),
+    "8 frames a second and filter": PlantOptions(sensors=Sensors(fps=8, delay=0.12, kalman=KalmanFilter())),
     "residual of y": PlantOptions(residuals=Residuals(y=True)),
     "residual of v": PlantOptions(residuals=Residuals(v=True), speed="profile"),
     "residuals, speed frozen": PlantOptions(residuals=RESIDUALS),
@@ -163,10 +171,12 @@ def driven(
     ranges = [getattr(options.mismatch, name) for name in names]
     factors = {name: low + (high - low) * u for name, (low, high), u in zip(names, ranges, draws, strict=True)}
     draw = normals(SEED, scenarios.index, RandomStream.CURVATURE, 1)[i, 0]
+    frames = normals(SEED, scenarios.index[i : i + 1], RandomStream.CAMERA, 2**21 + 400)[0].reshape(-1, 2)
     return reference.drive(
         reference.Path.of(scenarios, i, a, b), law, options=options, vehicle=nominal,
         true=nominal.times(**factors), y_s=Y_S, dt=dt, settle=SETTLE,
-        curvature_draw=options.sensors.curvature_noise * draw, known=known,
+        curvature_draw=options.sensors.curvature_noise * draw,
+        noise={j: frames[2**20 + j] for j in range(-100, 200)}, known=known,
     )  # fmt: skip
 
 
@@ -189,6 +199,8 @@ def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         "actuator",
         "friction drawn",
         "camera",
+        "30 frames a second",
+        "30 frames a second and filter",
         "camera and filter",
         "all, linear tyres",
         "all, magic formula",
@@ -211,11 +223,11 @@ def test_both_loops_equal_the_reference(case: str) -> None:
     assert_within_the_bound(general, linear)
 
 
-KNOWN = ("ideal", "actuator", "camera", "late filter", "all, late filter")
+KNOWN = ("ideal", "actuator", "camera", "30 frames a second and filter", "late filter", "all, late filter")
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("case", some(KNOWN, "ideal", "all, late filter"))
+@pytest.mark.parametrize("case", some(KNOWN, "ideal", "30 frames a second and filter", "all, late filter"))
 def test_earlier_commands_and_the_wheel_angle_equal_the_reference(case: str, known: bool) -> None:
     """With a filter that knows lag and delays, or does not."""
     knowledge = {"plant_knowledge": "nominal" if known else "ideal"}
