@@ -17,15 +17,7 @@ from helpers.grids import some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, simulate
 from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from ldctoolkit.plant_options import (
-    Actuator,
-    KalmanFilter,
-    Mismatch,
-    PlantOptions,
-    Residuals,
-    Sensors,
-    Tyres,
-)
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 
 SEED = 11
 Y_S, DT, SETTLE = 0.1, 0.05, 1.0
@@ -151,15 +143,9 @@ STATES = 1e-4
 
 
 def driven(
-    scenarios: Scenarios,
-    options: PlantOptions,
-    i: int,
-    *,
-    dt: float = DT,
-    as_printed: bool = False,
-    law: reference.Law = formula,
-    known: bool = True,
-) -> Any:
+    scenarios: Scenarios, options: PlantOptions, i: int, *, dt: float = DT, as_printed: bool = False,
+    law: reference.Law = formula, known: bool = True,
+) -> Any:  # fmt: skip
     """The reference's drive of scenario i, with the package's draws."""
     a, b = (), ()
     if not options.residuals.ideal:
@@ -191,21 +177,13 @@ def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(getattr(out.trajectories, name)[i, driven] for name in ("t", "x", "delta"))  # type: ignore[return-value]
 
 
-@pytest.mark.parametrize(
-    "case",
-    some(
-        CASES,
-        "ideal",
-        "actuator",
-        "friction drawn",
-        "camera",
-        "30 frames a second",
-        "30 frames a second and filter",
-        "camera and filter",
-        "all, linear tyres",
-        "all, magic formula",
-    ),
-)
+FEW = (
+    "ideal", "actuator", "friction drawn", "camera", "30 frames a second", "30 frames a second and filter",
+    "camera and filter", "all, linear tyres", "all, magic formula",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", some(CASES, *FEW))
 def test_both_loops_equal_the_reference(case: str) -> None:
     options = CASES[case]
     linear, general = run(Everything(), options, SCENARIOS), run(Stepped(Everything(), drops=True), options, SCENARIOS)

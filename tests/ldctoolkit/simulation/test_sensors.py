@@ -276,17 +276,9 @@ class Feedback(Controller):
         )  # fmt: skip
 
 
-def drawn(stepped: bool, scenarios: Scenarios, options: PlantOptions, seed: int, **more: Any) -> Outcome:
-    return simulate(
-        Stepped(Feedback(), drops=True) if stepped else Feedback(),
-        scenarios,
-        y_s=Y_S,
-        dt=DT,
-        options=options,
-        seed=seed,
-        settle=SETTLE,
-        **more,
-    )
+def drawn(stepped: bool, scenarios: Scenarios, options: PlantOptions, seed: int) -> Outcome:
+    law = Stepped(Feedback(), drops=True) if stepped else Feedback()
+    return simulate(law, scenarios, y_s=Y_S, dt=DT, options=options, seed=seed, settle=SETTLE)
 
 
 @pytest.mark.parametrize(("case", "stepped"), grid(ALONE, [False, True], *((case, False) for case in ALONE)))

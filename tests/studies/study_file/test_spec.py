@@ -65,7 +65,6 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
     ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
     ({"plant": {"sensors": {"fps": 30, "period": 0.1}}}, "plant.sensors.fps: 30 beside period = 0.1 s; allowed: one"),
-    ({"plant": {"sensors": {"frames": 30}}}, "plant.sensors.frames: no such key; allowed: curvature_bias"),
     (
         {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},
         "simulation.convention: 'as_printed' with tyres.model 'magic_formula'; the printed matrix is linear",
