@@ -7,10 +7,12 @@ state the law sees as it is. Every option here takes one of these idealisations 
 from __future__ import annotations
 
 import dataclasses
+import math
+from fractions import Fraction
 from typing import Final, Literal, get_args
 
 from ldctoolkit.errors import InputError, plain
-from ldctoolkit.option_checks import check_declared, declaration, declared, is_number
+from ldctoolkit.option_checks import check_declared, checked_number, declaration, declared, is_number
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -18,8 +20,8 @@ TyreModel = Literal["linear", "magic_formula"]
 _SHORTEST_LAG: Final = 1e-4
 """Shortest lag [s] that is a lag and not a slip of the pen."""
 
-_WHOLE: Final = 1e-6
-"""Parts of a sample that are rounding: 3*0.05 is not 0.15 in binary."""
+_SHORTEST_PERIOD: Final = 1e-3
+"""Shortest period [s] of a camera: each frame that is on its way at the trigger is kept."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -193,9 +195,9 @@ class KalmanFilter:
 class Sensors:
     """Lane camera: frames of e_y and e_psi, and the curvature ahead. Biases are in the road's frame, positive left.
 
-    A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, the first at the
-    trigger, and reaches the law `delay` later; the law goes on with the latest one. Without a Kalman filter the law
-    sees the true rates.
+    A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, one of them at the
+    trigger, and arrives `delay` later; at each sample the law sees the latest that has arrived. Without a Kalman filter
+    the law sees the true rates.
 
     Attributes
     ----------
@@ -205,9 +207,9 @@ class Sensors:
     e_y_step, e_psi_step : float [m], [rad]
         Step of quantisation; 0 for none.
     period : float [s]
-        Time between frames, a multiple of the controller's dt; 0 for every sample.
+        Time between frames, 0.001 to 10; 0 for a frame at every sample. ``fps=30`` stands for ``period=1/30``.
     delay : float [s]
-        Age of a frame when it arrives, a multiple of dt.
+        Age of a frame when it arrives.
     curvature_gain : float
         Relative error of the curvature that the law previews.
     curvature_bias : float [1/m]
@@ -219,12 +221,12 @@ class Sensors:
     Raises
     ------
     InputError
-        For a value outside what is allowed.
+        For a value outside what is allowed, or both `period` and `fps`.
 
     Examples
     --------
-    >>> Sensors(e_y_noise=0.05, period=0.1, kalman=KalmanFilter()).ideal
-    False
+    >>> Sensors(e_y_noise=0.05, fps=10, kalman=KalmanFilter()).period
+    0.1
     """
 
     e_y_noise: float = declared(0.0, unit="m", least=0.0)
@@ -241,30 +243,28 @@ class Sensors:
     kalman: KalmanFilter | None = dataclasses.field(
         default=None, metadata=declaration(kind=KalmanFilter, description="a Kalman filter")
     )
+    fps: dataclasses.InitVar[float | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, fps: float | None) -> None:
         check_declared(self, "sensors")
+        if fps is not None:
+            if self.period:
+                raise InputError(f"sensors.fps: {fps!r} beside period = {self.period:g} s; allowed: one of the two")
+            object.__setattr__(self, "period", 1.0 / checked_number("sensors.fps", fps, least=0.1, most=1000.0))
+        if 0.0 < self.period < _SHORTEST_PERIOD:
+            raise InputError(f"sensors.period: {self.period!r}; allowed: 0, or at least {_SHORTEST_PERIOD:g} s")
 
     @property
     def ideal(self) -> bool:
         """The law sees the state and the lane as they are."""
         return self == Sensors()
 
-    def in_samples(self, dt: float) -> tuple[int, int]:
-        """Period (at least 1) and delay in samples of dt [s].
-
-        Raises
-        ------
-        InputError
-            If one of them is no multiple of dt.
-        """
-        counts = []
-        for name in ("period", "delay"):
-            value = getattr(self, name)
-            counts.append(round(value / dt))
-            if abs(value / dt - counts[-1]) > _WHOLE:
-                raise InputError(f"sensors.{name}: {value!r} s; allowed: a multiple of the sample time dt = {dt!r} s")
-        return max(1, counts[0]), counts[1]
+    def age(self, dt: float, *, held: bool = False) -> float:
+        """Mean age [s] of a frame at the sample, one every dt [s], that first sees it; or, `held`, at any sample."""
+        short, long = sorted((self.period or dt, dt))
+        grid = short / Fraction(long / short).limit_denominator(100).denominator  # ages are this far apart
+        youngest = math.ceil(self.delay / grid - 1e-6) * grid
+        return youngest + 0.5 * (((self.period or dt) if held else short) - grid)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

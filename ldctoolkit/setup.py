@@ -91,7 +91,6 @@ class Setup:
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {kind.__name__}(...)")
         check_declared(self)
         object.__setattr__(self, "seed", checked_seed(self.seed))
-        self.options.sensors.in_samples(self.dt)
         if self.model.convention != "consistent" and not self.options.tyres.ideal:
             raise InputError(
                 f"convention: {self.convention!r} with tyres.model {self.options.tyres.model!r}; the printed matrix is "
@@ -122,7 +121,7 @@ def known_plant(
     """What a design may know, at speeds v (n,) [m/s]."""
     if plant_knowledge == "ideal":
         return Plant.build(model, v, dt)
-    age = options.sensors.delay
+    age = options.sensors.age(dt)
     return Plant.build(model, v, dt, lag=options.actuator.lag, delay=options.actuator.delay + age, age=age)
 
 

@@ -60,7 +60,6 @@ def review_plant(
             raise InputError(
                 f"{name}.delay: {delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples; allowed: at most {LONGEST}"
             )
-    options.sensors.in_samples(dt)
     return known_plant(model, v, dt, options, plant_knowledge)
 
 

@@ -174,21 +174,19 @@ def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray
 
 
 def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
-    """The camera at each speed; a period of p samples ages a frame by up to p - 1 more, half of it on average.
+    """The camera at each speed, its frames as old as they are on average.
 
     What the law knows of actuator and camera, its filter knows too.
     """
     sensors = options.sensors
-    period, delay = sensors.in_samples(plant.dt)
-    delay += math.ceil((period - 1) / 2)
     gains: list[FloatArray | None] = [None] * plant.n
     if sensors.kalman is not None:
         from ldctoolkit.vehicle.kalman import filter_gain
 
         gains = list(filter_gain(plant, sensors.kalman, 1))
-    age, matrices = round(plant.age / plant.dt), ("A", "B", "B_old", "E_0", "E_1")
+    held, matrices = sensors.age(plant.dt, held=True), ("A", "B", "B_old", "E_0", "E_1")
     steps = [
         dataclasses.replace(plant.augmented, **{name: getattr(plant.augmented, name)[i : i + 1] for name in matrices})
         for i in range(plant.n)
     ]
-    return [Camera(delay, age, gain, step) for gain, step in zip(gains, steps, strict=True)]
+    return [Camera(held / plant.dt, plant.age / plant.dt, *both) for both in zip(gains, steps, strict=True)]

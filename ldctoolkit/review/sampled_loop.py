@@ -7,6 +7,7 @@ to the law's side, and so do its earlier commands. Limits are left out: this is 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -58,18 +59,18 @@ class Camera:
 
     Attributes
     ----------
-    delay : int [samples]
-        Age of e_y and e_psi; rates are true.
-    age : int [samples]
-        Age of the wheel angle that the law and the filter see.
+    delay : float [samples]
+        Age of e_y and e_psi, which count as linear between samples; rates are true.
+    age : float [samples]
+        Age of the wheel angle that the law and the filter see; linear between samples too.
     gain : (4, 2) or None
         Gain of the Kalman filter that rebuilds all four states; None for no filter.
     step : AugmentedStep
         One sample of the filter's nominal vehicle and actuator, n = 1.
     """
 
-    delay: int
-    age: int
+    delay: float
+    age: float
     gain: FloatArray | None
     step: AugmentedStep
 
@@ -112,8 +113,9 @@ def controller_side(law: LawModel, camera: Camera) -> System:
     -------
     System
     """
-    d, kal, own, step = camera.delay, 4 if camera.gain is not None else 0, law.A.shape[0], camera.step
-    at_wheel, at_filter = 2 * d, 2 * d + camera.age
+    d, a = (math.ceil(age - 1e-9) for age in (camera.delay, camera.age))
+    kal, own, step = 4 if camera.gain is not None else 0, law.A.shape[0], camera.step
+    at_wheel, at_filter = 2 * d, 2 * d + a
     at_law, last = at_filter + kal, at_filter + kal + own
     size = last + 1 + step.whole
 
@@ -124,10 +126,20 @@ def controller_side(law: LawModel, camera: Camera) -> System:
             row[place] += weight
         return row
 
+    following = np.zeros((size, size + 6))
+
+    def aged(now: FloatArray, place: int, whole: int, age: float) -> FloatArray:
+        """What signals (w, size + 6) were `age` samples ago, `whole` rounded up; earlier ones from a state on."""
+        width = now.shape[0]
+        past = np.vstack([now, *(signal((place + j, 1.0)) for j in range(width * whole))])
+        following[place : place + width * whole] = past[: width * whole]
+        younger, older = (past[width * j : width * (j + 1)] for j in (max(whole - 1, 0), whole))
+        return older + (whole - age) * (younger - older)
+
     x = np.array([signal((size + i, 1.0)) for i in range(4)])
     r = signal((size + 5, 1.0))
-    frame = np.array([signal((2 * d - 2, 1.0)), signal((2 * d - 1, 1.0))]) if d else x[[0, 2]]
-    wheel = signal((at_filter - 1 if camera.age else size + 4, 1.0))
+    frame = aged(x[[0, 2]], 0, d, camera.delay)
+    wheel = aged(signal((size + 4, 1.0))[None], at_wheel, a, camera.age)[0]
     if camera.gain is None:
         seen = np.array([frame[0], x[1], frame[1], x[3]])
     else:
@@ -138,13 +150,6 @@ def controller_side(law: LawModel, camera: Camera) -> System:
     delta = law.C @ states + law.D @ u
     commands = [delta, *(signal((last + i, 1.0)) for i in range(step.whole + 1))]
 
-    following = np.zeros((size, size + 6))
-    if d:
-        following[:2] = x[[0, 2]]
-        for place in range(2, at_wheel):
-            following[place] = signal((place - 2, 1.0))
-    for place in range(at_wheel, at_filter):
-        following[place] = signal((place - 1 if place > at_wheel else size + 4, 1.0))
     if kal:
         inputs = [(step.B, commands[step.whole]), (step.B_old, commands[step.whole + 1]), (step.E_0 + step.E_1, r)]
         if step.A.shape[1] > 4:

@@ -35,7 +35,8 @@ class Plant:
         From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
         `age`.
     age : float [s]
-        Delay of the nominal camera: how old what the law sees is. The lane ahead is that of the present.
+        How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of the
+        present.
     """
 
     model: BicycleModel

@@ -46,15 +46,13 @@ class OtherPlant:
     options: PlantOptions
 
 
-def other_plants(options: PlantOptions, dt: float) -> tuple[OtherPlant, ...]:
+def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
     """The variations of a study's plant; an option that it has already is taken away.
 
     Parameters
     ----------
     options : PlantOptions
         The study's plant.
-    dt : float [s]
-        Sample time; the camera's delay is a multiple of it.
 
     Returns
     -------
@@ -62,20 +60,13 @@ def other_plants(options: PlantOptions, dt: float) -> tuple[OtherPlant, ...]:
 
     Examples
     --------
-    >>> [plant.what for plant in other_plants(PlantOptions(actuator=Actuator(delay=0.05)), 0.05)][:2]
+    >>> [plant.what for plant in other_plants(PlantOptions(actuator=Actuator(delay=0.05)))][:2]
     ['no delay', 'time constant of 0.1 s']
     """
-    plants = [
-        *_actuator(options),
-        *_mismatch(options),
-        *_tyres(options),
-        *_camera(options, dt),
-        *_departure(options),
-    ]
+    plants = [*_actuator(options), *_mismatch(options), *_tyres(options), *_camera(options), *_departure(options)]
     if options.ideal:
-        sensors = dataclasses.replace(REAL.sensors, delay=_whole(REAL.sensors.delay, dt))
         what = "the plant of the catalog\u2019s study reality: actuator, mismatch, tyres, camera with filter, speed"
-        plants.append(OtherPlant("together", "Many at once", what, dataclasses.replace(REAL, sensors=sensors)))
+        plants.append(OtherPlant("together", "Many at once", what, REAL))
     else:
         plants.append(
             OtherPlant("ideal", "Ideal plant", "none of the options of the study\u2019s plant", PlantOptions())
@@ -99,11 +90,6 @@ def impossible(plant: OtherPlant, convention: Convention, has_residuals: bool) -
     if not plant.options.residuals.ideal and not has_residuals:
         return "the departures have no residuals"
     return ""
-
-
-def _whole(time: float, dt: float) -> float:
-    """The time as a multiple of the sample time, at least one."""
-    return max(1, round(time / dt)) * dt
 
 
 def _with(options: PlantOptions, name: str, title: str, what: str, **parts: object) -> OtherPlant:
@@ -156,7 +142,7 @@ def _tyres(options: PlantOptions) -> Iterator[OtherPlant]:
         yield _with(options, "tyres", "Linear tyres", "tyres do not saturate", tyres=Tyres(), mismatch=mismatch)
 
 
-def _camera(options: PlantOptions, dt: float) -> Iterator[OtherPlant]:
+def _camera(options: PlantOptions) -> Iterator[OtherPlant]:
     own, real, ideal = options.sensors, REAL.sensors, Sensors()
     timing = {"period", "delay", "kalman"}
     errors = [field.name for field in dataclasses.fields(Sensors) if field.name not in timing]
@@ -169,7 +155,7 @@ def _camera(options: PlantOptions, dt: float) -> Iterator[OtherPlant]:
             "in the curvature"
         )
     yield _with(options, "noise", "Camera noise", what, sensors=sensors)
-    delay = 0.0 if own.delay or own.period else _whole(real.delay, dt)
+    delay = 0.0 if own.delay or own.period else real.delay
     sensors = dataclasses.replace(own, delay=delay, period=0.0)
     what = f"{delay:g} s from light to number" if delay else "frames at every sample, at once"
     yield _with(options, "camera-delay", "Camera delay", what, sensors=sensors)

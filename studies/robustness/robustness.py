@@ -161,7 +161,7 @@ class RobustnessTask:
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
         own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options)
         plants, left_out = [own], []
-        for plant in other_plants(setup.options, setup.dt):
+        for plant in other_plants(setup.options):
             reason = impossible(plant, setup.convention, has_residuals)
             if reason:
                 left_out.append((plant.title, reason))

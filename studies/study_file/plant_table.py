@@ -49,7 +49,7 @@ def read_plant(entry: Any) -> Any:
 
 
 def _read(kind: type, table: dict[str, Any], prefix: str) -> Any:
-    fields = {field.name: field for field in dataclasses.fields(kind)}
+    fields: dict[str, dataclasses.Field[Any]] = vars(kind)["__dataclass_fields__"]  # fps too, which is not kept
     given = {}
     for key, entry in table.items():
         path = f"{prefix}{key}"

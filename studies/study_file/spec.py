@@ -216,8 +216,7 @@ class Study(Part):
                 self.setup(convention)
             except InputError as error:
                 path, _, message = str(error).partition(": ")
-                table = "simulation" if path in type(self.simulation).model_fields else "plant"
-                raise fail(f"{table}.{path}", message.replace("the sample time dt", "simulation.dt")) from None
+                raise fail(f"simulation.{path}", message) from None
         return self
 
     @classmethod

@@ -12,7 +12,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -198,13 +199,14 @@ def drive(
     dt: float = 0.05,
     settle: float = 0.0,
     curvature_draw: float = 0.0,
+    noise: Mapping[int, np.ndarray] | None = None,
     known: bool = True,
 ) -> Drive:
     """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
     it lag and delays too.
 
-    Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, and `curvature_draw`;
-    the camera has no noise here.
+    Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, `curvature_draw`, and
+    `noise`, a frame's number -> its two standard normal numbers; none without it.
     """
     options = PlantOptions() if options is None else options
     vehicle = Vehicle() if vehicle is None else vehicle
@@ -214,7 +216,7 @@ def drive(
     S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, path.e_psi)])
     if math.isinf(t_s):
         return _never_triggered(path, before, S_recorded, true)
-    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, known)
+    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, noise or {}, known)
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
@@ -236,7 +238,7 @@ def drive(
 class _Loop:
     def __init__(
         self, path: Path, law: Law, options: PlantOptions, vehicle: Vehicle, true: Vehicle,
-        t_s: float, dt: float, settle: float, curvature_draw: float, known: bool,
+        t_s: float, dt: float, settle: float, curvature_draw: float, noise: Mapping[int, np.ndarray], known: bool,
     ) -> None:  # fmt: skip
         self.path, self.law, self.options, self.true = path, law, options, true
         self.t_s, self.dt, self.v_s = t_s, dt, path.v(t_s)
@@ -247,13 +249,13 @@ class _Loop:
         self.more = math.ceil(settle / dt - 1e-9)
         x_0, self.delta_0 = self.recorded(t_s), self.attitude(t_s)[1]
         self.state = np.append(self.vehicle_coordinates(t_s, x_0), self.delta_0)
-        self.camera = _Camera(path, options.sensors, t_s, dt, lambda t: self.attitude(t)[0])
+        self.camera, self.noise = _Camera(options.sensors, dt), noise
+        self.age = self.camera.age * known
+        self.known_delay = options.actuator.delay * known + self.age
         self.filter = None
         if options.sensors.kalman is not None:
-            lag, first = options.actuator.lag * known, self.recorded(t_s - options.sensors.delay * known)
-            self.filter = _Filter(vehicle, path.v(t_s), dt, self.camera.p, options.sensors.kalman, first, lag)
-        self.age = self.camera.d * known
-        self.known_delay = (options.actuator.delay + options.sensors.delay) * known
+            lag, first = options.actuator.lag * known, self.recorded(t_s - self.age)
+            self.filter = _Filter(vehicle, path.v(t_s), dt, self.camera.samples, options.sensors.kalman, first, lag)
         self.commands: list[float] = []
         self.wheels: list[float] = []
         self.pieces: list[Piece] = []
@@ -390,7 +392,6 @@ class _Loop:
         for k in range(steps):
             t = self.t_s + k * self.dt
             x = self.lane_coordinates(t, self.state)
-            self.camera.record(x)
             self._command(k, t, x)
             arrived = self._switches(k)
             before = self.state.copy()
@@ -420,15 +421,16 @@ class _Loop:
             yield low, high
 
     def _command(self, k: int, t: float, x: np.ndarray) -> None:
-        frame, new = self.camera.latest(k)
+        number = self.camera.latest(k)
+        frame = self._frame(number)
         seen = np.array([frame[0], x[1], frame[1], x[3]])
         self.wheels.append(self.state[4])
-        wheels = [self.wheels[n - self.age] if n >= self.age else self.delta_0 for n in (k - 1, k)]
+        wheels = np.interp(np.array([k - 1, k]) - self.age / self.dt, range(k + 1), self.wheels)
         if self.filter is not None:
             if k > 0:
-                ends = [t - self.dt - self.age * self.dt, t - self.age * self.dt]
+                ends = [t - self.dt - self.age, t - self.age]
                 self.filter.predict(wheels[0], self._arriving(k - 1, self.known_delay), *map(self.yaw_rate_seen, ends))
-            if new:
+            if k == 0 or number > self.camera.latest(k - 1):
                 self.filter.correct(frame)
             seen = self.filter.z
         self.seen.append(self.path.side * seen)
@@ -437,6 +439,18 @@ class _Loop:
             self._commanded(k - 1), [self._commanded(k - 2 - j) for j in range(3)], wheels[1],
         )  # fmt: skip
         self.commands.append(float(command))
+
+    def _frame(self, number: int) -> np.ndarray:
+        """e_y and e_psi as the camera sends them."""
+        t, s = self.t_s + float(number * self.camera.p), self.options.sensors
+        if number <= 0:
+            true = self.path.e_y(t), self.attitude(t)[0]
+        else:
+            piece = next(piece for piece in self.pieces if t <= piece.end + 1e-12)
+            true = piece.e_y(t), piece.e_psi(t)
+        drawn = self.path.side * self.noise.get(number, np.zeros(2))
+        e_y, e_psi = true + drawn * [s.e_y_noise, s.e_psi_noise] + [s.e_y_bias, s.e_psi_bias]
+        return np.array([rounded(e_y, s.e_y_step), rounded(e_psi, s.e_psi_step)])
 
     def _switches(self, k: int) -> list[tuple[float, float]]:
         """(time after the sample, delayed and limited command from there on) in step k."""
@@ -517,28 +531,17 @@ def phases(
 
 
 class _Camera:
-    """Frames at t_s + j p dt, the latest of which is d samples old when it arrives. Road frame."""
+    """Frames every p from the trigger on, seen d later, in exact fractions of a second; `age` is what they are then."""
 
-    def __init__(self, path: Path, sensors: Sensors, t_s: float, dt: float, e_psi: Callable[[float], float]) -> None:
-        self.path, self.sensors, self.t_s, self.dt, self.e_psi = path, sensors, t_s, dt, e_psi
-        self.p = max(round(sensors.period / dt), 1)
-        self.d = round(sensors.delay / dt)
-        self.truth: list[tuple[float, float]] = []
+    def __init__(self, sensors: Sensors, dt: float) -> None:
+        period, self.d, self.dt = (Fraction(t).limit_denominator(10**6) for t in (sensors.period, sensors.delay, dt))
+        self.p = period or self.dt
+        self.samples = max(round(self.p / self.dt), 1)
+        first_seen = [k for k in range(1, 601) if self.latest(k) > self.latest(k - 1)]
+        self.age = float(sum(k * self.dt - self.latest(k) * self.p for k in first_seen) / len(first_seen))
 
-    def record(self, x: np.ndarray) -> None:
-        self.truth.append((x[0], x[2]))
-
-    def latest(self, k: int) -> tuple[np.ndarray, bool]:
-        number = (k - self.d) // self.p
-        new = k == 0 or number != (k - 1 - self.d) // self.p
-        sample = number * self.p
-        if number >= 0:
-            e_y, e_psi = self.truth[sample]
-        else:
-            t = self.t_s + sample * self.dt
-            e_y, e_psi = self.path.e_y(t), self.e_psi(t)
-        s = self.sensors
-        return np.array([rounded(e_y + s.e_y_bias, s.e_y_step), rounded(e_psi + s.e_psi_bias, s.e_psi_step)]), new
+    def latest(self, k: int) -> int:
+        return math.floor((k * self.dt - self.d) / self.p)
 
 
 def rounded(value: float, step: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR
-from ldctoolkit import Scenarios, simulate
+from ldctoolkit import Scenarios, Setup, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 
@@ -33,6 +33,9 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
         (KalmanFilter, {"q_y": 0}, "sensors.kalman.q_y: 0; allowed: a finite number > 0"),
         (Sensors, {"e_y_noise": -0.1}, "sensors.e_y_noise: -0.1; allowed: a finite number >= 0"),
         (Sensors, {"e_y_bias": "left"}, "sensors.e_y_bias: 'left'; allowed: a finite number"),
+        (Sensors, {"fps": 0}, "sensors.fps: 0; allowed: a finite number >= 0.1 and <= 1000"),
+        (Sensors, {"fps": 30, "period": 0.1}, "sensors.fps: 30 beside period = 0.1 s; allowed: one of the two"),
+        (Sensors, {"period": 1e-4}, "sensors.period: 0.0001; allowed: 0, or at least 0.001 s"),
         (Sensors, {"kalman": True}, "sensors.kalman: True; allowed: an instance of KalmanFilter, or None"),
         (Residuals, {"y": 1}, "residuals.y: 1; allowed: true or false"),
         (Residuals, {"bandwidth": 2.0}, "residuals.bandwidth: 2.0; allowed with residuals.y or residuals.v"),
@@ -49,7 +52,27 @@ def test_a_wrong_value_is_named(kind: Any, given: dict[str, Any], message: str) 
 def test_numpy_numbers_are_numbers() -> None:
     assert Actuator(lag=np.float32(0.5), delay=np.int64(1)) == Actuator(lag=0.5, delay=1.0)
     assert type(Actuator(lag=np.float64(0.5)).lag) is float
+    assert Sensors(fps=np.int64(30)) == Sensors(period=1 / 30) == dataclasses.replace(Sensors(), fps=30)
     assert Mismatch(m=(np.float64(0.5), np.int64(2))) == Mismatch(m=(0.5, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("period", "delay", "first", "held"),
+    [
+        (0.0, 0.1, 0.1, 0.1),
+        (0.1, 0.1, 0.1, 0.125),
+        (0.0, 0.07, 0.1, 0.1),
+        (1 / 30, 0.0, 1 / 120, 1 / 120),  # 0 and 1/60 s
+        (1 / 30, 0.07, 11 / 120, 11 / 120),  # 5/60 and 6/60 s
+        (0.125, 0.12, 0.1375, 0.175),  # 0.125 and 0.15 s; then, up to 0.225 s too
+        (0.001, 0.0604, 0.061, 0.061),
+    ],
+)
+def test_the_age_of_a_frame_is_its_mean_at_samples(period: float, delay: float, first: float, held: float) -> None:
+    """By hand, samples 0.05 s apart; a design knows the age of a frame that is new."""
+    sensors = Sensors(period=period, delay=delay)
+    assert (sensors.age(0.05), sensors.age(0.05, held=True)) == (pytest.approx(first), pytest.approx(held))
+    assert Setup(options=PlantOptions(sensors=sensors)).plant([20.0]).age == sensors.age(0.05)
 
 
 def test_every_option_takes_the_ideal_away() -> None:
@@ -84,7 +107,6 @@ def test_every_option_takes_the_ideal_away() -> None:
         ({"settle": 61}, "settle: 61; allowed: a finite number >= 0 and <= 60"),
         ({"threads": 2.5}, "threads: 2.5; allowed: a whole number >= 1"),
         ({"seed": -1}, "seed: -1; allowed"),
-        ({"options": PlantOptions(sensors=Sensors(period=0.07))}, "sensors.period: 0.07 s; allowed: a multiple of"),
     ],
 )
 def test_wrong_arguments_of_simulate_are_named(given: dict[str, Any], message: str) -> None:

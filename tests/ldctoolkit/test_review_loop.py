@@ -61,6 +61,7 @@ PLANTS = {
     "actuator": PlantOptions(actuator=Actuator(lag=0.08, delay=0.07)),
     "camera": PlantOptions(actuator=Actuator(lag=0.08), sensors=Sensors(delay=0.1)),
     "filter": PlantOptions(actuator=Actuator(delay=0.03), sensors=Sensors(delay=0.05, kalman=KalmanFilter())),
+    "frames between samples": PlantOptions(sensors=Sensors(fps=40, delay=0.08, kalman=KalmanFilter())),
 }
 
 
@@ -178,7 +179,6 @@ def test_no_loop_has_no_bounds() -> None:
 
 def test_poles_are_those_that_the_continuous_ones_sample() -> None:
     dt, s = 0.05, complex(-0.8, 3.0)
-    A = np.array([[s.real, s.imag], [-s.imag, s.real]])
     angle = s.imag * dt
     closed = math.exp(s.real * dt) * np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     found = poles(closed, dt)
@@ -188,7 +188,6 @@ def test_poles_are_those_that_the_continuous_ones_sample() -> None:
     assert not poles(np.diag([1.0, 0.5]), dt).stable
     assert not poles(np.diag([-1.01, 0.5]), dt).stable
     assert poles(np.zeros((2, 2)), dt).slowest == 0.0
-    assert A.shape == (2, 2)
 
 
 def test_the_bandwidth_is_that_of_the_loop_before_sampling() -> None:
@@ -202,6 +201,19 @@ def test_the_bandwidth_is_that_of_the_loop_before_sampling() -> None:
     lagged = bandwidth(A, B, 0.1, side, dt)  # K b = w sqrt(1 + (w/10)^2)
     assert lagged * math.hypot(1.0, 0.1 * lagged) == pytest.approx(K * b, rel=1e-5)
     assert bandwidth(A, 0 * B, 0.0, side, dt) == 0.0
+
+
+def test_what_is_seen_between_samples_is_linear() -> None:
+    options = PlantOptions(sensors=Sensors(period=0.1, delay=0.07))  # frames are seen twice, 0.1 and 0.15 s old
+    camera = _cameras(review_plant(BicycleModel(), 0.05, options, [V]), options)[0]
+    assert (camera.delay, camera.age) == (pytest.approx(2.5), pytest.approx(2.0))
+    D = np.array([-0.02, 0.0, -0.3, 0.0, 0.0, 0.0, -0.2])
+    law = LawModel(np.zeros((0, 0)), np.zeros((0, 7)), np.zeros(0), D)
+    step, z = Plant.build(BicycleModel(), [V], 0.05).augmented, np.exp(1j * np.array([0.1, 1.0, 3.0]))
+    whole = [controller_side(law, Camera(k, k, None, step)).response(z) for k in range(3)]
+    half = controller_side(law, Camera(0.5, 1.25, None, step)).response(z)
+    np.testing.assert_allclose(half[..., [0, 2]], 0.5 * (whole[0] + whole[1])[..., [0, 2]], atol=1e-15)
+    np.testing.assert_allclose(half[..., 4], (0.75 * whole[1] + 0.25 * whole[2])[..., 4], atol=1e-15)
 
 
 def settled(design: Controller, options: PlantOptions) -> float:

@@ -17,15 +17,7 @@ from helpers.grids import some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, simulate
 from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from ldctoolkit.plant_options import (
-    Actuator,
-    KalmanFilter,
-    Mismatch,
-    PlantOptions,
-    Residuals,
-    Sensors,
-    Tyres,
-)
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 
 SEED = 11
 Y_S, DT, SETTLE = 0.1, 0.05, 1.0
@@ -126,6 +118,14 @@ CASES = {
     "all, late filter": PlantOptions(
         speed="profile", actuator=STEERING, mismatch=DRAWN, sensors=dataclasses.replace(CAMERA, kalman=KalmanFilter())
     ),
+    "30 frames a second": PlantOptions(
+        sensors=Sensors(fps=30, delay=0.07, e_y_noise=0.03, e_psi_noise=0.003, e_psi_bias=0.002)
+    ),
+    "30 frames a second and filter": PlantOptions(
+        actuator=Actuator(lag=0.07, delay=0.083),
+        sensors=Sensors(fps=30, delay=0.07, e_y_noise=0.03, e_psi_noise=0.003, kalman=KalmanFilter()),
+    ),
+    "8 frames a second and filter": PlantOptions(sensors=Sensors(fps=8, delay=0.12, kalman=KalmanFilter())),
     "residual of y": PlantOptions(residuals=Residuals(y=True)),
     "residual of v": PlantOptions(residuals=Residuals(v=True), speed="profile"),
     "residuals, speed frozen": PlantOptions(residuals=RESIDUALS),
@@ -143,15 +143,9 @@ STATES = 1e-4
 
 
 def driven(
-    scenarios: Scenarios,
-    options: PlantOptions,
-    i: int,
-    *,
-    dt: float = DT,
-    as_printed: bool = False,
-    law: reference.Law = formula,
-    known: bool = True,
-) -> Any:
+    scenarios: Scenarios, options: PlantOptions, i: int, *, dt: float = DT, as_printed: bool = False,
+    law: reference.Law = formula, known: bool = True,
+) -> Any:  # fmt: skip
     """The reference's drive of scenario i, with the package's draws."""
     a, b = (), ()
     if not options.residuals.ideal:
@@ -163,10 +157,12 @@ def driven(
     ranges = [getattr(options.mismatch, name) for name in names]
     factors = {name: low + (high - low) * u for name, (low, high), u in zip(names, ranges, draws, strict=True)}
     draw = normals(SEED, scenarios.index, RandomStream.CURVATURE, 1)[i, 0]
+    frames = normals(SEED, scenarios.index[i : i + 1], RandomStream.CAMERA, 2**21 + 400)[0].reshape(-1, 2)
     return reference.drive(
         reference.Path.of(scenarios, i, a, b), law, options=options, vehicle=nominal,
         true=nominal.times(**factors), y_s=Y_S, dt=dt, settle=SETTLE,
-        curvature_draw=options.sensors.curvature_noise * draw, known=known,
+        curvature_draw=options.sensors.curvature_noise * draw,
+        noise={j: frames[2**20 + j] for j in range(-100, 200)}, known=known,
     )  # fmt: skip
 
 
@@ -181,19 +177,13 @@ def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(getattr(out.trajectories, name)[i, driven] for name in ("t", "x", "delta"))  # type: ignore[return-value]
 
 
-@pytest.mark.parametrize(
-    "case",
-    some(
-        CASES,
-        "ideal",
-        "actuator",
-        "friction drawn",
-        "camera",
-        "camera and filter",
-        "all, linear tyres",
-        "all, magic formula",
-    ),
-)
+FEW = (
+    "ideal", "actuator", "friction drawn", "camera", "30 frames a second", "30 frames a second and filter",
+    "camera and filter", "all, linear tyres", "all, magic formula",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", some(CASES, *FEW))
 def test_both_loops_equal_the_reference(case: str) -> None:
     options = CASES[case]
     linear, general = run(Everything(), options, SCENARIOS), run(Stepped(Everything(), drops=True), options, SCENARIOS)
@@ -211,11 +201,11 @@ def test_both_loops_equal_the_reference(case: str) -> None:
     assert_within_the_bound(general, linear)
 
 
-KNOWN = ("ideal", "actuator", "camera", "late filter", "all, late filter")
+KNOWN = ("ideal", "actuator", "camera", "30 frames a second and filter", "late filter", "all, late filter")
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("case", some(KNOWN, "ideal", "all, late filter"))
+@pytest.mark.parametrize("case", some(KNOWN, "ideal", "30 frames a second and filter", "all, late filter"))
 def test_earlier_commands_and_the_wheel_angle_equal_the_reference(case: str, known: bool) -> None:
     """With a filter that knows lag and delays, or does not."""
     knowledge = {"plant_knowledge": "nominal" if known else "ideal"}

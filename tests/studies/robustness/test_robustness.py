@@ -168,7 +168,7 @@ def test_no_control_has_no_loop_and_says_so() -> None:
 def changed(options: PlantOptions) -> dict[str, dict[str, Any]]:
     """What each plant changes of the study's own: part -> its new value, only the fields that differ."""
     found: dict[str, dict[str, Any]] = {}
-    for plant in other_plants(options, 0.05):
+    for plant in other_plants(options):
         found[plant.name] = {}
         for part in dataclasses.fields(PlantOptions):
             old, new = getattr(options, part.name), getattr(plant.options, part.name)
@@ -223,7 +223,7 @@ def test_each_plant_differs_in_one_option() -> None:
     camera = NOISE | {"sensors.delay": 0.1, "sensors.kalman": KalmanFilter()}
     assert together == {"speed": "profile"} | ACTUATOR | ranges | TYRES | camera
     real = load_study("reality").plant
-    assert other_plants(PlantOptions(), 0.05)[-1].options == real
+    assert other_plants(PlantOptions())[-1].options == real
     found = changed(dataclasses.replace(real, residuals=Residuals(y=True)))
     assert set(found.pop("ideal")) == {*together, "residuals.y"}
     assert found == OF_REAL
@@ -234,7 +234,7 @@ def test_each_plant_differs_in_one_option() -> None:
 
 
 def test_what_a_plant_is_called_holds_its_values() -> None:
-    what = {plant.name: plant.what for plant in other_plants(PlantOptions(), 0.05)}
+    what = {plant.name: plant.what for plant in other_plants(PlantOptions())}
     assert what["heavy"] == "mass and yaw inertia times 1.3; laws do not know"
     assert what["soft"] == "cornering stiffness of both axles times 0.8; laws do not know"
     assert what["tyres"] == "magic formula, friction coefficient 0.9"
@@ -243,21 +243,13 @@ def test_what_a_plant_is_called_holds_its_values() -> None:
 
 
 def test_plants_that_cannot_be_driven_on_are_named() -> None:
-    plants = {plant.name: plant for plant in other_plants(PlantOptions(), 0.05)}
+    plants = {plant.name: plant for plant in other_plants(PlantOptions())}
     assert impossible(plants["tyres"], "as_printed", True) == (
         "the matrix as printed is linear and has no saturating tyres"
     )
     assert impossible(plants["residuals"], "consistent", False) == "the departures have no residuals"
     for name, convention, residuals in (("tyres", "consistent", False), ("residuals", "as_printed", True)):
         assert impossible(plants[name], convention, residuals) == ""  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("dt", "delay"), [(0.03, 0.09), (0.04, 0.08), (0.05, 0.1), (0.25, 0.25)])
-def test_a_camera_delay_is_whole_samples_and_one_at_least(dt: float, delay: float) -> None:
-    plants = {plant.name: plant.options.sensors for plant in other_plants(PlantOptions(), dt)}
-    for name in ("camera-delay", "together"):
-        assert plants[name].delay == pytest.approx(delay, rel=1e-12)
-        plants[name].in_samples(dt)  # raises for what is no multiple
 
 
 def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:

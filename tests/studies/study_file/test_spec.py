@@ -64,11 +64,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"plant": {"tyres": {"model": "magic"}}}, "plant.tyres.model: 'magic'; did you mean 'magic_formula'?"),
     ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
     ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
-    ({"plant": {"sensors": {"period": 0.07}}}, "plant.sensors.period: 0.07 s; allowed: a multiple of simulation.dt"),
-    (
-        {"plant": {"sensors": {"delay": 0.1}}, "simulation": {"dt": 0.04}},
-        "plant.sensors.delay: 0.1 s; allowed: a multiple of simulation.dt = 0.04 s",
-    ),
+    ({"plant": {"sensors": {"fps": 30, "period": 0.1}}}, "plant.sensors.fps: 30 beside period = 0.1 s; allowed: one"),
     (
         {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},
         "simulation.convention: 'as_printed' with tyres.model 'magic_formula'; the printed matrix is linear",
@@ -361,17 +357,11 @@ def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
     assert len(hashes) == 2 + len(leaves(tomllib.loads(EVERY_OPTION)["plant"]))
 
 
-@pytest.mark.parametrize(
-    ("delay", "fits"), [(0.15, True), (3 * 0.05, True), (2.0, True), (0.1505, False), (0.01, False)]
-)
-def test_a_camera_keeps_the_clock_of_the_controller(delay: float, fits: bool) -> None:
-    """Multiples of 0.05 s are read although 3*0.05 is not 0.15 in binary; a hundredth of it beside one is refused."""
-    content = {"name": "a", "design": [{"law": "none"}], "plant": {"sensors": {"delay": delay}}}
-    if fits:
-        assert Study.from_dict(content).plant.sensors.delay == delay
-        return
-    with pytest.raises(StudyError, match=r"plant\.sensors\.delay: .*allowed: a multiple of simulation\.dt"):
-        Study.from_dict(content)
+def test_frames_a_second_are_another_way_to_write_a_period(make_study: Callable[..., Study]) -> None:
+    study = make_study(plant={"sensors": {"fps": 30, "delay": 0.07}})
+    assert study.hash == make_study(plant={"sensors": {"period": 1 / 30, "delay": 0.07}}).hash
+    assert Study.from_dict(json.loads(json.dumps(study.content()))).plant == study.plant
+    assert list(plant_settings(study.plant)) == [("sensors.period", "0.0333333 s"), ("sensors.delay", "0.07 s")]
 
 
 def test_a_design_runs_once_however_often_it_is_written() -> None:
