@@ -137,6 +137,8 @@ _SIZES: Final = {
     "due": 1,  # 1 where it ends
     "points": 12,  # of the road along a substep, see `kernel.sight`
     "segment": 9,
+    "driven": 2,  # limited command from the switch on, and before it
+    "work": 4,  # rows from elsewhere that are worked on together with others
     "slope": 1,  # of the ramp of the steering angle
     "ramp": 1,  # how long that lasts
     "from": 1,  # steering angle at the segment's start
@@ -158,9 +160,10 @@ _SIZES: Final = {
 }
 (
     X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT,
-    ROAD, POLYNOMIAL, BEFORE, OF_LAW, NEXT_CUT, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES, MOTION,
-    WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, SLOPE, RAMP, FROM, LEFT, WHEEL, PARABOLA,
-    BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, DIVERGED, FAILED, ENTRIES, OUTWARD, CAR, OF_FILTER, RINGS,
+    ROAD, POLYNOMIAL, BEFORE, OF_LAW, NEXT_CUT, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES,
+    MOTION, WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, DRIVEN, WORK, SLOPE, RAMP, FROM,
+    LEFT, WHEEL, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, DIVERGED, FAILED, ENTRIES, OUTWARD,
+    CAR, OF_FILTER, RINGS,
 ) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
 """`RINGS`: then come the rings, of a length that the run decides; see `kernel.lanes.rings`."""
 

@@ -181,9 +181,9 @@ def _light_step(setting, k, ahead, w):
 
 
 @numba.njit(**OPTIONS)
-def _light_score(w):
+def _light_score(setting, w):
     """S of a step in every lane."""
-    for l in range(L):
+    for l in range(int(setting[at.WIDTH])):
         counted = w[at.COUNTED + l] * (1.0 - w[at.SINGLE + l])
         w[at.S + at.AREA * L + l] = fma(abs(w[at.SIGNED + l]), counted, w[at.S + at.AREA * L + l])
         w[at.LAST + l], w[at.TARGET + l] = w[at.TARGET + l], 0.0
@@ -307,7 +307,7 @@ def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
                     w[at.DIVERGED + l] = 1.0
                     _leave(setting, w, l)
     if score_only:
-        _light_score(w)
+        _light_score(setting, w)
     else:
         copy(w, at.RECORDED, bend, now, 4)
         look_back(setting, w, k)

@@ -127,16 +127,19 @@ def _on(slopes):
             w[at.SPAN + l] += h
 
     @numba.njit(**OPTIONS)
-    def accelerations(w, road, place, delta, to, shape):
+    def accelerations(w, road, place, delta, to, shape, width):
         """a_y at a point of the road with the steering angle in row `delta`, and its own part two rows further."""
         copy(w, at.POINTS, road, place, 4)
-        for l in range(L):
+        copy(w, at.WORK, w, delta, 1)
+        for l in range(width):
             p, psi, turn = w[at.N + L + l], w[at.N + 2 * L + l], w[at.N + 3 * L + l]
             v, dv, per_v, lane = (
                 w[at.POINTS + l], w[at.POINTS + L + l], w[at.POINTS + 2 * L + l], w[at.POINTS + 3 * L + l],
             )  # fmt: skip
-            _, _, own = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[delta + l], shape)
-            w[to + l], w[to + 2 * L + l] = fma(v, lane, own), own
+            _, _, own = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[at.WORK + l], shape)
+            w[at.WORK + L + l], w[at.WORK + 2 * L + l] = fma(v, lane, own), own
+        copy(w, to, w, at.WORK + L, 1)
+        copy(w, to + 2 * L, w, at.WORK + 2 * L, 1)
 
     return substep, accelerations
 
@@ -148,9 +151,9 @@ _saturating_substep, _saturating_accelerations = _on(_saturating)
 @numba.njit(**OPTIONS)
 def _accelerations(setting, w, road, place, delta, to):
     if setting[at.SATURATING] > 0.0:
-        _saturating_accelerations(w, road, place, delta, to, setting[at.SHAPE])
+        _saturating_accelerations(w, road, place, delta, to, setting[at.SHAPE], int(setting[at.WIDTH]))
     else:
-        _linear_accelerations(w, road, place, delta, to, 0.0)
+        _linear_accelerations(w, road, place, delta, to, 0.0, int(setting[at.WIDTH]))
 
 
 # ------------------------------------------------------------------------------------------------ the steering angle
@@ -199,9 +202,9 @@ def _decayed(w, l):
 
 
 @numba.njit(**OPTIONS)
-def _along_decay(w):
+def _along_decay(setting, w):
     """The parabola that has the steering angle's mean, first and second moment over a substep, where none ramps."""
-    for l in range(L):
+    for l in range(int(setting[at.WIDTH])):
         a, b, c = _decayed(w, l)
         w[at.PARABOLA + l], w[at.PARABOLA + L + l], w[at.PARABOLA + 2 * L + l] = a, b, c
 
@@ -266,18 +269,18 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _next_piece(w):
+def _next_piece(setting, w):
     """S of the pieces that end here; the next ones begin."""
-    for l in range(L):
-        due = w[at.DUE + l] > 0.0
-        w[at.S + at.AREA * L + l] += abs(w[at.SIGNED + l]) if due & (w[at.COUNTED + l] > 0.0) else 0.0
-        w[at.NOW + l] += w[at.SPAN + l] if due else 0.0
-        w[at.SIGNED + l] = 0.0 if due else w[at.SIGNED + l]
-        w[at.SPAN + l] = 0.0 if due else w[at.SPAN + l]
-        w[at.X + l] = w[at.N + l] if due else w[at.X + l]
-        w[at.X + L + l] = w[at.N + L + l] if due else w[at.X + L + l]
-        w[at.X + 2 * L + l] = w[at.N + 2 * L + l] if due else w[at.X + 2 * L + l]
-        w[at.X + 3 * L + l] = w[at.N + 3 * L + l] if due else w[at.X + 3 * L + l]
+    for l in range(int(setting[at.WIDTH])):
+        due, area, now = w[at.DUE + l] > 0.0, abs(w[at.SIGNED + l]) * w[at.COUNTED + l], w[at.SPAN + l]
+        w[at.S + at.AREA * L + l] += area if due else 0.0
+        w[at.NOW + l] += now if due else 0.0
+        signed, x_0, x_1, x_2 = w[at.SIGNED + l], w[at.X + l], w[at.X + L + l], w[at.X + 2 * L + l]
+        x_3, n_0, n_1 = w[at.X + 3 * L + l], w[at.N + l], w[at.N + L + l]
+        n_2, n_3 = w[at.N + 2 * L + l], w[at.N + 3 * L + l]
+        w[at.SIGNED + l], w[at.SPAN + l] = 0.0 if due else signed, 0.0 if due else now
+        w[at.X + l], w[at.X + L + l] = n_0 if due else x_0, n_1 if due else x_1
+        w[at.X + 2 * L + l], w[at.X + 3 * L + l] = n_2 if due else x_2, n_3 if due else x_3
 
 
 # ------------------------------------------------------------------------------------------------ one sample
@@ -286,12 +289,16 @@ def _next_piece(w):
 @numba.njit(**OPTIONS)
 def _drive_segment(setting, w, k, parts, road, place):
     """All lanes over a segment; True if one of them has left the bound."""
+    width = int(setting[at.WIDTH])
     copy(w, at.SEGMENT, road, place, 9)
-    for l in range(L):
-        w[at.SEGMENT + l] *= w[at.ALIVE + l]
-        w[at.SEGMENT + 3 * L + l] *= w[at.ALIVE + l]
-        w[at.COUNTED + l] = w[at.SEGMENT + L + l] * w[at.ALIVE + l]
-        w[at.PARABOLA + l] = w[at.PARABOLA + L + l] = w[at.PARABOLA + 2 * L + l] = w[at.TARGET + l]
+    copy(w, at.BEGAN, w, at.NOW, 1)
+    for l in range(width):
+        alive, young, old = w[at.ALIVE + l], w[at.DRIVEN + l], w[at.DRIVEN + L + l]
+        u = young if w[at.SEGMENT + 2 * L + l] > 0.0 else old
+        w[at.SEGMENT + l] *= alive
+        w[at.SEGMENT + 3 * L + l] *= alive
+        w[at.COUNTED + l] = w[at.SEGMENT + L + l] * alive
+        w[at.TARGET + l] = w[at.PARABOLA + l] = w[at.PARABOLA + L + l] = w[at.PARABOLA + 2 * L + l] = u
     for n in range(at.SCORES * L):
         w[at.SAVED + n] = w[at.S + n]
     ramps = _steer(setting, w)
@@ -300,14 +307,15 @@ def _drive_segment(setting, w, k, parts, road, place):
         least = min(least, int(w[at.PARTS + l]))
     for j in range(parts):
         ends = j + 1 >= least or (j + 1) % at.PIECE == 0
-        for l in range(L):
+        whole = (j + 1) % at.PIECE == 0
+        for l in range(width):
             going = j < w[at.PARTS + l]
             w[at.H + l] = w[at.SEGMENT + 3 * L + l] if going else 0.0
-            w[at.DUE + l] = 1.0 if (j + 1 == w[at.PARTS + l]) | (going & ((j + 1) % at.PIECE == 0)) else 0.0
+            w[at.DUE + l] = 1.0 if (j + 1 == w[at.PARTS + l]) | (going & whole) else 0.0
         if moves and ramps:
             _along_ramp(setting, w, j)
         elif moves:
-            _along_decay(w)
+            _along_decay(setting, w)
         if setting[at.SATURATING] > 0.0:
             _saturating_substep(w, road, place + HEADER + 2 * j * POINT_SIZE, setting[at.SHAPE])
         else:
@@ -319,7 +327,7 @@ def _drive_segment(setting, w, k, parts, road, place):
                 for l in range(L):
                     if w[at.FLAG + l] > 0.0:
                         look_closer(setting, w, l, w[at.NOW + l], w[at.SPAN + l], w[at.COUNTED + l] > 0.0)
-            _next_piece(w)
+            _next_piece(setting, w)
     spun = _SPUN if setting[at.SATURATING] > 0.0 else math.inf
     lost = False
     for l in range(L):
@@ -338,13 +346,19 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
     # the steering angle at the trigger is not limited
     most = setting[at.DELTA_MAX] if whole >= 0 else math.inf
     most_stale = setting[at.DELTA_MAX] if whole >= 1 else math.inf
-    first, limit = (stale, most_stale) if setting[at.DELAY_PART] > 0.0 else (fresh, most)
     at_once = setting[at.LAG] == 0.0 and setting[at.RATE_MAX] == math.inf
-    for l in range(L):
-        w[at.LAST + l] = w[newest + l] = w[at.TARGET + l]
+    width, split = int(setting[at.WIDTH]), setting[at.DELAY_PART] > 0.0
+    copy(w, newest, w, at.TARGET, 1)
+    copy(w, at.LAST, w, at.TARGET, 1)
+    copy(w, at.DRIVEN, w, fresh, 1)
+    copy(w, at.DRIVEN + L, w, stale, 1)
+    copy(w, at.BEGAN + L, w, at.WHEEL, 1)
+    for l in range(width):
         w[at.NOW + l] = w[at.T_0 + l] + k * setting[at.DT]
-        w[at.BEGAN + L + l] = w[at.WHEEL + l]
-        w[at.PARABOLA + l] = min(max(w[first + l], -limit), limit) if at_once else w[at.WHEEL + l]
+        young = min(max(w[at.DRIVEN + l], -most), most)
+        old = min(max(w[at.DRIVEN + L + l], -most_stale), most_stale)
+        w[at.DRIVEN + l], w[at.DRIVEN + L + l] = young, old
+        w[at.PARABOLA + l] = (old if split else young) if at_once else w[at.WHEEL + l]
     _accelerations(setting, w, road, place + HEADER, at.PARABOLA, at.LIMITS)
     if paths.shape[0]:
         for l in range(L):
@@ -352,10 +366,6 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
             if w[at.ALIVE + l] > 0.0 and c >= 0:
                 paths[c, int(w[at.ENTRIES + l]) - 1, at.P_DELTA] = w[at.PARABOLA + l]
     while place < end:
-        for l in range(L):
-            young, old = min(max(w[fresh + l], -most), most), min(max(w[stale + l], -most_stale), most_stale)
-            w[at.TARGET + l] = young if road[place + 2 * L + l] > 0.0 else old
-            w[at.BEGAN + l] = w[at.NOW + l]
         if _drive_segment(setting, w, k, parts, road, place):
             for l in range(L):
                 if w[at.FLAG + l] > 0.0:
@@ -366,12 +376,14 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
         if place + mine < end:
             _at_T(setting, w, road, place + mine, paths)
         place += mine
-    for l in range(L):
-        if not w[at.ALIVE + l] > 0.0:  # a lane that has ended stays finite
-            for n in range(4):
-                w[at.X + n * L + l] = w[at.N + n * L + l] = 0.0
+    for l in range(width):  # a lane that has ended stays finite
+        alive = w[at.ALIVE + l] > 0.0
+        w[at.X + l] = w[at.N + l] = w[at.N + l] if alive else 0.0
+        w[at.X + L + l] = w[at.N + L + l] = w[at.N + L + l] if alive else 0.0
+        w[at.X + 2 * L + l] = w[at.N + 2 * L + l] = w[at.N + 2 * L + l] if alive else 0.0
+        w[at.X + 3 * L + l] = w[at.N + 3 * L + l] = w[at.N + 3 * L + l] if alive else 0.0
         rate = abs(w[at.WHEEL + l] - w[at.BEGAN + L + l]) / setting[at.DT]
-        w[at.S + at.RATE * L + l] = max(w[at.S + at.RATE * L + l], rate if w[at.ALIVE + l] > 0.0 else 0.0)
+        w[at.S + at.RATE * L + l] = larger(w[at.S + at.RATE * L + l], rate if alive else 0.0)
     _accelerations(setting, w, road, end - POINT_SIZE, at.WHEEL, at.LIMITS + L)
     copy(w, at.RECORDED, bend, now, 4)
     look_back(setting, w, k)

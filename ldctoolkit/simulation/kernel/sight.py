@@ -255,34 +255,65 @@ def take_between(setting, k, w):
         j += 1
 
 
+@numba.njit(forceinline=True, **OPTIONS)
+def _predict(w, n, width):
+    """A state of the filter, from the estimate and the lane's yaw rate in `POINTS` and two commands in `WORK`."""
+    row, from_state = at.OF_FILTER + n * L, at.OF_FILTER + (at.MODEL_A + 4 * n) * L
+    for l in range(width):
+        value = w[row + at.MODEL_B * L + l] * w[at.WORK + 2 * L + l]
+        value = fma(w[row + at.MODEL_E_0 * L + l], w[at.RATE_SEEN + l], value)
+        value = fma(w[row + at.MODEL_OLD * L + l], w[at.WORK + 3 * L + l], value)
+        value = fma(w[row + at.MODEL_WHEEL * L + l], w[at.WHEEL_SEEN + L + l], value)
+        value = fma(w[row + at.MODEL_E_1 * L + l], w[at.POINTS + l], value)
+        z_0, z_1 = w[at.POINTS + L + l], w[at.POINTS + 2 * L + l]
+        value = fma(w[from_state + l], z_0, fma(w[from_state + L + l], z_1, value))
+        z_2, z_3 = w[at.POINTS + 3 * L + l], w[at.POINTS + 4 * L + l]
+        w[at.ESTIMATE + n * L + l] = fma(w[from_state + 2 * L + l], z_2, fma(w[from_state + 3 * L + l], z_3, value))
+
+
+@numba.njit(forceinline=True, **OPTIONS)
+def _correct(w, n, width):
+    """The same state with the innovations in `WORK`."""
+    row = at.OF_FILTER + (at.GAIN + 2 * n) * L
+    for l in range(width):
+        value = w[row + l] * w[at.WORK + l] + w[row + L + l] * w[at.WORK + L + l]
+        w[at.ESTIMATE + n * L + l] += value
+
+
 @numba.njit(**OPTIONS)
 def see(setting, w, k, ahead, now, noise, place):
     """What the law sees of the state at sample k; each sample once and in order."""
-    ring, age = int(setting[at.COMMANDS]), setting[at.KNOWN_AGE] / setting[at.DT]
+    ring, age, width = int(setting[at.COMMANDS]), setting[at.KNOWN_AGE] / setting[at.DT], int(setting[at.WIDTH])
     wheels, newer = at.RINGS + ring * L, k - math.floor(age + SAME)
     share = max(age - math.floor(age + SAME), 0.0)
-    for l in range(L):
-        w[at.WHEEL_SEEN + L + l] = w[at.WHEEL_SEEN + l]
-        w[wheels + (k % ring) * L + l] = w[at.WHEEL + l]
-        angle = w[wheels + (newer % ring) * L + l]
-        w[at.WHEEL_SEEN + l] = angle + share * (w[wheels + ((newer - 1) % ring) * L + l] - angle)
-    for n in range(4 * L):
-        w[at.SEEN + n] = w[at.X + n]
+    copy(w, wheels + (k % ring) * L, w, at.WHEEL, 1)
+    copy(w, at.WHEEL_SEEN + L, w, at.WHEEL_SEEN, 1)
+    copy(w, at.WORK, w, wheels + (newer % ring) * L, 1)
+    copy(w, at.WORK + L, w, wheels + ((newer - 1) % ring) * L, 1)
+    for l in range(width):
+        w[at.WHEEL_SEEN + l] = w[at.WORK + l] + share * (w[at.WORK + L + l] - w[at.WORK + l])
+    copy(w, at.SEEN, w, at.X, 4)
     if setting[at.CAMERA] == 0.0:
         return
     _take_frames(setting, k, w)
     frames, _, _, _ = rings(setting)
-    frame, noisy = frames + 2 * (k % int(setting[at.FRAMES])) * L, setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0
-    draws, lane = at.POINTS, at.POINTS + 2 * L  # what is worked on together lies in one array
-    if noisy:
+    draws, lane = at.WORK + 2 * L, at.POINTS  # what is worked on together lies in one array
+    copy(w, at.WORK, w, frames + 2 * (k % int(setting[at.FRAMES])) * L, 2)
+    if setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0:
         copy(w, draws, noise, place, 2)
-    for l in range(L):
-        for n in range(2):
-            spread, bias, step = setting[at.NOISE_Y + n], setting[at.BIAS_Y + n], setting[at.STEP_Y + n]
-            value = w[frame + n * L + l] + w[at.OUTWARD + l] * bias
-            if noisy:
-                value += spread * w[draws + n * L + l]
-            w[at.SEEN + 2 * n * L + l] = step * np.rint(value / step) if step > 0.0 else value
+    else:
+        for n in range(2 * L):
+            w[draws + n] = 0.0
+    for n in range(2):
+        spread, bias, step = setting[at.NOISE_Y + n], setting[at.BIAS_Y + n], setting[at.STEP_Y + n]
+        for l in range(width):
+            w[at.WORK + l] += fma(w[at.OUTWARD + l], bias, spread * w[draws + l])
+        if step > 0.0:
+            for l in range(L):
+                w[at.WORK + l] = step * np.rint(w[at.WORK + l] / step)
+        copy(w, at.SEEN + 2 * n * L, w, at.WORK, 1)
+        copy(w, at.WORK, w, at.WORK + L, 1)
+        copy(w, draws, w, draws + L, 1)
     if setting[at.FILTERED] == 0.0:
         return
     young = at.RINGS + ((k - 1 - int(setting[at.KNOWN_DELAY])) % ring) * L
@@ -291,24 +322,19 @@ def see(setting, w, k, ahead, now, noise, place):
     if k > 0:
         copy(w, draws, w, young, 1)
         copy(w, draws + L, w, old, 1)
-        for l in range(L):
-            z_0, z_1 = w[at.ESTIMATE + l], w[at.ESTIMATE + L + l]
-            z_2, z_3 = w[at.ESTIMATE + 2 * L + l], w[at.ESTIMATE + 3 * L + l]
-            for n in range(4):
-                row = at.OF_FILTER + n * L + l
-                value = w[row + at.MODEL_B * L] * w[draws + l] + w[row + at.MODEL_E_0 * L] * w[at.RATE_SEEN + l]
-                value = fma(w[row + at.MODEL_OLD * L], w[draws + L + l], value)
-                value = fma(w[row + at.MODEL_WHEEL * L], w[at.WHEEL_SEEN + L + l], value)
-                value = fma(w[row + at.MODEL_E_1 * L], w[lane + l], value)
-                row = at.OF_FILTER + (at.MODEL_A + 4 * n) * L + l
-                value = fma(w[row], z_0, fma(w[row + L], z_1, value))
-                w[at.ESTIMATE + n * L + l] = fma(w[row + 2 * L], z_2, fma(w[row + 3 * L], z_3, value))
+        copy(w, at.POINTS + L, w, at.ESTIMATE, 4)
+        _predict(w, 0, width)
+        _predict(w, 1, width)
+        _predict(w, 2, width)
+        _predict(w, 3, width)
     if k == 0 or frame_of(setting, k) != frame_of(setting, k - 1):
-        for l in range(L):
-            a, b = w[at.SEEN + l] - w[at.ESTIMATE + l], w[at.SEEN + 2 * L + l] - w[at.ESTIMATE + 2 * L + l]
-            for n in range(4):
-                row = at.OF_FILTER + (at.GAIN + 2 * n) * L + l
-                w[at.ESTIMATE + n * L + l] += w[row] * a + w[row + L] * b
+        for l in range(width):
+            w[at.WORK + l] = w[at.SEEN + l] - w[at.ESTIMATE + l]
+            w[at.WORK + L + l] = w[at.SEEN + 2 * L + l] - w[at.ESTIMATE + 2 * L + l]
+        _correct(w, 0, width)
+        _correct(w, 1, width)
+        _correct(w, 2, width)
+        _correct(w, 3, width)
     copy(w, at.RATE_SEEN, w, lane, 1)
     copy(w, at.SEEN, w, at.ESTIMATE, 4)
 
@@ -320,19 +346,21 @@ def command(setting, w, k, g, ahead, now, lookaheads, past):
     for l in range(width):
         w[at.TARGET + l] = w[at.OF_LAW + at.LAW_I * L + l] * w[at.Z + l]
         w[at.Z + l] = fma(setting[at.DT], w[at.SEEN + l], w[at.Z + l])
-    for j in range(2 * lookaheads):
+    for j in range(2 * lookaheads + past):
+        copy(w, at.WORK, g, j * L, 1)
+        if j < 2 * lookaheads:
+            copy(w, at.WORK + L, ahead, now + (1 + j) * L, 1)
+        else:
+            copy(w, at.WORK + L, w, at.RINGS + ((k - 2 - j + 2 * lookaheads) % int(setting[at.COMMANDS])) * L, 1)
         for l in range(width):
-            w[at.TARGET + l] = fma(g[j * L + l], ahead[now + (1 + j) * L + l], w[at.TARGET + l])
-    for j in range(past):
-        row = at.RINGS + ((k - 2 - j) % int(setting[at.COMMANDS])) * L
-        for l in range(width):
-            w[at.TARGET + l] = fma(g[(2 * lookaheads + j) * L + l], w[row + l], w[at.TARGET + l])
-    for l in range(L):
+            w[at.TARGET + l] = fma(w[at.WORK + l], w[at.WORK + L + l], w[at.TARGET + l])
+    for l in range(width):
         value = fma(w[at.OF_LAW + at.LAW_U * L + l], w[at.LAST + l], w[at.TARGET + l])
         value = fma(w[at.OF_LAW + l], w[at.SEEN + l], fma(w[at.OF_LAW + L + l], w[at.SEEN + L + l], value))
         value = fma(w[at.OF_LAW + 2 * L + l], w[at.SEEN + 2 * L + l], value)
         value = fma(w[at.OF_LAW + 3 * L + l], w[at.SEEN + 3 * L + l], value)
         value = fma(w[at.OF_LAW + at.LAW_WHEEL * L + l], w[at.WHEEL_SEEN + l], value)
         wrong = not abs(value) < LARGEST
-        w[at.FAILED + l] += w[at.ALIVE + l] if wrong else 0.0
-        w[at.TARGET + l] = w[at.LAST + l] if wrong else value
+        alive, last = w[at.ALIVE + l], w[at.LAST + l]
+        w[at.FAILED + l] += alive if wrong else 0.0
+        w[at.TARGET + l] = last if wrong else value
