@@ -287,25 +287,18 @@ def rings(setting):
     return frames, limits, modes, modes + L * int(setting[at.MODES])
 
 
-@numba.njit(inline="always", **OPTIONS)
-def _row(w, row):
-    """A row of lanes, read before anything is written: only then are the lanes moved together."""
-    row &= POSITIVE
-    return w[row], w[row + 1], w[row + 2], w[row + 3], w[row + 4], w[row + 5], w[row + 6], w[row + 7]
-
-
-@numba.njit(inline="always", **OPTIONS)
-def _put(w, row, a):
-    row &= POSITIVE
-    w[row], w[row + 1], w[row + 2], w[row + 3] = a[0], a[1], a[2], a[3]
-    w[row + 4], w[row + 5], w[row + 6], w[row + 7] = a[4], a[5], a[6], a[7]
-
-
-@numba.njit(inline="always", **OPTIONS)
+@numba.njit(forceinline=True, **OPTIONS)
 def copy(w, row, other, place, count):
-    """Copy whole rows of lanes from another array: what is worked on together lies in one."""
-    for n in range(count):
-        _put(w, row + n * L, _row(other, place + n * L))
+    """Copy whole rows of lanes from another array: what is worked on together lies in one.
+
+    Eight numbers are read before any is written: only then are they moved together.
+    """
+    for n in range(count * (L // 8)):
+        p, q = (place + 8 * n) & POSITIVE, (row + 8 * n) & POSITIVE
+        a_0, a_1, a_2, a_3 = other[p], other[p + 1], other[p + 2], other[p + 3]
+        a_4, a_5, a_6, a_7 = other[p + 4], other[p + 5], other[p + 6], other[p + 7]
+        w[q], w[q + 1], w[q + 2], w[q + 3] = a_0, a_1, a_2, a_3
+        w[q + 4], w[q + 5], w[q + 6], w[q + 7] = a_4, a_5, a_6, a_7
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -340,24 +333,21 @@ def look_back(setting, w, k):
     _, limits, _, _ = rings(setting)
     mask = int(setting[at.RING]) - 1
     for n in range(2):
-        _put(w, limits + (4 * (k & mask) + 2 * n) * L, _row(w, at.LIMITS + 2 * n * L))
-        _put(w, limits + (4 * ((k + 1) & mask) + 2 * n + 1) * L, _row(w, at.LIMITS + (2 * n + 1) * L))
+        copy(w, limits + (4 * (k & mask) + 2 * n) * L, w, at.LIMITS + 2 * n * L, 1)
+        copy(w, limits + (4 * ((k + 1) & mask) + 2 * n + 1) * L, w, at.LIMITS + (2 * n + 1) * L, 1)
     for left in range(2):
         start, end, share = _past(setting, k + left - setting[at.WINDOW], left)
         if start < 0:
-            _put(w, at.PAST + left * L, _row(w, at.BEFORE))
-            _put(w, at.PAST + (2 + left) * L, _row(w, at.RECORDED + (2 + left) * L))
+            copy(w, at.PAST + left * L, w, at.BEFORE, 1)
+            copy(w, at.PAST + (2 + left) * L, w, at.RECORDED + (2 + left) * L, 1)
         else:
             for n in range(2):
-                a = _row(w, start + 2 * n * L)
+                copy(w, at.WORK, w, start + 2 * n * L, 1)
                 if share > 0.0:
-                    b = _row(w, end + 2 * n * L)
-                    a = (
-                        fma(share, b[0] - a[0], a[0]), fma(share, b[1] - a[1], a[1]), fma(share, b[2] - a[2], a[2]),
-                        fma(share, b[3] - a[3], a[3]), fma(share, b[4] - a[4], a[4]), fma(share, b[5] - a[5], a[5]),
-                        fma(share, b[6] - a[6], a[6]), fma(share, b[7] - a[7], a[7]),
-                    )  # fmt: skip
-                _put(w, at.PAST + (2 * n + left) * L, a)
+                    copy(w, at.WORK + L, w, end + 2 * n * L, 1)
+                    for l in range(int(setting[at.WIDTH])):
+                        w[at.WORK + l] = fma(share, w[at.WORK + L + l] - w[at.WORK + l], w[at.WORK + l])
+                copy(w, at.PAST + (2 * n + left) * L, w, at.WORK, 1)
 
 
 @numba.njit(**OPTIONS)
