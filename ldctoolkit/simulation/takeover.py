@@ -45,6 +45,9 @@ _AT_ONCE = 1024
 # longest substep of the Runge-Kutta method, in units of the fastest time constant
 _REACH = 0.25
 
+# and in seconds: the yaw oscillation and the law's own poles are no slower at high speed
+_LONGEST = 0.03
+
 
 @dataclasses.dataclass(frozen=True)
 class Takeover:
@@ -379,7 +382,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.SUBSTEPS: np.maximum(np.ceil(setup.dt * np.maximum(lateral, yaw) / over.slowest / _REACH), 1.0),
+        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / over.slowest / _REACH, 1.0 / _LONGEST)),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,
