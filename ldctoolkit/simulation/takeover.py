@@ -32,7 +32,6 @@ BOUND = 20.0
 JERK_WINDOW = 0.5
 """Moving average [s] of the lateral jerk (ISO 11270)."""
 
-
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
 
@@ -42,11 +41,9 @@ _SPEED_STEP = 1e-4
 # scenarios whose recorded paths are looked at together
 _AT_ONCE = 1024
 
-# longest substep of the Runge-Kutta method, in units of the fastest time constant
-_REACH = 0.25
-
-# and in seconds: the yaw oscillation and the law's own poles are no slower at high speed
-_LONGEST = 0.03
+# longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation and
+# the law's own poles are no slower at high speed
+_REACH, _LONGEST = 0.25, 0.03
 
 
 @dataclasses.dataclass(frozen=True)
