@@ -41,8 +41,8 @@ _SPEED_STEP = 1e-4
 # scenarios whose recorded paths are looked at together
 _AT_ONCE = 1024
 
-# longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation and
-# the law's own poles are no slower at high speed
+# longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
+# and the law's own poles are no slower at high speed
 _REACH, _LONGEST = 0.25, 0.03
 
 
