@@ -32,7 +32,6 @@ BOUND = 20.0
 JERK_WINDOW = 0.5
 """Moving average [s] of the lateral jerk (ISO 11270)."""
 
-
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
 
@@ -42,8 +41,9 @@ _SPEED_STEP = 1e-4
 # scenarios whose recorded paths are looked at together
 _AT_ONCE = 1024
 
-# longest substep of the Runge-Kutta method, in units of the fastest time constant
-_REACH = 0.25
+# longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
+# and the law's own poles are no slower at high speed
+_REACH, _LONGEST = 0.25, 0.03
 
 
 @dataclasses.dataclass(frozen=True)
@@ -386,7 +386,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.SUBSTEPS: np.maximum(np.ceil(setup.dt * np.maximum(lateral, yaw) / over.slowest / _REACH), 1.0),
+        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / over.slowest / _REACH, 1.0 / _LONGEST)),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,

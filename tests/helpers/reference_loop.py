@@ -10,6 +10,7 @@ and at T.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -139,7 +140,8 @@ class Path:
         return bend * self.v(t) ** 2 + slope * self.dv(t) + self._wave(self.a, 2, t)
 
     def c(self, t: Times) -> Times:
-        return self.c_0 + self.dc * np.minimum(t / self.T, 1.0)
+        share = t / self.T
+        return self.c_0 + self.dc * (min(share, 1.0) if isinstance(share, float) else np.minimum(share, 1.0))
 
     def e_y(self, t: Times) -> Times:
         return self.side * (self.y(t) + OFFSET)
@@ -186,6 +188,8 @@ class Drive:
     seen: np.ndarray
     commands: np.ndarray
     companions: dict[str, float]
+    margin: float = math.inf
+    """How close a value came to where it is rounded the other way, in steps."""
 
 
 def drive(
@@ -201,12 +205,14 @@ def drive(
     curvature_draw: float = 0.0,
     noise: Mapping[int, np.ndarray] | None = None,
     known: bool = True,
+    rtol: float = 1e-13,
 ) -> Drive:
     """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
     it lag and delays too.
 
     Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, `curvature_draw`, and
-    `noise`, a frame's number -> its two standard normal numbers; none without it.
+    `noise`, a frame's number -> its two standard normal numbers; none without it. With
+    `rtol` above 1e-12 the metrics beside S are left out.
     """
     options = PlantOptions() if options is None else options
     vehicle = Vehicle() if vehicle is None else vehicle
@@ -216,7 +222,7 @@ def drive(
     S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, path.e_psi)])
     if math.isinf(t_s):
         return _never_triggered(path, before, S_recorded, true)
-    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, noise or {}, known)
+    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, noise or {}, known, rtol)
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
@@ -231,7 +237,8 @@ def drive(
         a_y=np.array(loop.rows_a_y),
         seen=np.array(loop.seen),
         commands=path.side * np.array(loop.commands),
-        companions=_companions(path, departure, loop),
+        margin=loop.margin,
+        companions=_companions(path, departure, loop) if rtol < 1e-12 else {},
     )
 
 
@@ -239,17 +246,19 @@ class _Loop:
     def __init__(
         self, path: Path, law: Law, options: PlantOptions, vehicle: Vehicle, true: Vehicle,
         t_s: float, dt: float, settle: float, curvature_draw: float, noise: Mapping[int, np.ndarray], known: bool,
+        rtol: float,
     ) -> None:  # fmt: skip
         self.path, self.law, self.options, self.true = path, law, options, true
         self.t_s, self.dt, self.v_s = t_s, dt, path.v(t_s)
         self.frozen = options.speed == "frozen"
-        self.curvature_draw = curvature_draw
+        self.at: tuple[Times, Times] = (None, None)  # the last time and the speed then
+        self.curvature_draw, self.rtol = curvature_draw, rtol
         self.full = math.floor((path.T - t_s) / dt)
         self.rest = path.T - t_s - self.full * dt
         self.more = math.ceil(settle / dt - 1e-9)
         x_0, self.delta_0 = self.recorded(t_s), self.attitude(t_s)[1]
         self.state = np.append(self.vehicle_coordinates(t_s, x_0), self.delta_0)
-        self.camera, self.noise = _Camera(options.sensors, dt), noise
+        self.camera, self.noise, self.margin = _Camera(options.sensors, dt), noise, math.inf
         self.age = self.camera.age * known
         self.known_delay = options.actuator.delay * known + self.age
         self.filter = None
@@ -279,7 +288,11 @@ class _Loop:
         return np.array([path.e_y(t), rates[0], self.attitude(t)[0], rates[1]])
 
     def v(self, t: Times) -> Times:
-        return self.v_s if self.frozen else self.path.v(np.minimum(t, self.path.T))
+        if self.frozen:
+            return self.v_s
+        if t is not self.at[0]:
+            self.at = t, self.path.v(np.minimum(t, self.path.T))
+        return self.at[1]
 
     def dv(self, t: float, inside: bool) -> float:
         return self.path.dv(t) if inside and not self.frozen else 0.0
@@ -368,8 +381,7 @@ class _Loop:
         return F_f * math.cos(delta), F_r
 
     def a_y(self, t: float, state: np.ndarray) -> float:
-        F_f, F_r = self.forces(t, state)
-        return (F_f + F_r) / self.true.m + self._slip_of_the_print(t, state)
+        return sum(self.forces(t, state)) / self.true.m + self._slip_of_the_print(t, state)
 
     def _slip_of_the_print(self, t: float, state: np.ndarray) -> float:
         if not (self.true.as_printed and self.options.tyres.model == "linear"):
@@ -378,12 +390,14 @@ class _Loop:
         return -4 * p.C_ar * p.l_r / (p.m * self.v(t)) * (state[3] - self.yaw_rate(t))
 
     def derivative(self, t: float, state: np.ndarray, inside: bool, wheel: Callable[[float], float]) -> np.ndarray:
-        e_psi, v_y, omega, delta = state[1:]
+        state = state.tolist()  # ten times as fast as numbers out of an array
+        _, e_psi, v_y, omega, delta = state
         F_f, F_r = self.forces(t, state)
+        a_y = (F_f + F_r) / self.true.m + self._slip_of_the_print(t, state)
         de_y = self.lateral_rate(t, e_psi, v_y)
         # the lane's yaw acceleration is left out of e_psi'' = omega' - psi_l'', so it is put into omega'
         d_omega = (self.true.l_f * F_f - self.true.l_r * F_r) / self.true.I_z + self.yaw_acceleration(t, inside)
-        return np.array([de_y, omega - self.yaw_rate(t), self.a_y(t, state) - self.v(t) * omega, d_omega, wheel(delta)])
+        return np.array([de_y, omega - self.yaw_rate(t), a_y - self.v(t) * omega, d_omega, wheel(delta)])
 
     # time
 
@@ -436,7 +450,7 @@ class _Loop:
         self.seen.append(self.path.side * seen)
         command = self.law(
             seen, lambda ahead: self.yaw_rate_seen(t + ahead), lambda ahead: self.heading_seen(t, ahead),
-            self._commanded(k - 1), [self._commanded(k - 2 - j) for j in range(3)], wheels[1],
+            self._commanded(k - 1), [self._commanded(k - 2 - j) for j in range(8)], wheels[1],
         )  # fmt: skip
         self.commands.append(float(command))
 
@@ -449,8 +463,11 @@ class _Loop:
             piece = next(piece for piece in self.pieces if t <= piece.end + 1e-12)
             true = piece.e_y(t), piece.e_psi(t)
         drawn = self.path.side * self.noise.get(number, np.zeros(2))
-        e_y, e_psi = true + drawn * [s.e_y_noise, s.e_psi_noise] + [s.e_y_bias, s.e_psi_bias]
-        return np.array([rounded(e_y, s.e_y_step), rounded(e_psi, s.e_psi_step)])
+        exact = true + drawn * [s.e_y_noise, s.e_psi_noise] + [s.e_y_bias, s.e_psi_bias]
+        frame = np.array([rounded(exact[0], s.e_y_step), rounded(exact[1], s.e_psi_step)])
+        for off, step in zip(np.abs(exact - frame), (s.e_y_step, s.e_psi_step), strict=True):
+            self.margin = min(self.margin, 0.5 - off / step if step > 0 else math.inf)
+        return frame
 
     def _switches(self, k: int) -> list[tuple[float, float]]:
         """(time after the sample, delayed and limited command from there on) in step k."""
@@ -480,7 +497,8 @@ class _Loop:
         for end, wheel in phases(self.options.actuator, self.state[4], u, low, high):
             solution = solve_ivp(
                 self.derivative, (low, end), self.state, args=(inside, wheel), method="DOP853",
-                rtol=1e-13, atol=1e-14, dense_output=True, max_step=max((end - low) / 2, 1e-9),
+                rtol=self.rtol, atol=0.1 * self.rtol, dense_output=True,
+                max_step=max((end - low) / 2, 1e-9) if self.rtol < 1e-12 else math.inf,
             )  # fmt: skip
             assert solution.success
             sol = solution.sol
@@ -557,14 +575,14 @@ class _Filter:
         M[:4, :4], M[:4, 4 if lag else 7], M[:4, 5], M[5, 6] = A, B, E, 1.0
         if lag:
             M[4, 4], M[4, 7] = -1.0 / lag, 1.0 / lag
-        self.M, self.dt, self.z = M, dt, z
+        self.dt, self.z, self.over = dt, z, functools.cache(lambda s: expm(s * M))
         self.gain = stationary_gain(expm(dt * A), dt, p, kalman)
 
     def predict(self, wheel: float, arriving: list[tuple[float, float]], r_0: float, r_1: float) -> None:
         s = np.array([*self.z, wheel, r_0, (r_1 - r_0) / self.dt, 0.0])
         ends = [*(late for late, _ in arriving[1:]), self.dt]
         for (late, s[7]), end in zip(arriving, ends, strict=True):
-            s = expm((end - late) * self.M) @ s
+            s = self.over(end - late) @ s
         self.z = s[:4]
 
     def correct(self, frame: np.ndarray) -> None:

@@ -89,30 +89,6 @@ def test_whole_delays_without_lag_are_exact_at_samples(delay: float) -> None:
         assert t[late] == pytest.approx(delay, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("kind", "delay"),
-    grid(ACTUATORS, [0.0, DT, 0.02, 0.088], *((kind, 0.088) for kind in ACTUATORS), ("lag and rate", DT)),
-)
-def test_a_linear_law_that_alternates_is_followed_step_by_step(kind: str, delay: float) -> None:
-    """Commands f, f^2, f^3, ... times delta_0, f < 0: each jump starts where the last one had got to."""
-    factor, given = -0.8, ACTUATORS[kind]
-    lag, rate = given.get("lag", 0.0), given.get("rate_max", np.inf)
-    for i, (t, delta) in enumerate(wheel(Constant(f_u=factor), Actuator(**given, delay=delay))):
-        samples = np.abs(t / DT - np.round(t / DT)) < 1e-9
-        arrivals = [(round(k * DT + delay, 12), 1, delta_0(i) * factor ** (k + 1)) for k in range(samples.sum())]
-        reads = [(round(k * DT, 12), 2, 0.0) for k in range(samples.sum())]
-        now, angle, target, expected = 0.0, delta_0(i), delta_0(i), []
-        for s, what, new in sorted(arrivals + reads):
-            angle = float(moved(np.array(s - now), angle, target, lag, rate))
-            now = s
-            if what == 1:
-                target = new
-                angle = target if not given else angle
-            else:
-                expected.append(angle)
-        np.testing.assert_allclose(delta[samples], expected, rtol=0, atol=1e-12)
-
-
 def test_the_rate_is_kept_between_samples_too() -> None:
     """A limit that no sample sees broken, with commands that arrive between samples and turn round at once."""
     for _, delta in wheel(Constant(f_u=-0.95), Actuator(rate_max=0.3, delay=0.021)):

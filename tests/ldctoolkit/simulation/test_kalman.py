@@ -1,4 +1,4 @@
-"""The stationary filter gain against scipy, and against the covariance of the filter run frame by frame."""
+"""The stationary filter gain against scipy; the filter in the loop: test_plant_options."""
 
 from __future__ import annotations
 
@@ -35,25 +35,6 @@ def test_gain_equals_scipys_riccati(kalman: KalmanFilter, frame_samples: int, dt
         Q_p = sum(power @ Q @ power.T for power in powers[:-1])
         P = scipy.linalg.solve_discrete_are(powers[-1].T, C.T, Q_p, R)
         np.testing.assert_allclose(M[i], P @ C.T @ np.linalg.inv(C @ P @ C.T + R), rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("frame_samples", [1, 4])
-@pytest.mark.parametrize("v", [28.0])
-def test_gain_is_where_the_filters_covariance_settles(frame_samples: int, v: float) -> None:
-    """Predicted sample by sample, corrected at each frame in Joseph's form, from a wide start."""
-    kalman, dt = KalmanFilter(), 0.05
-    Q, R = noises(kalman, dt)
-    A = scipy.linalg.expm(dt * Vehicle().matrices(v)[0])
-    P = np.diag([1.0, 1.0, 0.1, 0.1])
-    M = np.zeros((4, 2))
-    for _ in range(600):
-        M = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-        J = np.eye(4) - M @ C
-        P = J @ P @ J.T + M @ R @ M.T
-        for _ in range(frame_samples):
-            P = A @ P @ A.T + Q
-    ours = filter_gain(Plant.build(BicycleModel(), [v], dt), kalman, frame_samples)
-    np.testing.assert_allclose(ours[0], M, rtol=0, atol=1e-10)
 
 
 def test_gain_does_not_depend_on_the_set() -> None:

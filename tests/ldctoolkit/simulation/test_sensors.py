@@ -109,15 +109,6 @@ def test_one_noise_alone_leaves_the_other_quantity_true() -> None:
     assert (seen.x[..., 2] != true[..., 2]).all()
 
 
-@pytest.mark.parametrize("side", [1, -1])
-def test_bias_is_in_the_roads_frame(side: int) -> None:
-    """Positive to the left: a left departure looks deeper by it, a right one less deep."""
-    seen, true = watch(alike(2, side=side), Sensors(e_y_bias=0.07, e_psi_bias=-0.005))
-    np.testing.assert_allclose(
-        seen.x - true, np.broadcast_to([side * 0.07, 0, side * -0.005, 0], true.shape), atol=1e-15
-    )
-
-
 def test_values_are_rounded_to_the_step_last_of_all() -> None:
     seen, true = watch(alike(2), Sensors(e_y_step=0.02, e_psi_step=0.003, e_y_bias=0.004))
     np.testing.assert_array_equal(seen.x[..., 0], 0.02 * np.rint((true[..., 0] + 0.004) / 0.02))
@@ -170,27 +161,6 @@ def test_a_frame_keeps_its_noise_while_it_is_the_latest() -> None:
     # ... which is that of the same frame when it arrives at once
     prompt, _ = watch(alike(5), Sensors(e_y_noise=0.1, period=3 * DT))
     np.testing.assert_array_equal(first, prompt.x[::3, :, 0][: first.shape[0]])
-
-
-@pytest.mark.parametrize("speed", ["frozen", "profile"])
-@pytest.mark.parametrize("side", [1, -1])
-def test_curvature_error_is_in_the_preview_and_nowhere_else(side: int, speed: str) -> None:
-    """Relative error and bias of the curvature; the bias is in the road's frame. The path stays the true one."""
-    scenarios = alike(1, side=side)
-    ideal, path = watch(scenarios, Sensors(), speed=speed)
-    off, same_path = watch(scenarios, Sensors(curvature_gain=0.15, curvature_bias=3e-4), speed=speed)
-    np.testing.assert_allclose(path, same_path, rtol=0, atol=1e-5)  # exact steps, and those of Runge and Kutta
-    t = off.t[:, :1, None] + AHEAD  # (k, 1, 3)
-    if speed == "frozen":
-        v = np.full_like(t, 22.0 + 0.3 * (off.t[0, 0] - 0.51))
-        way = v * AHEAD
-    else:
-        inside = np.minimum(t, 1.02)
-        v = 22.0 + 0.3 * (inside - 0.51)
-        x = 22.0 * inside + 0.15 * (inside**2 - 1.02 * inside) + v * (t - inside)
-        way = x - x[:, :, :1]
-    np.testing.assert_allclose(off.yaw_rate, 1.15 * ideal.yaw_rate + side * 3e-4 * v, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(off.heading, 1.15 * ideal.heading + side * 3e-4 * way, rtol=0, atol=1e-14)
 
 
 def test_curvature_noise_is_one_normal_draw_a_scenario() -> None:
