@@ -38,7 +38,9 @@ def test_real_driving_to_a_report(ngsim_recordings: Path, tmp_path: Path) -> Non
     assert "refused: lane change" in found
     assert 200 <= pl.read_parquet(tmp_path / "d.parquet").height <= 300  # about 250, says the data's README
     good("fit", "d.parquet", "-o", "m.json", cwd=tmp_path)
-    ran = good("run", "trigger-and-gains", "--model", "m.json", "-o", "out", "--no-figures", cwd=tmp_path)
+    ran = good(
+        "run", "trigger-and-gains", "--model", "m.json", "-o", "out", "--no-robustness", "--no-figures", cwd=tmp_path
+    )
     assert "report:" in ran
     check_study(tmp_path / "out", designs=117)
 

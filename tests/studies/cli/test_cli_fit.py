@@ -251,7 +251,6 @@ def test_a_study_of_some_departures_only(tmp_path: Path) -> None:
     assert note in json.loads((tmp_path / "o" / "manifest.json").read_text())["model_notes"]
     page = (tmp_path / "o" / "report.html").read_text(encoding="utf-8")  # it sets symbols its own way
     assert re.search(r"<li>Only departures with [^\n]* above 25 m/s are drawn from it\.</li>", page)
-    good("run", "s.toml", "-o", "o", "--workers", "1", "--quiet", "--no-figures", "--no-robustness", cwd=tmp_path)
     (tmp_path / "s.toml").write_text(STUDY.replace("[25, inf]", "[26, inf]"))
     assert "holds another study (motorway): scenarios.given.v_mean: [25.0, None] there, [26.0, None] now" in bad(
         "run", "s.toml", "-o", "o", cwd=tmp_path

@@ -307,7 +307,7 @@ def test_false_alarms_are_as_rare_as_promised(n: int, share: float) -> None:
 @pytest.mark.slow
 def test_the_winners_interval_minds_that_they_were_chosen() -> None:
     """20 designs, all equal in truth, other ones in the new study: the best by chance must not look better."""
-    repetitions, alarms = 200, 0
+    repetitions, alarms = 60, 0
     for repetition in range(repetitions):
         generator = np.random.default_rng(repetition)
         common = generator.gamma(2.0, 1.0, 300)

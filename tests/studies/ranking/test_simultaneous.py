@@ -104,7 +104,7 @@ def test_coverage_at_1000_scenarios() -> None:
 
 @pytest.mark.slow
 def test_coverage_at_200_scenarios() -> None:
-    found = coverage(Truth.of(DESIGNS, 0.03), 200, repetitions=300, samples=500)
+    found = coverage(Truth.of(DESIGNS, 0.03), 200, repetitions=150, samples=500)
     assert found.S >= 0.90
     assert found.baseline >= 0.90
     assert found.best >= 0.93

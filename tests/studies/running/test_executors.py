@@ -23,6 +23,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from studies import Study, StudyResults, rank_study, run_study
+from studies.running import campaign
 from studies.running.executors import Executor, dask_cluster, dask_connection, make_executor, processes
 from studies.running.tasks import Done
 
@@ -123,10 +124,11 @@ def test_serial_processes_and_a_dask_cluster_give_the_same_bits(
 
 @pytest.mark.slow
 def test_a_dask_worker_that_is_killed_loses_nothing(
-    make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any]
+    make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    designs = [{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 60}}]
-    study = make_study(design=designs, scenarios={"left": 100, "right": 100})
+    monkeypatch.setattr(campaign, "_STORE_EVERY", 0.3)
+    designs = [{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 30}}]
+    study = make_study(design=designs, scenarios={"left": 60, "right": 60})
     run_study(study, directory=tmp_path / "serial", executor="serial")
     with cluster(tmp_path) as (address, workers):
         ended: list[Any] = []

@@ -18,7 +18,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 
-KILLS = 6
+KILLS = 4
 
 LONG = 600
 """Seconds that a whole run may take, on a machine that does other things as well and has to compile first."""
@@ -37,8 +37,8 @@ STUDY = """
 name = "killed"
 seed = 5
 [scenarios]
-left = 200
-right = 200
+left = 100
+right = 100
 [simulation]
 convention = ["consistent", "as_printed"]
 [ranking]
@@ -48,7 +48,7 @@ finalists = 5
 law = "preview_proportional"
 y_s = [0.05, 0.1]
 [design.gains]
-K_y = { from = -0.04, to = -0.002, count = 20 }
+K_y = { from = -0.04, to = -0.002, count = 10 }
 K_psi = [-0.3, -0.2]
 [[design]]
 law = "stanley"
@@ -110,13 +110,15 @@ def ranking(folder: Path) -> list[dict[str, str]]:
 def test_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
     whole = tmp_path / "whole"
-    assert start(tmp_path, "first", "--workers", "2").wait(LONG) == 0  # it may have to compile
     process, started = start(tmp_path, "whole", "--workers", "2"), time.monotonic()
     while not finished(whole):
         assert process.poll() is None
         time.sleep(0.01)
     took = time.monotonic() - started
-    assert process.wait(LONG) == 0
+    while not (whole / "ranking.csv").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    kill(process)  # its page is not looked at
     chance, killed = random.Random(7), tmp_path / "killed"
     unfinished = []
     for i in range(KILLS):

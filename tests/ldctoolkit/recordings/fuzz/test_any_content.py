@@ -149,7 +149,7 @@ FUZZ = {
     "recognise": fuzz_recognise,
 }
 FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
-SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 2000, "places": 200, "recognise": 150}
+SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 500, "places": 80, "recognise": 50}
 
 
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
