@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import html
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
@@ -16,6 +15,7 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import Companions
+from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
@@ -30,9 +30,6 @@ FAILED_STATUSES: Final = (
 
 RunKey = tuple[str, str]
 """Identifier of a design and a convention: what one simulation is called."""
-
-
-_CELL: Final = "text-align:left;padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -307,15 +304,7 @@ class StudyResults:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""
-        rows = "".join(
-            f'<tr><th scope="row" style="font-weight:normal;{_CELL}">{html.escape(name)}</th>'
-            f'<td style="{_CELL}">{html.escape(value)}</td></tr>'
-            for name, value in self._lines()
-        )
-        return (
-            '<div style="overflow-x:auto"><div><b>Study results</b></div>'
-            f'<table style="border-collapse:collapse"><tbody>{rows}</tbody></table></div>'
-        )
+        return facts_html("Study results", self._lines(), "text-align:left")
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         laws = Counter(design.law for design in self.designs)

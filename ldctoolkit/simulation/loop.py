@@ -25,7 +25,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, InitialYawRate, PlantKnowledge, Setup, Start
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Outcome, Run, SolverLog, Trajectories, Window
-from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of, times_of
+from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 Chosen = bool | npt.ArrayLike
@@ -67,29 +67,15 @@ def simulate(
     scenarios : Scenarios
         n departures.
     setup : Setup, optional
-        Instead of `vehicle`, `dt`, `initial_yaw_rate`, `start`, `options`, `seed`, `settle` and
-        `plant_knowledge`.
+        Instead of the arguments below that are its fields.
     vehicle : VehicleParameters or BicycleModel, optional
         Table I by default; a `BicycleModel` also chooses the convention.
     y_s : float [m]
         Trigger threshold: control starts when the edge is further than this beyond the line.
-    dt : float [s]
-        Sample time of the controller, up to 10.
     window : {"departure", "control"}
         Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
-    initial_yaw_rate : {"path", "zero"}
-        de_psi/dt at the trigger.
-    start : {"steady", "printed"}
-        Heading error and steering angle at the trigger: those of the steady turn of the recorded path, or the paper's.
-    options : PlantOptions, optional
-        In what the plant differs from the ideal linear one.
-    seed : int
-        Of what is drawn for each scenario; with the scenario's number (`Scenarios.index`) it decides every draw.
-    settle : float [s]
-        How long the loop goes on after the departure, rounded up to whole samples: the way back, acceleration and
-        steering are watched until then. S always ends at T.
-    plant_knowledge : {"nominal", "ideal"}
-        Designs know the lag and the delays of actuator and camera, or take both for ideal.
+    dt, initial_yaw_rate, start, options, seed, settle, plant_knowledge
+        See `Setup`.
     trajectories : bool or (c,) int
         Keep the paths: of all scenarios, or of those with these row numbers.
     threads : int, optional
@@ -153,14 +139,10 @@ def drive(
 
     Parameters
     ----------
-    controller : Controller
-        The design.
+    controller, trajectories, threads
+        As in `simulate`.
     takeover : Takeover
         Scenarios at their triggers.
-    trajectories : bool or (c,) int
-        Keep the paths: of all scenarios, or of those with these row numbers.
-    threads : int, optional
-        Of the compiled loops; all cores this process may use by default. It changes no number.
 
     Returns
     -------
@@ -188,25 +170,16 @@ def drive_many(
     Parameters
     ----------
     controllers : iterable of Controller
-        The designs.
-    takeover : Takeover
-        Scenarios at their triggers.
-    score_only : bool
-        S is all that is wanted: linear laws on the ideal plant are then driven to T only, which takes less time, and
-        their companions are NaN; what would diverge or fail after T is not seen. S is the same to rounding. Other laws
-        and plants are driven as ever.
-    threads : int, optional
+    takeover, threads
         As in `drive`.
+    score_only : bool
+        Drive linear laws on the ideal plant to T only, which takes less time: their companions are NaN, and what would
+        diverge or fail after T is not seen. S is the same to rounding. It changes nothing for other laws and plants.
 
     Yields
     ------
     Run
-        In the order of the designs; the same bits as from `drive`.
-
-    Raises
-    ------
-    InputError
-        As in `drive`.
+        In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
     most = max(1, _TOGETHER // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
@@ -242,12 +215,12 @@ def _drive_linear(
 
     tables, d, m = takeover.tables, len(laws), takeover.m
     exactly = tables.stiff < m and not laws[0].knows_actuator
-    times = np.stack([times_of(law) for law in laws])
+    times = np.array([law.preview_times for law in laws], dtype=np.float64)
     lookaheads, past = shape_of(laws[0])
     table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
     scene, setting = tables.scene_to_T if score_only and exactly else tables.scene, tables.setting.copy()
     setting[data.COMMANDS] = max(setting[data.COMMANDS], past + 2)
-    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that were left out would be seen
+    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     paths, place, found = tables.paths(rows)
 
@@ -438,12 +411,12 @@ def recorded_run(takeover: Takeover) -> Run:
     return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
 
 
-def _status(diverged: npt.NDArray[np.bool_], failed: IntArray) -> npt.NDArray[np.int8]:
+def _status(diverged: BoolArray, failed: IntArray) -> npt.NDArray[np.int8]:
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
     return np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
 
 
-def _run_of_area(takeover: Takeover, area: FloatArray, diverged: npt.NDArray[np.bool_], failed: IntArray) -> Run:
+def _run_of_area(takeover: Takeover, area: FloatArray, diverged: BoolArray, failed: IntArray) -> Run:
     """A run of which S alone was worked out, from the integral (m,), who diverged (m,), and failed commands (m,)."""
     unknown = np.full(area.size, np.nan)
     companions = Companions(**dict.fromkeys(COMPANION_UNITS, unknown))
@@ -453,7 +426,7 @@ def _run_of_area(takeover: Takeover, area: FloatArray, diverged: npt.NDArray[np.
 def _run_of_scores(
     takeover: Takeover,
     score: FloatArray,
-    diverged: npt.NDArray[np.bool_],
+    diverged: BoolArray,
     failed: IntArray,
     law_seconds: float,
     trajectories: Trajectories | None,

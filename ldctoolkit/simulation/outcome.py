@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import html
 import math
 from collections.abc import Iterator, Sequence
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +15,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, SolverCalls
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation.takeover import Takeover
 
 Window = Literal["departure", "control"]
@@ -31,11 +31,8 @@ class SolverLog:
         The scenario: in a run its place among the triggered ones, in an outcome its row number.
     sample : (k,) int
         0 is the trigger.
-    status : (k,) int
-        How the call ended, in the law's own numbers: its docstring names them.
-    iterations : (k,) int
-    primal_residual, dual_residual : (k,)
-        In the law's own units; NaN where the solver does not tell.
+    status, iterations, primal_residual, dual_residual : (k,)
+        As in `SolverCalls`.
     """
 
     row: IntArray
@@ -46,34 +43,23 @@ class SolverLog:
     dual_residual: FloatArray
 
     @classmethod
-    def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> Self:
+    def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> SolverLog:
         """From the calls of each sample, with their scenarios and the sample's number."""
-        row = _whole([rows for rows, _, _ in calls])
-        sample = _whole([np.full(rows.size, sample) for rows, sample, _ in calls])
-        order = np.lexsort((sample, row))  # stable: two calls for one command stay in their order
-        made = [one for *_, one in calls]
-        return cls(
-            row=row[order],
-            sample=sample[order],
-            status=_whole([one.status for one in made])[order],
-            iterations=_whole([one.iterations for one in made])[order],
-            primal_residual=_real([one.primal_residual for one in made])[order],
-            dual_residual=_real([one.dual_residual for one in made])[order],
+        whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+        made = (
+            (rows, np.full(rows.size, sample), one.status, one.iterations, one.primal_residual, one.dual_residual)
+            for rows, sample, one in calls
         )
+        columns = zip((whole, whole, whole, whole, real, real), *made, strict=True)
+        return cls(*(np.concatenate(parts, dtype=parts[0].dtype, casting="unsafe") for parts in columns))._in_order()
 
     def renamed(self, rows: IntArray) -> SolverLog:
         """The same with the scenarios' numbers from `rows`."""
-        renamed = dataclasses.replace(self, row=rows[self.row])
-        order = np.lexsort((renamed.sample, renamed.row))
-        return SolverLog(**{f.name: getattr(renamed, f.name)[order] for f in dataclasses.fields(renamed)})
+        return dataclasses.replace(self, row=rows[self.row])._in_order()
 
-
-def _whole(parts: list[IntArray]) -> IntArray:
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts]).astype(np.int64)
-
-
-def _real(parts: list[FloatArray]) -> FloatArray:
-    return np.concatenate([np.zeros(0), *parts])
+    def _in_order(self) -> SolverLog:
+        order = np.lexsort((self.sample, self.row))  # stable: two calls for one command stay in their order
+        return SolverLog(**{f.name: getattr(self, f.name)[order] for f in dataclasses.fields(self)})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,12 +109,11 @@ class Outcome:
     failed_solves : (n,) int
         Commands that came from the fallback law.
     law_seconds : float [s]
-        Wall time that the law's own steps took, all scenarios together; 0 for a linear law, which has none. The one
-        number here that is not reproducible.
+        Wall time of the law's own steps, all scenarios together, not reproducible; 0 for a linear law.
     trajectories : Trajectories or None
         On request; None where no control acted, since there is no path but the recorded one.
     solver_log : SolverLog
-        Every solver call of a law that has a solver: scenario, sample, status, iterations, residuals.
+        Every solver call of a law that has a solver.
     side : (n,) int or None
         ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own.
     """
@@ -147,8 +132,10 @@ class Outcome:
     side: IntArray | None = None
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return _outcome_html(self)
+        """What a notebook shows; means leave out scenarios that cannot be driven."""
+        n = self.S.size
+        title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {self.window} window"
+        return facts_html(title, _lines(self), "text-align:right;white-space:nowrap")
 
     @property
     def deepest(self) -> FloatArray:
@@ -182,16 +169,10 @@ class Run:
     takeover : Takeover
     area : (m,) [m s] or None
         Integral of |e_y| from the trigger to T; None where no control acted.
-    status : (m,) int8
-    failed_solves : (m,) int
-    companions : Companions
-        Arrays of m.
-    law_seconds : float [s]
-        Wall time of the law's own steps.
+    status, failed_solves, companions, law_seconds, solver_log
+        As in `Outcome`, arrays of m.
     trajectories : Trajectories or None
         Of chosen ones of all n scenarios.
-    solver_log : SolverLog
-        Every solver call.
     """
 
     takeover: Takeover
@@ -204,54 +185,23 @@ class Run:
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
-        """What holds in a scenario that is not driven: a row of `fill` each, before it is filled.
-
-        Parameters
-        ----------
-        windows : sequence of {"departure", "control"}
-
-        Returns
-        -------
-        (2 w + c, n)
-            S and S_uncorrected of each window, then the companions, of the recorded paths.
-        """
+        """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""
         over = self.takeover
         scores = [over.S_uncorrected - (over.S_before if window == "control" else 0.0) for window in windows]
-        recorded = [getattr(over.recorded, field.name) for field in dataclasses.fields(metrics.Companions)]
+        recorded = [getattr(over.recorded, name) for name in metrics.COMPANION_UNITS]
         return np.stack([*(S for S in scores for _ in range(2)), *recorded])
 
     def fill(self, out: FloatArray, windows: Sequence[Window]) -> None:
-        """Write this run's numbers over those of `columns`: the same bits as in `outcome`, without its copies.
-
-        Parameters
-        ----------
-        out : (2 w + c, n)
-            Changed in place.
-        windows : sequence of {"departure", "control"}
-        """
+        """Write this run's numbers over those of `columns`: the same bits as in `outcome`, without its copies."""
         over, rows = self.takeover, self.takeover.rows
         if self.area is not None:
             for w, window in enumerate(windows):
                 out[2 * w, rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
-        for i, field in enumerate(dataclasses.fields(metrics.Companions), start=2 * len(windows)):
-            out[i, rows] = getattr(self.companions, field.name)
+        for i, name in enumerate(metrics.COMPANION_UNITS, start=2 * len(windows)):
+            out[i, rows] = getattr(self.companions, name)
 
     def outcome(self, window: Window) -> Outcome:
-        """Score the run over a window and put the scenarios back into their own order.
-
-        Parameters
-        ----------
-        window : {"departure", "control"}
-
-        Returns
-        -------
-        Outcome
-
-        Raises
-        ------
-        InputError
-            For an unknown window.
-        """
+        """Score the run over a window, with the scenarios in their own order; raises InputError for an unknown one."""
         if window not in get_args(Window):
             raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
         over, rows = self.takeover, self.takeover.rows
@@ -261,16 +211,15 @@ class Run:
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
         failed[rows] = self.failed_solves
-        names = (field.name for field in dataclasses.fields(metrics.Companions))
         return Outcome(
             window=window,
-            # copies: whoever keeps S alone does not keep the rest
+            # copies: a caller that keeps S alone does not keep the rest
             S=values[0].copy(),
             S_uncorrected=values[1].copy(),
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            companions=metrics.Companions(**dict(zip(names, values[2:], strict=True))),
+            companions=metrics.Companions(**dict(zip(metrics.COMPANION_UNITS, values[2:], strict=True))),
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,
@@ -279,8 +228,6 @@ class Run:
         )
 
 
-# no ground and no text colour of its own: the notebook's theme, light or dark, sets them
-_CELL = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
 _NAMES = {
     EventStatus.OK: "taken over and driven to the end",
     EventStatus.NEVER_TRIGGERED: "never triggered",
@@ -292,21 +239,6 @@ _NAMES = {
     EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
 _FAILURES = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
-
-
-def _outcome_html(outcome: Outcome) -> str:
-    """An outcome as escaped HTML without script; means leave out scenarios that cannot be driven."""
-    n = outcome.S.size
-    title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {outcome.window} window"
-    rows = "".join(
-        f'<tr><th scope="row" style="text-align:left;font-weight:normal;{_CELL}">{html.escape(name)}</th>'
-        f'<td style="text-align:right;white-space:nowrap;{_CELL}">{html.escape(value)}</td></tr>'
-        for name, value in _lines(outcome)
-    )
-    return (
-        f'<div style="overflow-x:auto"><div><b>{html.escape(title)}</b></div>'
-        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><tbody>{rows}</tbody></table></div>'
-    )
 
 
 def _lines(outcome: Outcome) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,6 @@ import functools
 import math
 import threading
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -119,7 +118,9 @@ class Takeover:
     @functools.cached_property
     def tables(self) -> Tables:
         """What the compiled loops read; built once for all designs."""
-        return Tables.of(self)
+        modes = self.driven.modes_v.shape[1]
+        setting = data.setting_row(self.setup, self.plant, modes=modes, bound=BOUND, window=JERK_WINDOW)
+        return Tables(self, setting, _scene(self))
 
     @property
     def steps(self) -> IntArray:
@@ -140,14 +141,10 @@ class Takeover:
         return Companions(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
     def recorded_peaks(self) -> tuple[FloatArray, FloatArray]:
-        """Largest lateral acceleration and jerk of the recorded path at the samples from the trigger on, and at T.
+        """Largest lateral acceleration y'' + v^2 c (m,) [m/s^2] and jerk (m,) [m/s^3] of the recorded path.
 
-        Returns
-        -------
-        a_y : (m,) [m/s^2]
-            Of y'' + v^2 c.
-        jerk : (m,) [m/s^3]
-            Moving average over 0.5 s; before the trigger a_y counts as constant, as it does in the metrics of a design.
+        They are taken at the samples from the trigger on, and at T. The jerk is the moving average over 0.5 s; before
+        the trigger a_y counts as constant, as it does in the metrics of a design.
         """
         peaks = np.empty((2, self.m))
         for first in range(0, self.m, _AT_ONCE):
@@ -161,13 +158,6 @@ class Takeover:
             )
             peaks[:, some] = np.abs(now).max(axis=1), np.abs(now - then).max(axis=1) / JERK_WINDOW
         return peaks[0], peaks[1]
-
-    @property
-    def slowest(self) -> FloatArray:
-        """Lowest speed of the plant from the trigger on, (m,) [m/s]."""
-        if self.setup.options.speed == "frozen":
-            return self.plant.v
-        return self.driven.slowest_speed(self.start, self.triggered.T)
 
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
@@ -185,16 +175,8 @@ class Takeover:
 
         Parameters
         ----------
-        scenarios : Scenarios
-            n departures.
-        setup : Setup
-            How they are driven.
-        y_s : float [m]
-            Trigger threshold, >= 0.
-
-        Returns
-        -------
-        Takeover
+        scenarios, setup, y_s
+            As in `Takeover`; y_s >= 0.
 
         Raises
         ------
@@ -276,29 +258,12 @@ def _attitude(
 
 @dataclasses.dataclass(frozen=True)
 class Tables:
-    """A takeover as the compiled loops see it; the columns are named in `kernel.data`.
-
-    Attributes
-    ----------
-    over : Takeover
-    setting : (s,)
-        Numbers that hold for every scenario.
-    scene : (m, c)
-        A row a scenario.
-    """
+    """A takeover as the compiled loops see it: `setting` (s,) for all scenarios, `scene` (m, c), see `kernel.data`."""
 
     over: Takeover
     setting: FloatArray
     scene: FloatArray
     spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
-
-    @classmethod
-    def of(cls, over: Takeover) -> Self:
-        """Everything that designs share."""
-        setting = data.setting_row(
-            over.setup, over.plant, modes=over.driven.modes_v.shape[1], bound=BOUND, window=JERK_WINDOW
-        )
-        return cls(over, setting, _scene(over))
 
     @functools.cached_property
     def exact(self) -> FloatArray:
@@ -372,6 +337,7 @@ def _scene(over: Takeover) -> FloatArray:
     A, B, E = car.matrices(v, setup.convention)
     lateral = 2.0 * (car.C_af + car.C_ar) / car.m
     yaw = 2.0 * (car.C_af * l_f**2 + car.C_ar * l_r**2) / car.I_z
+    slowest = v if setup.options.speed == "frozen" else over.driven.slowest_speed(over.start, p.T)
     columns = {
         data.START: over.start,
         data.T_END: p.T,
@@ -386,7 +352,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.C_0: p.c_0,
         data.DC: p.dc,
         data.DELTA_0: over.delta_0,
-        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / over.slowest / _REACH, 1.0 / _LONGEST)),
+        data.SUBSTEPS: np.ceil(setup.dt * np.maximum(np.maximum(lateral, yaw) / slowest / _REACH, 1.0 / _LONGEST)),
         data.C_AF: car.C_af,
         data.C_AR: car.C_ar,
         data.L_F: l_f,
@@ -415,13 +381,11 @@ def _scene(over: Takeover) -> FloatArray:
 
 def _curvature_bias(over: Takeover) -> FloatArray:
     """Constant error of the previewed curvature, outward."""
-    sensors = over.setup.options.sensors
+    sensors, p = over.setup.options.sensors, over.triggered
     bias = np.full(over.m, sensors.curvature_bias)
     if sensors.curvature_noise > 0:
-        bias += (
-            sensors.curvature_noise * normals(over.setup.seed, over.triggered.index, RandomStream.CURVATURE, 1)[:, 0]
-        )
-    return np.asarray(over.triggered.side * bias, dtype=np.float64)
+        bias += sensors.curvature_noise * normals(over.setup.seed, p.index, RandomStream.CURVATURE, 1)[:, 0]
+    return np.asarray(p.side * bias, dtype=np.float64)
 
 
 def _earlier_frames(over: Takeover) -> FloatArray:
@@ -451,12 +415,11 @@ def _filter(over: Takeover) -> FloatArray:
     return np.concatenate([gain.reshape(-1, 8), step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel, first], axis=1)
 
 
-def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> FloatArray:
+def law_tables(laws: Sequence[LinearLaw], room: FloatArray) -> FloatArray:
     """Linear laws of one shape for the compiled loops, (d, m, `data.LAW` + 2 p + q); into `room`."""
     p, q = shape_of(laws[0])
     shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * p + q)
-    size = math.prod(shape)
-    tables = np.empty(shape) if room is None else room[:size].reshape(shape)
+    tables = room[: math.prod(shape)].reshape(shape)
     for table, law in zip(tables, laws, strict=True):
         table[:, data.LAW_F : data.LAW_U] = law.F
         table[:, data.LAW_U] = law.f_u
@@ -472,8 +435,3 @@ def law_tables(laws: Sequence[LinearLaw], room: FloatArray | None = None) -> Flo
 def shape_of(law: LinearLaw) -> tuple[int, int]:
     """Lookahead times p, and past commands q."""
     return law.preview_times.size, 0 if law.f_past is None else law.f_past.shape[1]
-
-
-def times_of(law: LinearLaw) -> FloatArray:
-    """Lookahead times (p,) [s]."""
-    return np.ascontiguousarray(law.preview_times, dtype=np.float64)

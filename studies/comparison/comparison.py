@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.notebook import CELL
 from studies.comparison.paired_verdicts import PairedDifferences, Verdict
 from studies.comparison.shared_scenarios import SharedScenarios
 from studies.comparison.winners import Winners
@@ -24,8 +25,6 @@ PHRASES: Final = {
 
 TOP: Final = 20
 """Rows, of the primary case."""
-
-_CELL: Final = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,7 +161,7 @@ def comparison_html(comparison: Comparison, top: int = TOP) -> str:
     """
     case = comparison.cases[0]
     names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
-    headings = "".join(f'<th scope="col" style="text-align:left;{_CELL}">{html.escape(name)}</th>' for name in names)
+    headings = "".join(f'<th scope="col" style="text-align:left;{CELL}">{html.escape(name)}</th>' for name in names)
     rows = "".join(_row(case, i) for i in case.order[:top])
     differs = "".join(f"<br>{html.escape(text)}" for text in comparison.differences)
     warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in comparison.warnings)
@@ -181,7 +180,7 @@ def _row(case: CaseComparison, i: int) -> str:
     numbers = (f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}", f"{S.difference[i]:+.4g}", interval)
     cells = (str(S.verdict[i]), case.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
     # only a design's label may break
-    styles = (_CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
+    styles = (CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
     shown = (
         f'<td style="text-align:left;{style}">{html.escape(cell)}</td>'
         for style, cell in zip(styles, cells, strict=True)

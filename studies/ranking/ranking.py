@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, IntArray
+from ldctoolkit.notebook import CELL
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
 from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order, missed_requirements
@@ -34,10 +35,8 @@ TOP: Final = 20
 _BAR: Final = 120
 """Width of the interval bars [px]."""
 
-# no ground and no text colour of its own: the notebook's theme, light or dark, sets them
-_CELL: Final = "padding:2px 8px;border-top:1px solid rgba(128,128,128,.35)"
-_LEFT: Final = f"text-align:left;{_CELL}"
-_RIGHT: Final = f"text-align:right;white-space:nowrap;{_CELL}"
+_LEFT: Final = f"text-align:left;{CELL}"
+_RIGHT: Final = f"text-align:right;white-space:nowrap;{CELL}"
 
 _MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
 
