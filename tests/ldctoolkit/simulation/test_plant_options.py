@@ -134,7 +134,8 @@ STATES = 1e-4
 
 SCORED = (
     "ideal", "actuator", "friction drawn", "camera", "30 frames a second", "camera and filter", "all, linear tyres",
-    "all, magic formula", "profile", "lag", "rate", "delay of two samples", "magic formula, profile", "residuals, speed frozen",
+    "all, magic formula", "profile", "lag", "rate", "delay of two samples", "magic formula, profile",
+    "residuals, speed frozen",
 )  # fmt: skip
 
 
