@@ -34,7 +34,7 @@ SCENARIOS, DESIGNS = 10_000, 1_000
 
 def scenarios(n: int) -> Scenarios:
     rng = np.random.default_rng(0)
-    v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(9)
+    v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(12)
     return Scenarios.from_arrays(
         T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
         d_y=np.exp(rng.normal(np.log(0.3), 0.5, n)).clip(0.02, 1.0),
