@@ -16,7 +16,14 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 
 # bottom to top: a module may import from below, and from its own level
 LEVELS = (
-    ("ldctoolkit.arrays", "ldctoolkit.errors", "ldctoolkit.notebook", "ldctoolkit.version", "ldctoolkit.whole_file"),
+    (
+        "ldctoolkit.arrays",
+        "ldctoolkit.errors",
+        "ldctoolkit.lane_functions",
+        "ldctoolkit.notebook",
+        "ldctoolkit.version",
+        "ldctoolkit.whole_file",
+    ),
     ("ldctoolkit.option_checks",),
     ("ldctoolkit.departure_columns",),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),

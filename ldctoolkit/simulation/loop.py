@@ -341,11 +341,7 @@ class _Stretch:
     def look(self, k: int, times: FloatArray, seen: FloatArray, yaw_rate: FloatArray, heading: FloatArray) -> None:
         """What the law is shown of those that go on: state (m, 4); yaw rate and heading of the lane (m, p) each."""
         own = seen[self.rows], yaw_rate[self.rows], heading[self.rows]
-
-        def work(first: int, last: int) -> None:
-            self.entry.look(self.setting, self.state, k, self.blocks[first:last], times, *own)
-
-        _in_threads(work, self.blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+        self.entry.look(self.setting, self.state, k, self.blocks, times, *own)
 
     def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
         """Drive to the next sample with the commands (m,); which ones go on into `alive` (m,)."""
@@ -355,7 +351,8 @@ class _Stretch:
             blocks = self.blocks[first:last]
             self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, own)
 
-        _in_threads(work, self.blocks.size, self.threads, _SCENARIOS_A_TASK // data.LANES)
+        # an exact step takes less time than to start a thread
+        _in_threads(work, self.blocks.size, 1 if self.exact.size else self.threads, _SCENARIOS_A_TASK // data.LANES)
         going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
         self.blocks = np.flatnonzero(going.any(axis=1))
         alive[self.rows] = going.ravel()[: own.size]

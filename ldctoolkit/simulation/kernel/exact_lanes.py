@@ -15,18 +15,16 @@ from typing import Final
 
 import numba
 
+from ldctoolkit.lane_functions import OPTIONS, fma, larger, touches
 from ldctoolkit.simulation.kernel import data as at
 from ldctoolkit.simulation.kernel.lanes import (
     LARGEST,
-    OPTIONS,
     L,
     begin,
     copy,
     diverge,
     end_sample,
-    fma,
     hand_over,
-    larger,
     lay_bend,
     length_of,
     look_back,
@@ -34,7 +32,7 @@ from ldctoolkit.simulation.kernel.lanes import (
     look_closer,
     record,
     score_limits,
-    touches,
+    split_area,
 )
 
 _B, _E_0, _E_1, _AREA_X = (at.STEP + n * L for n in (at.EX_B, at.EX_E_0, at.EX_E_1, at.EX_X))
@@ -273,7 +271,10 @@ def _rare(exact, setting, w, i, l, k, full, paths):
         if not abs(w[at.N + l]) <= setting[at.BOUND]:
             diverge(setting, w, l, t, w[at.COUNTED + l] > 0.0)
             return False
-        look_closer(setting, w, l, t, setting[at.DT], w[at.COUNTED + l] > 0.0)
+        if full:
+            look_closer(setting, w, l, t, setting[at.DT], w[at.COUNTED + l] > 0.0)
+        elif w[at.COUNTED + l] > 0.0:
+            split_area(w, l, setting[at.DT])
     return True
 
 

@@ -7,190 +7,15 @@ A piece leads from the state in rows `X` to that in rows `N`: a sample on the id
 
 from __future__ import annotations
 
-import inspect
 import math
-from typing import Any, Final
+from typing import Final
 
 import numba
-from numba import types
-from numba.extending import intrinsic
 
+from ldctoolkit.lane_functions import OPTIONS, absolute_area, fma, hermite_peak, larger, quartic_root, touches
 from ldctoolkit.simulation.kernel import data as at
 
 L: Final = at.LANES
-
-# ------------------------------------------------------------------------------------------------ functions
-
-# strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
-# where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy
-OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
-
-_MOST_PASSES: Final = 40
-_NEAR: Final = 1e-9
-"""Error of a zero, in parts of the piece; what it costs an integral is its square."""
-
-
-def _instruction(build, *names):
-    """A function of floats that is an instruction or two of the processor, without a branch."""
-
-    def function(typing, *arguments):  # noqa: ARG001
-        if any(argument != types.float64 for argument in arguments):
-            return None
-        return types.float64(*[types.float64] * len(names)), lambda _, builder, __, values: build(builder, *values)
-
-    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in ("typing", *names)]
-    )
-    return intrinsic(function)
-
-
-# a product and a sum rounded once, where the code says so: left to the compiler, two processes could differ in it
-fma: Final[Any] = _instruction(lambda builder, a, b, c: builder.fma(a, b, c), "a", "b", "c")
-# the larger one, or b where one is NaN
-larger: Final[Any] = _instruction(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), "a", "b")
-
-
-@numba.njit(inline="always", **OPTIONS)
-def hermite_peak(f_0, m_0, f_1, m_1, h):
-    """Largest value of the cubic with these ends and slopes, where it rises first and falls last."""
-    peak = max(f_0, f_1)
-    if m_0 > 0.0 > m_1:
-        m_0, m_1, rise = m_0 * h, m_1 * h, f_1 - f_0
-        a, b = m_0 + m_1 - 2.0 * rise, 3.0 * rise - 2.0 * m_0 - m_1
-        # 3 a u^2 + 2 b u + m_0 = 0 between 0 and 1, in the form that does not cancel
-        root = math.sqrt(max(b * b - 3.0 * a * m_0, 0.0))
-        u = m_0 / (root - b) if b < 0.0 else (-(b + root) / (3.0 * a) if a != 0.0 else 0.0)
-        if 0.0 < u < 1.0:
-            peak = max(peak, f_0 + u * (m_0 + u * (b + u * a)))
-    return peak
-
-
-@numba.njit(inline="always", **OPTIONS)
-def quartic_root(f_0, m_0, f_1, m_1, mean):
-    """Root between 0 and 1 of the quartic with these ends, of opposite signs, slopes and mean."""
-    q = 30.0 * (mean - 0.5 * (f_0 + f_1) - (m_0 - m_1) / 12.0)
-    a, b = 2.0 * (f_0 - f_1) + m_0 + m_1 - 2.0 * q, 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1 + q
-    u = f_0 / (f_0 - f_1)
-    for _ in range(4):
-        value = f_0 + u * (m_0 + u * (b + u * (a + u * q)))
-        following = u - value / (m_0 + u * (2.0 * b + u * (3.0 * a + u * 4.0 * q)))
-        if not 0.0 < following < 1.0:
-            return u
-        if abs(following - u) < 1e-3:
-            return following
-        u = following
-    return u
-
-
-@numba.njit(**OPTIONS)
-def _between(c, low, high):
-    """Zero of the polynomial c_0 + c_1 u + ... + c_4 u^4 between two places of different signs."""
-    at_low = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
-    u = 0.5 * (low + high)
-    for _ in range(_MOST_PASSES):
-        value = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * c[4])))
-        if value * at_low > 0.0:
-            low = u
-        else:
-            high = u
-        slope = c[1] + u * (2.0 * c[2] + u * (3.0 * c[3] + u * 4.0 * c[4]))
-        following = u - value / slope if slope != 0.0 else low
-        if not low < following < high:
-            following = 0.5 * (low + high)
-        if abs(following - u) < _NEAR:
-            return following
-        u = following
-    return u
-
-
-@numba.njit(**OPTIONS)
-def absolute_area(x_0, x_1, n_0, n_1, area, h):
-    """Integral of |e_y| over a piece, split where the quartic with its ends, slopes and integral changes its sign."""
-    m_0, m_1, mean = h * x_1, h * n_1, area / h
-    q = 30.0 * (mean - 0.5 * (x_0 + n_0) - (m_0 - m_1) / 12.0)
-    c = (x_0, m_0, 3.0 * (n_0 - x_0) - 2.0 * m_0 - m_1 + q, 2.0 * (x_0 - n_0) + m_0 + m_1 - 2.0 * q, q)
-    first = last = 1.0
-    if x_0 * n_0 < 0.0:
-        first = _between(c, 0.0, 1.0)
-    else:  # over and back, where the path turns between its ends
-        turn = _between((c[1], 2.0 * c[2], 3.0 * c[3], 4.0 * c[4], 0.0), 0.0, 1.0)
-        if (c[0] + turn * (c[1] + turn * (c[2] + turn * (c[3] + turn * c[4])))) * x_0 < 0.0:
-            first, last = _between(c, 0.0, turn), _between(c, turn, 1.0)
-    to_first = first * (c[0] + first * (c[1] / 2.0 + first * (c[2] / 3.0 + first * (c[3] / 4.0 + first * c[4] / 5.0))))
-    to_last = last * (c[0] + last * (c[1] / 2.0 + last * (c[2] / 3.0 + last * (c[3] / 4.0 + last * c[4] / 5.0))))
-    return h * (abs(to_first) + abs(to_last - to_first) + abs(mean - to_last))
-
-
-@numba.njit(inline="always", **OPTIONS)
-def touches(e_0, rate_0, e_1, rate_1, h):
-    """Whether a path with both ends on one side turns so close to zero in between that it may reach over."""
-    turns = (e_0 * e_1 >= 0.0) & (e_0 * rate_0 < 0.0) & (e_1 * rate_1 > 0.0)
-    return turns & (min(abs(e_0), abs(e_1)) < h * (abs(rate_0) + abs(rate_1)))
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def arctan(x):
-    """Arc tangent to 3e-10, without a branch."""
-    a = abs(x)
-    far, mid = a > 2.414213562373095, a > 0.4142135623730951
-    z = (-1.0 if far else (a - 1.0 if mid else a)) / (a if far else (a + 1.0 if mid else 1.0))
-    s = z * z
-    p = fma(s, fma(s, -0.060260709468774064, 0.10569738007378487), -0.14239520492592156)
-    p = fma(s, fma(s, fma(s, p, 0.19998182383953952), -0.3333330688086095), 0.999999999370875)
-    return math.copysign(fma(z, p, 0.5 * math.pi if far else (0.25 * math.pi if mid else 0.0)), x)
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def sine(x):
-    """Sine of an angle between -pi and pi to 3e-11, without a branch."""
-    a = abs(x)
-    z = min(a, math.pi - a)
-    s = z * z
-    p = fma(s, fma(s, -2.3889103098752917e-08, 2.752526342288838e-06), -0.00019840861056042458)
-    return math.copysign(
-        z * fma(s, fma(s, fma(s, p, 0.00833333097324863), -0.16666666616789771), 0.9999999999829079), x
-    )
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def cosine(x):
-    """Cosine of an angle between -3/2 pi and 3/2 pi, without a branch."""
-    return sine(0.5 * math.pi - abs(x))
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def decay(x):
-    """Exponential function of x <= 0 to 1e-12, without a branch; that of -60 below."""
-    y = max(x, -60.0) * (1.0 / 256.0)
-    p = fma(y, fma(y, 1.0 / 3628800.0, 1.0 / 362880.0), 1.0 / 40320.0)
-    p = fma(y, fma(y, fma(y, p, 1.0 / 5040.0), 1.0 / 720.0), 1.0 / 120.0)
-    p = fma(y, fma(y, fma(y, p, 1.0 / 24.0), 1.0 / 6.0), 0.5)
-    p = fma(y, fma(y, p, 1.0), 1.0)
-    p *= p
-    p *= p
-    p *= p
-    p *= p
-    p *= p
-    p *= p
-    p *= p
-    return p * p
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def moments(z, rest):
-    """Integrals of y^n exp(-z y/rest) from 0 to the rest, n = 0, 1, 2; without a branch."""
-    fallen = decay(-z)
-    # 2/3! + 2 z/4! + ..., the series of the last one where the closed form cancels
-    s = fma(z, fma(z, 2.0 / 87178291200.0, 2.0 / 6227020800.0), 2.0 / 479001600.0)
-    s = fma(z, fma(z, fma(z, s, 2.0 / 39916800.0), 2.0 / 3628800.0), 2.0 / 362880.0)
-    s = fma(z, fma(z, fma(z, s, 2.0 / 40320.0), 2.0 / 5040.0), 2.0 / 720.0)
-    s = fma(z, fma(z, fma(z, s, 2.0 / 120.0), 2.0 / 24.0), 2.0 / 6.0)
-    far = (2.0 - fallen * (2.0 + z * (2.0 + z))) / max(z * z * z, 1e-300)
-    i_2 = fallen * s if z < 1.0 else far
-    i_1 = 0.5 * fma(z, i_2, fallen)
-    i_0 = fma(z, i_1, fallen)
-    return rest * i_0, rest * rest * i_1, rest * rest * rest * i_2
-
 
 # ------------------------------------------------------------------------------------------------ the table of a block
 
@@ -246,6 +71,14 @@ def begin(scene, setting, block, w, paths, chosen):
 
 
 @numba.njit(**OPTIONS)
+def split_area(w, l, h):
+    """Integral of |e_y| over a piece of one lane in which e_y may change its sign."""
+    x_0, x_1, n_0, n_1 = w[at.X + l], w[at.X + L + l], w[at.N + l], w[at.N + L + l]
+    if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
+        w[at.SIGNED + l] = absolute_area(x_0, x_1, n_0, n_1, w[at.SIGNED + l], h)
+
+
+@numba.njit(**OPTIONS)
 def look_closer(setting, w, l, t, h, counted):
     """What a piece of one lane holds from t to t + h: change of sign, extremes, edge back inside."""
     l_f, offset = setting[at.AXLE], setting[at.OFFSET]
@@ -258,8 +91,7 @@ def look_closer(setting, w, l, t, h, counted):
         front = hermite_peak(f_0, x_1 + l_f * w[at.X + 3 * L + l], f_1, n_1 + l_f * w[at.N + 3 * L + l], h)
         w[at.S + at.DEEP * L + l] = max(w[at.S + at.DEEP * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
         w[at.S + at.FRONT * L + l] = max(w[at.S + at.FRONT * L + l], front)
-        if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
-            w[at.SIGNED + l] = absolute_area(x_0, x_1, n_0, n_1, w[at.SIGNED + l], h)
+        split_area(w, l, h)
     w[at.S + at.OPPOSITE * L + l] = max(w[at.S + at.OPPOSITE * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
 
 

@@ -21,30 +21,22 @@ from typing import Final
 import numba
 import numpy as np
 
+from ldctoolkit.lane_functions import OPTIONS, arctan, cosine, decay, fma, larger, moments, sine, touches
 from ldctoolkit.simulation.kernel import data as at
 from ldctoolkit.simulation.kernel.lanes import (
-    OPTIONS,
     L,
-    arctan,
     begin,
     copy,
-    cosine,
-    decay,
     diverge,
     end_sample,
-    fma,
     hand_over,
-    larger,
     lay_bend,
     look_back,
     look_back_from_end,
     look_closer,
-    moments,
     record,
     rings,
     score_limits,
-    sine,
-    touches,
 )
 from ldctoolkit.simulation.kernel.sight import (
     HEADER,
@@ -95,9 +87,13 @@ def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
 
 
 def _on(slopes):
-    """A substep and the accelerations at a point, on the tyres with these slopes."""
+    """A substep and the accelerations at a point, on the tyres with these slopes.
 
-    @numba.njit(**OPTIONS)
+    They are inlined where they are called: as functions, those of both tyres would have one name for the linker, which
+    takes the first that it meets where entries were compiled by different processes.
+    """
+
+    @numba.njit(forceinline=True, **OPTIONS)
     def substep(w, road, place, shape):
         """One step of the method from the state in rows `N` to that in the same rows."""
         copy(w, at.POINTS, road, place, 12)
@@ -126,7 +122,7 @@ def _on(slopes):
             w[at.N + 3 * L + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
             w[at.SPAN + l] += h
 
-    @numba.njit(**OPTIONS)
+    @numba.njit(forceinline=True, **OPTIONS)
     def accelerations(w, road, place, delta, to, shape, width):
         """a_y at a point of the road with the steering angle in row `delta`, and its own part two rows further."""
         copy(w, at.POINTS, road, place, 4)

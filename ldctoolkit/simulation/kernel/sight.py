@@ -10,22 +10,10 @@ from typing import Final
 import numba
 import numpy as np
 
+from ldctoolkit.lane_functions import OPTIONS, cosine, decay, fma, moments, sine
 from ldctoolkit.paths.philox import normal_pair
 from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel.lanes import (
-    LARGEST,
-    OPTIONS,
-    SAME,
-    L,
-    copy,
-    cosine,
-    decay,
-    fma,
-    length_of,
-    moments,
-    rings,
-    sine,
-)
+from ldctoolkit.simulation.kernel.lanes import LARGEST, SAME, L, copy, length_of, rings
 
 # a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
 # leaves of a distance over both lengths, and the parabola of that over a substep; then two points a substep and one

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from ldctoolkit.simulation.kernel import lanes
+from ldctoolkit import lane_functions as lanes
 
 
 def test_arc_tangent_sine_cosine_and_decay() -> None:
