@@ -16,6 +16,7 @@ import dataclasses
 import enum
 import inspect
 import weakref
+from collections.abc import Sequence
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -128,6 +129,52 @@ class SolverCalls:
     iterations: IntArray
     primal_residual: FloatArray
     dual_residual: FloatArray
+
+    def of(self, places: IntArray) -> SolverCalls:
+        """Only those of some places in the batch."""
+        kept = np.isin(self.place, places)
+        return SolverCalls(**{field.name: getattr(self, field.name)[kept] for field in dataclasses.fields(self)})
+
+
+@dataclasses.dataclass(frozen=True)
+class SolverLog:
+    """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver.
+
+    Attributes
+    ----------
+    row : (k,) int
+        The scenario: in a run its place among the triggered ones, in an outcome its row number.
+    sample : (k,) int
+        0 is the trigger.
+    status, iterations, primal_residual, dual_residual : (k,)
+        As in `SolverCalls`.
+    """
+
+    row: IntArray
+    sample: IntArray
+    status: IntArray
+    iterations: IntArray
+    primal_residual: FloatArray
+    dual_residual: FloatArray
+
+    @classmethod
+    def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> SolverLog:
+        """From the calls of each sample, with their scenarios and the sample's number."""
+        whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
+        made = (
+            (rows, np.full(rows.size, sample), one.status, one.iterations, one.primal_residual, one.dual_residual)
+            for rows, sample, one in calls
+        )
+        columns = zip((whole, whole, whole, whole, real, real), *made, strict=True)
+        return cls(*(np.concatenate(parts, dtype=parts[0].dtype, casting="unsafe") for parts in columns))._in_order()
+
+    def renamed(self, rows: IntArray) -> SolverLog:
+        """The same with the scenarios' numbers from `rows`."""
+        return dataclasses.replace(self, row=rows[self.row])._in_order()
+
+    def _in_order(self) -> SolverLog:
+        order = np.lexsort((self.sample, self.row))  # stable: two calls for one command stay in their order
+        return SolverLog(**{f.name: getattr(self, f.name)[order] for f in dataclasses.fields(self)})
 
 
 class SteeringLaw(abc.ABC):

@@ -34,6 +34,9 @@ A_Y_LIMIT: Final = 3.0
 JERK_LIMIT: Final = 5.0
 """Largest lateral jerk [m/s^3] that a lane keeping action may induce, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
 
+JERK_WINDOW: Final = 0.5
+"""Moving average [s] of the lateral jerk (ISO 11270)."""
+
 
 # ------------------------------------------------------------------------------------------------ of a scenario
 

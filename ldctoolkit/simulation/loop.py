@@ -15,7 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.control import Controller, EventStatus, Law, LinearLaw, Preview, RecordedPath, SolverCalls, SteeringLaw
+from ldctoolkit.control import (
+    Controller,
+    EventStatus,
+    Law,
+    LinearLaw,
+    Preview,
+    RecordedPath,
+    SolverCalls,
+    SolverLog,
+    SteeringLaw,
+)
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
@@ -24,7 +34,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, InitialYawRate, PlantKnowledge, Setup, Start
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.outcome import Outcome, Run, SolverLog, Trajectories, Window
+from ldctoolkit.simulation.outcome import Outcome, Run, Trajectories, Window
 from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
@@ -174,7 +184,7 @@ def drive_many(
         As in `drive`.
     score_only : bool
         Drive linear laws on the ideal plant to T only, which takes less time: their companions are NaN, and what would
-        diverge or fail after T is not seen. S is the same to rounding. It changes nothing for other laws and plants.
+        diverge or fail after T is not seen. S is the same to 1e-6 m s. It changes nothing for other laws and plants.
 
     Yields
     ------
@@ -218,9 +228,10 @@ def _drive_linear(
     times = np.array([law.preview_times for law in laws], dtype=np.float64)
     lookaheads, past = shape_of(laws[0])
     table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
-    scene, setting = tables.scene_to_T if score_only and exactly else tables.scene, tables.setting.copy()
+    scene, setting = tables.scene, tables.setting.copy()
     setting[data.COMMANDS] = max(setting[data.COMMANDS], past + 2)
-    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
+    columns = 1 if score_only and exactly else data.SCORES
+    score = np.full((d, columns, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     paths, place, found = tables.paths(rows)
 
@@ -243,7 +254,7 @@ def _drive_linear(
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
-            own = (score, diverged, failed, *entry.scratch(setting, lookaheads, most), score_only)
+            own = (score, diverged, failed, *entry.scratch(setting, lookaheads, most))
             entry.drive_lanes(scene, exact, setting, table, times, tables.recorded, paths, elsewhere, first, last, *own)
 
         _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
@@ -252,8 +263,6 @@ def _drive_linear(
             drive_any(stiff, *other)
             score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
             failed[:, stiff] = other[2][:, stiff]
-    if score_only and exactly:
-        return [_run_of_area(takeover, score[i, data.AREA], diverged[i], failed[i]) for i in range(d)]
     kept = _trajectories_of(paths, rows, found)
     return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
 
@@ -289,7 +298,9 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         delta, own, status = check_step(result, t.size, name)
         made = law.solver_calls(own)
         if made is not None:
-            calls.append(_of_running(made, np.arange(m)[batch], going, sample, name))
+            check_calls(made, t.size, name)
+            made = made.of(going)
+            calls.append((np.arange(m)[batch][made.place], sample, made))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
             delta[wrong] = previous[wrong]
@@ -312,16 +323,6 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
     run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
-
-
-def _of_running(
-    made: SolverCalls, batch: IntArray, going: IntArray, sample: int, name: str
-) -> tuple[IntArray, int, SolverCalls]:
-    """Calls of scenarios that still go on, with their numbers among the triggered ones."""
-    check_calls(made, batch.size, name)
-    kept = np.isin(made.place, going)
-    columns = {field.name: getattr(made, field.name)[kept] for field in dataclasses.fields(made)}
-    return batch[made.place[kept]], sample, SolverCalls(**columns)
 
 
 class _Stretch:
@@ -408,18 +409,6 @@ def recorded_run(takeover: Takeover) -> Run:
     return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
 
 
-def _status(diverged: BoolArray, failed: IntArray) -> npt.NDArray[np.int8]:
-    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
-    return np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
-
-
-def _run_of_area(takeover: Takeover, area: FloatArray, diverged: BoolArray, failed: IntArray) -> Run:
-    """A run of which S alone was worked out, from the integral (m,), who diverged (m,), and failed commands (m,)."""
-    unknown = np.full(area.size, np.nan)
-    companions = Companions(**dict.fromkeys(COMPANION_UNITS, unknown))
-    return Run(takeover, area.copy(), _status(diverged, failed), failed, companions, 0.0, None)
-
-
 def _run_of_scores(
     takeover: Takeover,
     score: FloatArray,
@@ -428,9 +417,13 @@ def _run_of_scores(
     law_seconds: float,
     trajectories: Trajectories | None,
 ) -> Run:
-    """A run from scores (columns, m), who diverged (m,), and failed commands (m,)."""
+    """A run from scores (columns, m), or S alone (1, m), who diverged (m,), and failed commands (m,)."""
+    status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
+    status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
+    if score.shape[0] == 1:
+        companions = Companions(**dict.fromkeys(COMPANION_UNITS, np.full(takeover.m, np.nan)))
+        return Run(takeover, score[0].copy(), status, failed, companions, 0.0, None)
     edge = takeover.setup.vehicle.edge_offset
-    status = _status(diverged, failed)
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
     values = dict(zip(COMPANION_UNITS, score[data.AREA + 1 :], strict=True)) | {

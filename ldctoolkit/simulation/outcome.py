@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,54 +12,12 @@ import numpy.typing as npt
 
 from ldctoolkit import metrics
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import EventStatus, SolverCalls
-from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.control import EventStatus, SolverLog
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.notebook import facts_html
+from ldctoolkit.notebook import outcome_html
 from ldctoolkit.simulation.takeover import Takeover
 
 Window = Literal["departure", "control"]
-
-
-@dataclasses.dataclass(frozen=True)
-class SolverLog:
-    """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver.
-
-    Attributes
-    ----------
-    row : (k,) int
-        The scenario: in a run its place among the triggered ones, in an outcome its row number.
-    sample : (k,) int
-        0 is the trigger.
-    status, iterations, primal_residual, dual_residual : (k,)
-        As in `SolverCalls`.
-    """
-
-    row: IntArray
-    sample: IntArray
-    status: IntArray
-    iterations: IntArray
-    primal_residual: FloatArray
-    dual_residual: FloatArray
-
-    @classmethod
-    def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> SolverLog:
-        """From the calls of each sample, with their scenarios and the sample's number."""
-        whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
-        made = (
-            (rows, np.full(rows.size, sample), one.status, one.iterations, one.primal_residual, one.dual_residual)
-            for rows, sample, one in calls
-        )
-        columns = zip((whole, whole, whole, whole, real, real), *made, strict=True)
-        return cls(*(np.concatenate(parts, dtype=parts[0].dtype, casting="unsafe") for parts in columns))._in_order()
-
-    def renamed(self, rows: IntArray) -> SolverLog:
-        """The same with the scenarios' numbers from `rows`."""
-        return dataclasses.replace(self, row=rows[self.row])._in_order()
-
-    def _in_order(self) -> SolverLog:
-        order = np.lexsort((self.sample, self.row))  # stable: two calls for one command stay in their order
-        return SolverLog(**{f.name: getattr(self, f.name)[order] for f in dataclasses.fields(self)})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,9 +91,8 @@ class Outcome:
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
-        n = self.S.size
-        title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {self.window} window"
-        return facts_html(title, _lines(self), "text-align:right;white-space:nowrap")
+        scores = self.S, self.S_uncorrected, self.deepest
+        return outcome_html(self.window, *scores, self.status, self.failed_solves, self.side)
 
     @property
     def deepest(self) -> FloatArray:
@@ -226,46 +183,3 @@ class Run:
             solver_log=self.solver_log.renamed(rows),
             side=over.scenarios.side,
         )
-
-
-_NAMES = {
-    EventStatus.OK: "taken over and driven to the end",
-    EventStatus.NEVER_TRIGGERED: "never triggered",
-    EventStatus.SOLVER_FAILED: "solver failed",
-    EventStatus.DIVERGED: "diverged",
-    EventStatus.TIMED_OUT: "timed out",
-    EventStatus.INVALID: "cannot be driven",
-    EventStatus.CRASHED: "crashed",
-    EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
-}
-_FAILURES = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
-
-
-def _lines(outcome: Outcome) -> Iterator[tuple[str, str]]:
-    every = outcome.status != EventStatus.INVALID
-    yield from _scores(outcome, every, "")
-    if outcome.side is not None:
-        for side, name in ((LEFT, "left"), (RIGHT, "right")):
-            rows = every & (outcome.side == side)
-            if rows.any():
-                yield from _scores(outcome, rows, f", {name} ({int(rows.sum()):,})")
-    deepest = outcome.deepest[every]
-    if deepest.size and np.isfinite(deepest).any():
-        row = int(np.flatnonzero(every)[np.nanargmax(deepest)])
-        yield "deepest beyond the line", f"{outcome.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")
-    for status in EventStatus:
-        count = outcome.count(status)
-        if count:
-            yield _NAMES[status], f"{count:,}"
-    yield "failures", f"{sum(outcome.count(status) for status in _FAILURES):,}"
-    if outcome.failed_solves.any():
-        yield "commands from a fallback", f"{int(outcome.failed_solves.sum()):,}"
-
-
-def _scores(outcome: Outcome, rows: npt.NDArray[np.bool_], where: str) -> Iterator[tuple[str, str]]:
-    if not rows.any():
-        return
-    S, S_0 = float(np.mean(outcome.S[rows])), float(np.mean(outcome.S_uncorrected[rows]))
-    change = f", {100.0 * (S / S_0 - 1.0):+.1f} %".replace("-", "\u2212") if S_0 > 0 else ""
-    yield f"mean S with control{where}", f"{S:.4f} m s{change}"
-    yield f"mean S without control{where}", f"{S_0:.4f} m s"

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.metrics import COMPANION_UNITS, JERK_WINDOW, Companions
 from ldctoolkit.option_checks import checked_number
 from ldctoolkit.paths.random_streams import RandomStream, normals
 from ldctoolkit.paths.uncorrected import UncorrectedPath, harmless
@@ -21,24 +21,18 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.vehicle import Plant, discretize
-from ldctoolkit.vehicle.kalman import filter_gain
+from ldctoolkit.vehicle.kalman import filter_columns
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 from ldctoolkit.vehicle.true_vehicles import TrueVehicles, true_vehicles
 
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
 
-JERK_WINDOW = 0.5
-"""Moving average [s] of the lateral jerk (ISO 11270)."""
-
 # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 _SHORTEST_STEP = 1e-12
 
 # step [s] of the difference quotient of the recorded speed
 _SPEED_STEP = 1e-4
-
-# scenarios whose recorded paths are looked at together
-_AT_ONCE = 1024
 
 # longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
 # and the law's own poles are no slower at high speed
@@ -139,25 +133,6 @@ class Takeover:
         }
         columns = {name: measured.get(name, np.zeros(T.size)) for name in COMPANION_UNITS}
         return Companions(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
-
-    def recorded_peaks(self) -> tuple[FloatArray, FloatArray]:
-        """Largest lateral acceleration y'' + v^2 c (m,) [m/s^2] and jerk (m,) [m/s^3] of the recorded path.
-
-        They are taken at the samples from the trigger on, and at T. The jerk is the moving average over 0.5 s; before
-        the trigger a_y counts as constant, as it does in the metrics of a design.
-        """
-        peaks = np.empty((2, self.m))
-        for first in range(0, self.m, _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            path, start = self.driven.take(some), self.start[some, None]
-            samples = start + self.setup.dt * np.arange(self.full_steps[some].max() + 2)
-            t = np.minimum(samples, path.scenarios.T[:, None])
-            now, then = (
-                path.lateral_acceleration(at) + path.speed(at) ** 2 * path.curvature(at)
-                for at in (t, np.maximum(t - JERK_WINDOW, start))
-            )
-            peaks[:, some] = np.abs(now).max(axis=1), np.abs(now - then).max(axis=1) / JERK_WINDOW
-        return peaks[0], peaks[1]
 
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
@@ -271,19 +246,10 @@ class Tables:
         over = self.over
         dt, matrices = over.setup.dt, over.vehicles.matrices(over.plant.v, over.setup.convention)
         whole = over.plant.step if over.setup.options.mismatch.ideal else discretize(*matrices, dt)
-        tables = []
-        for step in (whole, discretize(*matrices, over.rest), discretize(*matrices, dt - over.rest)):
-            columns = [step.A[:, i, j] for i in range(4) for j in (1, 2, 3)]
-            columns += [matrix[:, i] for matrix in (step.B, step.E_0, step.E_1, step.area_x) for i in range(4)]
-            tables.append(np.column_stack([*columns, step.area_delta, step.area_r_0, step.area_r_1]))
-        return np.stack(tables)
-
-    @functools.cached_property
-    def scene_to_T(self) -> FloatArray:
-        """The same scenarios without a settling horizon."""
-        scene = self.scene.copy()
-        scene[:, data.STEPS] = scene[:, data.FULL] + (scene[:, data.REST] > 0.0)
-        return scene
+        steps = whole, discretize(*matrices, over.rest), discretize(*matrices, dt - over.rest)
+        inputs = ((s.B, s.E_0, s.E_1, s.area_x, s.area_delta, s.area_r_0, s.area_r_1) for s in steps)
+        states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
+        return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
 
     def spare_room(self, size: int) -> FloatArray:
         """At least `size` numbers, that one thread may use again and again: fresh memory costs more than filling it."""
@@ -337,6 +303,9 @@ def _scene(over: Takeover) -> FloatArray:
     A, B, E = car.matrices(v, setup.convention)
     lateral = 2.0 * (car.C_af + car.C_ar) / car.m
     yaw = 2.0 * (car.C_af * l_f**2 + car.C_ar * l_r**2) / car.I_z
+    sensors, bias = setup.options.sensors, np.full(m, setup.options.sensors.curvature_bias)
+    if sensors.curvature_noise > 0:
+        bias += sensors.curvature_noise * normals(setup.seed, p.index, RandomStream.CURVATURE, 1)[:, 0]
     slowest = v if setup.options.speed == "frozen" else over.driven.slowest_speed(over.start, p.T)
     columns = {
         data.START: over.start,
@@ -361,7 +330,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.I_Z: car.I_z,
         data.MU: car.mu,
         data.PRINTED: 4.0 * car.C_ar * l_r / car.m if setup.convention == "as_printed" else 0.0,
-        data.CURVATURE_BIAS: _curvature_bias(over),
+        data.CURVATURE_BIAS: p.side * bias,
         data.B_1: B[:, 1],
         data.E_1: E[:, 1],
     }
@@ -377,15 +346,6 @@ def _scene(over: Takeover) -> FloatArray:
     scene[:, data.X_0 : data.X_0 + 4] = over.x_0
     scene[:, data.SCENE :] = np.concatenate(tail, axis=1)
     return scene
-
-
-def _curvature_bias(over: Takeover) -> FloatArray:
-    """Constant error of the previewed curvature, outward."""
-    sensors, p = over.setup.options.sensors, over.triggered
-    bias = np.full(over.m, sensors.curvature_bias)
-    if sensors.curvature_noise > 0:
-        bias += sensors.curvature_noise * normals(over.setup.seed, p.index, RandomStream.CURVATURE, 1)[:, 0]
-    return np.asarray(p.side * bias, dtype=np.float64)
 
 
 def _earlier_frames(over: Takeover) -> FloatArray:
@@ -405,14 +365,11 @@ def _filter(over: Takeover) -> FloatArray:
     sensors = over.setup.options.sensors
     if sensors.kalman is None:
         return np.zeros((over.m, 0))
-    step, wheel, first = over.plant.augmented, np.zeros((over.m, 4)), over.x_0
-    if over.plant.lag > 0.0:
-        wheel = step.A[:, :4, 4]
+    first = over.x_0
     if over.plant.age > 0.0:
         first = _state(over.driven, over.vehicles, over.setup, over.start - over.plant.age)[0]
-    gain = filter_gain(over.plant, sensors.kalman, max(1, round(sensors.period / over.setup.dt)))
-    inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
-    return np.concatenate([gain.reshape(-1, 8), step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel, first], axis=1)
+    frame_samples = max(1, round(sensors.period / over.setup.dt))
+    return np.concatenate([filter_columns(over.plant, sensors.kalman, frame_samples), first], axis=1)
 
 
 def law_tables(laws: Sequence[LinearLaw], room: FloatArray) -> FloatArray:

@@ -62,6 +62,15 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     return scheduled(_FilterGain(plant.model, plant.dt, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)
 
 
+def filter_columns(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
+    """The gain, then A and the inputs of the prediction and what the wheel angle adds to it, (n, 8 + 16 + 5 x 4)."""
+    step = plant.augmented
+    wheel = step.A[:, :4, 4] if plant.lag > 0.0 else np.zeros((plant.n, 4))
+    inputs = [weights[:, :4] for weights in (step.B, step.E_0, step.E_1, step.B_old)]
+    gain = filter_gain(plant, kalman, frame_samples).reshape(-1, 8)
+    return np.concatenate([gain, step.A[:, :4, :4].reshape(-1, 16), *inputs, wheel], axis=1)
+
+
 @dataclasses.dataclass(frozen=True)
 class _FilterGain:
     """The gain at given speeds, (m, 8)."""

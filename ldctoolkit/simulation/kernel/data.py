@@ -98,6 +98,16 @@ _SIZES: Final = {
     "alive": 1,
     "flag": 1,  # 1 where a piece needs a closer look
     "scores": SCORES,
+    "diverged": 1,
+    "failed": 1,
+    "entries": 1,  # of the path so far
+    "wheel": 1,  # steering angle at present, or at the segment's end
+    "next_cut": 1,  # first sample at which a lane passes its T or ends, in the first lane
+    "single": 1,  # 1 where a step was driven by itself
+    "lane": 1,  # the lane's yaw rate at the last sample that was looked at
+    "c_0": 1,  # v c_0
+    "dc": 1,  # v dc
+    # up to here is what an exact run changes
     "limits": 4,  # a_y at the start and the end of a sample, then without the lane's part v^2 c
     "past": 4,  # what they were a window earlier
     "recorded": 4,  # y'' of the recorded path at both ends of a sample, and a window before them
@@ -113,14 +123,9 @@ _SIZES: Final = {
     "before": 1,  # a_y before the trigger
     "law": LAW,
     # exact steps
-    "next_cut": 1,  # first sample at which a lane passes its T or ends, in the first lane
-    "single": 1,  # 1 where a step was driven by itself
-    "lane": 1,  # the lane's yaw rate at the last sample that was looked at
     "weights": 2,  # of yaw rate and turn at a single lookahead time
     "v": 1,
     "per_T": 1,
-    "c_0": 1,  # v c_0
-    "dc": 1,  # v dc
     "a": 5,  # row of e_y'': 3 states, delta, the lane's yaw rate
     "step": EXACT,
     # Runge-Kutta steps
@@ -143,7 +148,6 @@ _SIZES: Final = {
     "ramp": 1,  # how long that lasts
     "from": 1,  # steering angle at the segment's start
     "left": 1,  # what remains to the command
-    "wheel": 1,  # steering angle at present, or at the segment's end
     "parabola": 3,  # steering angle at the start, the middle and the end of a substep
     "began": 2,  # time at a segment's start, steering angle at a sample's
     "saved": SCORES,
@@ -151,19 +155,16 @@ _SIZES: Final = {
     "wheel_seen": 2,  # steering angle as a design knows it, now and at the last sample
     "estimate": 4,  # the Kalman filter's
     "rate_seen": 1,  # the lane's yaw rate at the last sample
-    "diverged": 1,
-    "failed": 1,
-    "entries": 1,  # of the path so far
     "side": 1,
     "car": 9,
     "filter": FILTER,
 }
 (
-    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT,
-    ROAD, POLYNOMIAL, BEFORE, OF_LAW, NEXT_CUT, SINGLE, LANE, WEIGHTS, V, PER_T, V_C_0, V_DC, OF_A, STEP, TIMES,
-    MOTION, WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, DRIVEN, WORK, SLOPE, RAMP, FROM,
-    LEFT, WHEEL, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, DIVERGED, FAILED, ENTRIES, OUTWARD,
-    CAR, OF_FILTER, RINGS,
+    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, DIVERGED, FAILED, ENTRIES, WHEEL, NEXT_CUT, SINGLE, LANE,
+    V_C_0, V_DC, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT, ROAD, POLYNOMIAL, BEFORE, OF_LAW, WEIGHTS, V,
+    PER_T, OF_A, STEP, TIMES, MOTION, WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, DRIVEN,
+    WORK, SLOPE, RAMP, FROM, LEFT, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, OUTWARD, CAR,
+    OF_FILTER, RINGS,
 ) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
 """`RINGS`: then come the rings, of a length that the run decides; see `kernel.lanes.rings`."""
 

@@ -66,8 +66,7 @@ def _entries(digest: int) -> Any:
         for block in range(state.shape[0]):
             rk4_lanes.start(scene, setting, block, state[block], paths, chosen)
             if exact.shape[1]:
-                exact_lanes.load(scene, exact, block, state[block])
-                exact_lanes.start(scene, setting, block, state[block], paths, chosen)
+                exact_lanes.start(scene, exact, setting, block, state[block], paths, chosen)
 
     @numba.njit(cache=True, **OPTIONS)
     def look(setting, state, k, blocks, times, seen, yaw_rate, heading):
@@ -108,7 +107,7 @@ def _entries(digest: int) -> Any:
                 w[TARGET + l] = command[block * LANES + l] if w[ALIVE + l] > 0.0 else 0.0
             lanes.lay_bend(setting, recorded, block, k, w, bend, 0)
             if exact.shape[1]:
-                exact_lanes.advance(exact, setting, w, k, 0.0, block * LANES, False, bend, 0, paths)
+                exact_lanes.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
             else:
                 parts = sight.substeps_of(w)
                 end = sight.lay_road(setting, k, w, parts, road, 0)
@@ -130,18 +129,18 @@ def _entries(digest: int) -> Any:
     @numba.njit(cache=True, **OPTIONS)
     def drive_lanes(
         scene, exact, setting, law, times, recorded, paths, chosen, first, last, score, diverged, failed,
-        work, g, bend, score_only,
+        work, g, bend, begun,
     ):  # fmt: skip
-        """Linear laws (d, m, ...) on blocks first to last of the ideal plant. S alone on request."""
+        """Linear laws (d, m, ...) on blocks first to last of the ideal plant; S alone into scores of one column."""
         if digest < 0:
             return
         scene, exact, setting, law, times = _bare(scene), _bare(exact), _bare(setting), _bare(law), _bare(times)
         recorded, score, diverged, failed = _bare(recorded), _bare(score), _bare(diverged), _bare(failed)
-        paths, chosen, tables = _bare(paths), _bare(chosen), (_bare(work), _bare(g), _bare(bend))
+        paths, chosen, tables = _bare(paths), _bare(chosen), (_bare(work), _bare(g), _bare(bend), _bare(begun))
         for block in range(first, last):
             exact_lanes.drive_block(
                 scene, exact, setting, law, times, recorded, paths, chosen, block,
-                score, diverged, failed, tables, score_only,
+                score, diverged, failed, tables,
             )  # fmt: skip
 
     return begin, look, go_on, drive_any, drive_lanes
@@ -150,9 +149,10 @@ def _entries(digest: int) -> Any:
 begin, look, go_on, drive_any, drive_lanes = _entries(_digest())
 
 
-def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Scratch of one call of `drive_lanes`: table of a block, weights of the lane ahead, y'' of `most` samples.
+def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Scratch of one call of `drive_lanes`: table of a block, weights of the lane ahead, y'' of `most` samples, start.
 
     The caller keeps it: what a compiled function makes is freed after its last use there, bare views do not count.
     """
-    return np.zeros(lanes.rings(setting)[-1]), np.zeros(2 * lookaheads * LANES), np.empty(4 * most * LANES)
+    sizes = 2 * lookaheads * LANES, 4 * most * LANES, data.LIMITS
+    return np.zeros(lanes.rings(setting)[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]

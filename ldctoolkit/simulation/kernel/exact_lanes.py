@@ -3,7 +3,8 @@
 Neighbours in the takeover's order last about equally long. Each whole step is a product with the exactly discretised
 plant, the same arithmetic in every lane, so that a scenario's numbers do not depend on its neighbours. What happens
 rarely is looked at one lane at a time: events within a step, steps that T cuts, and last ones that are not whole, which
-are driven with their own exact matrices.
+are driven with their own exact matrices. S alone takes less: whole steps, in which the quartic with a step's ends,
+slopes and integral is cut at T and split at a zero.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
@@ -15,35 +16,25 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lane_functions import OPTIONS, fma, larger, touches
+from ldctoolkit.lane_functions import OPTIONS, absolute_area, fma, larger, touches
 from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel.lanes import (
-    LARGEST,
-    L,
-    begin,
-    copy,
-    diverge,
-    end_sample,
-    hand_over,
-    lay_bend,
-    length_of,
-    look_back,
-    look_back_from_end,
-    look_closer,
-    record,
-    score_limits,
-    split_area,
-)
+from ldctoolkit.simulation.kernel import lanes
+from ldctoolkit.simulation.kernel.lanes import LARGEST, L, copy, length_of
 
 _B, _E_0, _E_1, _AREA_X = (at.STEP + n * L for n in (at.EX_B, at.EX_E_0, at.EX_E_1, at.EX_X))
+
+_CHANGED: Final = at.LIMITS // L
+"""Rows that a run changes, but for those of the law."""
 
 _WRONG: Final = 2.0
 """Flag of a command that is not finite."""
 
 
 @numba.njit(**OPTIONS)
-def load(scene, exact, block, w):
-    """Plant of a block."""
+def start(scene, exact, setting, block, w, paths, chosen):
+    """Plant of a block, and everything before its first sample."""
+    lanes.begin(scene, setting, block, w, paths, chosen)
+    w[at.NEXT_CUT] = 0.0
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
         w[at.V + l], w[at.PER_T + l] = scene[i, at.SPEED], 1.0 / scene[i, at.T_END]
@@ -51,15 +42,7 @@ def load(scene, exact, block, w):
             w[at.STEP + n * L + l] = exact[0, i, n]
         for n in range(5):
             w[at.OF_A + n * L + l] = scene[i, at.A_11 + n]
-
-
-@numba.njit(**OPTIONS)
-def start(scene, setting, block, w, paths, chosen):
-    """Everything before the first sample of a block."""
-    begin(scene, setting, block, w, paths, chosen)
-    w[at.NEXT_CUT] = 0.0
-    for l in range(L):
-        i, v = min(block * L + l, scene.shape[0] - 1), w[at.V + l] * w[at.ALIVE + l]
+        v = w[at.V + l] * w[at.ALIVE + l]
         w[at.V_C_0 + l], w[at.V_DC + l] = v * scene[i, at.C_0], v * scene[i, at.DC]
         w[at.LANE + l] = _lane_rate(w, l, w[at.T_0 + l])
         w[at.SINGLE + l] = 0.0
@@ -98,11 +81,11 @@ def _ahead(T, per_T, t, ahead):
 
 
 @numba.njit(**OPTIONS)
-def _look_ahead(setting, times, design, k, w, g, width):
+def _look_ahead(setting, times, design, k, w, g):
     """What a law with several lookahead times makes of the lane ahead, into `TARGET`."""
     for j in range(times.shape[1]):
         ahead = times[design, j]
-        for l in range(width):
+        for l in range(int(setting[at.WIDTH])):
             rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], w[at.T_0 + l] + k * setting[at.DT], ahead)
             c_0, dc = w[at.V_C_0 + l], w[at.V_DC + l]
             d = fma(g[2 * j * L + l], fma(dc, rate, c_0), w[at.TARGET + l])
@@ -119,13 +102,15 @@ def _three(w, row, l, x, y, z):
 def _step(setting, k, ahead, w, full):
     """Command and one whole step of every lane; True if something rare happens in one."""
     dt, offset, bound, l_f = setting[at.DT], setting[at.OFFSET], setting[at.BOUND], setting[at.AXLE]
+    per_step = 1.0 / dt
     B, E_0, E_1, area_x = _B, _E_0, _E_1, _AREA_X
     rare = False
     for l in range(L):
         t = w[at.T_0 + l] + k * dt
         x_0, x_1, x_2, x_3 = w[at.X + l], w[at.X + L + l], w[at.X + 2 * L + l], w[at.X + 3 * L + l]
         u, z, c_0, dc = w[at.LAST + l], w[at.Z + l], w[at.V_C_0 + l], w[at.V_DC + l]
-        r_0, r_1 = w[at.LANE + l], fma(dc, min((w[at.T_0 + l] + (k + 1) * dt) * w[at.PER_T + l], 1.0), c_0)
+        place = (w[at.T_0 + l] + (k + 1) * dt) * w[at.PER_T + l]
+        r_0, r_1 = w[at.LANE + l], fma(dc, min(place, 1.0) if full else place, c_0)
         w[at.LANE + l] = r_1
         rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], t, ahead)
         d = fma(w[at.WEIGHTS + l], fma(dc, rate, c_0), w[at.TARGET + l])
@@ -150,7 +135,12 @@ def _step(setting, k, ahead, w, full):
         area = fma(w[at.STEP + at.EX_R_0 * L + l], r_0, fma(w[at.STEP + at.EX_R_1 * L + l], r_1, area))
         w[at.N + l], w[at.N + L + l], w[at.N + 2 * L + l], w[at.N + 3 * L + l] = n_0, n_1, n_2, n_3
         w[at.SIGNED + l] = area
-        counted = w[at.COUNTED + l] > 0.0
+        if full:
+            counted = w[at.COUNTED + l] > 0.0
+        else:
+            share = min(max(fma(w[at.ENDS + L + l], per_step, w[at.ENDS + l]) - k, 0.0), w[at.ALIVE + l])
+            w[at.COUNTED + l], counted = share, share > 0.0
+            wrong &= counted
         event = not abs(n_0) <= bound  # also true for NaN
         event |= counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt))
         if full:
@@ -167,23 +157,60 @@ def _step(setting, k, ahead, w, full):
             event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[at.S + at.DEEP * L + l])
             event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[at.S + at.FRONT * L + l])
             event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[at.S + at.OPPOSITE * L + l], offset))
+        else:
+            event = (event | (share < 1.0)) & counted
         w[at.FLAG + l] = _WRONG if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
     return rare
 
 
 @numba.njit(**OPTIONS)
-def _light_step(setting, k, ahead, w):
-    """The same for S alone."""
-    return _step(setting, k, ahead, w, False)
+def _divide(setting, w):
+    """Integral of |e_y| over a step up to T in every lane, into `SIGNED`; True if a lane needs a closer look.
+
+    What that look wants goes into `WORK`: end, slope, integral and length of the step up to T.
+    """
+    dt, bound, closer = setting[at.DT], setting[at.BOUND], False
+    for l in range(int(setting[at.WIDTH])):
+        s, x_0, n_0, m_0, m_1 = w[at.COUNTED + l], w[at.X + l], w[at.N + l], dt * w[at.X + L + l], dt * w[at.N + L + l]
+        c_4 = 30.0 * (w[at.SIGNED + l] / dt - 0.5 * (x_0 + n_0) - (m_0 - m_1) / 12.0)
+        c_2, c_3 = 3.0 * (n_0 - x_0) - 2.0 * m_0 - m_1 + c_4, 2.0 * (x_0 - n_0) + m_0 + m_1 - 2.0 * c_4
+        m_0, c_2, c_3, c_4 = s * m_0, s * s * c_2, s * s * s * c_3, s * s * s * s * c_4
+        end = x_0 + m_0 + c_2 + c_3 + c_4
+        u = x_0 / (x_0 - end) if x_0 * end < 0.0 else 1.0
+        for _ in range(3):  # Newton's method from the straight line
+            value = fma(u, fma(u, fma(u, fma(u, c_4, c_3), c_2), m_0), x_0)
+            slope = fma(u, fma(u, fma(u, 4.0 * c_4, 3.0 * c_3), 2.0 * c_2), m_0)
+            following = u - value / slope
+            u = following if (following > 0.0) & (following < 1.0) & (u < 1.0) else u
+        to_u = u * fma(u, fma(u, fma(u, fma(u, c_4 / 5.0, c_3 / 4.0), c_2 / 3.0), 0.5 * m_0), x_0)
+        area, length = x_0 + 0.5 * m_0 + c_2 / 3.0 + c_3 / 4.0 + c_4 / 5.0, s * dt
+        w[at.SIGNED + l] = length * (abs(to_u) + abs(area - to_u))
+        slope = (m_0 + 2.0 * c_2 + 3.0 * c_3 + 4.0 * c_4) / max(length, 1e-300)
+        w[at.WORK + l], w[at.WORK + L + l] = end, slope
+        w[at.WORK + 2 * L + l], w[at.WORK + 3 * L + l] = length * area, length
+        look = touches(x_0, w[at.X + L + l], end, slope, length) | (not abs(end) <= bound) | (w[at.FLAG + l] == _WRONG)
+        closer |= look & (s > 0.0)
+    return closer
 
 
 @numba.njit(**OPTIONS)
-def _light_score(setting, w):
-    """S of a step in every lane."""
+def _drive_to_T(setting, k, ahead, w):
+    """Sample k for S alone."""
+    if _step(setting, k, ahead, w, False) and _divide(setting, w):
+        for l in range(L):
+            if w[at.COUNTED + l] > 0.0:
+                w[at.FAILED + l] += 1.0 if w[at.FLAG + l] == _WRONG else 0.0  # the command before it was driven
+                x_0, x_1, end, slope = w[at.X + l], w[at.X + L + l], w[at.WORK + l], w[at.WORK + L + l]
+                length = w[at.WORK + 3 * L + l]
+                if not abs(end) <= setting[at.BOUND]:
+                    lanes.diverge(setting, w, l, w[at.T_0 + l] + k * setting[at.DT], True)
+                    w[at.DIVERGED + l], w[at.COUNTED + l], w[at.ALIVE + l] = 1.0, 0.0, 0.0
+                elif touches(x_0, x_1, end, slope, length):
+                    w[at.SIGNED + l] = absolute_area(x_0, x_1, end, slope, w[at.WORK + 2 * L + l], length)
     for l in range(int(setting[at.WIDTH])):
-        counted = w[at.COUNTED + l] * (1.0 - w[at.SINGLE + l])
-        w[at.S + at.AREA * L + l] = fma(abs(w[at.SIGNED + l]), counted, w[at.S + at.AREA * L + l])
+        area = abs(w[at.SIGNED + l]) if w[at.COUNTED + l] > 0.0 else 0.0
+        w[at.S + at.AREA * L + l] += area
         w[at.LAST + l], w[at.TARGET + l] = w[at.TARGET + l], 0.0
         w[at.X + l], w[at.X + L + l] = w[at.N + l], w[at.N + L + l]
         w[at.X + 2 * L + l], w[at.X + 3 * L + l] = w[at.N + 2 * L + l], w[at.N + 3 * L + l]
@@ -217,7 +244,7 @@ def _score(setting, w):
 
 
 @numba.njit(**OPTIONS)
-def _cut(exact, setting, w, i, l, k, full, paths):
+def _cut(exact, setting, w, i, l, k, paths):
     """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
     h, until = length_of(setting, w, l, k)
     rest, d, t = w[at.ENDS + L + l], w[at.TARGET + l], w[at.T_0 + l] + k * setting[at.DT]
@@ -238,43 +265,23 @@ def _cut(exact, setting, w, i, l, k, full, paths):
             area += exact[part, i, at.EX_X + n] * w[at.X + n * L + l] if n else 0.0
         w[at.SIGNED + l] = area
         if not abs(w[at.N + l]) <= setting[at.BOUND]:
-            diverge(setting, w, l, t, counted)
+            lanes.diverge(setting, w, l, t, counted)
             return False
-        look_closer(setting, w, l, t, span, counted)
+        lanes.look_closer(setting, w, l, t, span, counted)
         if counted:
             w[at.S + at.AREA * L + l] += abs(w[at.SIGNED + l])
         t += span
         if part == 1 and h != rest and paths.shape[0] and w[at.KEPT + l] >= 0.0:
-            record(paths, w, l, w[at.T + l])
-        if full:
-            own = w[at.OF_A + 3 * L + l] * d + w[at.OF_A + 4 * L + l] * r_1
-            for n in range(3):
-                own += w[at.OF_A + n * L + l] * w[at.N + (n + 1) * L + l]
-            w[at.LIMITS + L + l], w[at.LIMITS + 3 * L + l] = own + w[at.V + l] * r_1, own
-            if counted and h != rest:  # just after T nothing is recorded any more
-                w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], abs(own))
-            w[at.S + at.EFFORT * L + l] += span * (d * d)
-            w[at.S + at.DELTA * L + l] = max(w[at.S + at.DELTA * L + l], abs(d))
-            w[at.S + at.TRAVEL * L + l] += abs(d - w[at.LAST + l]) if part == 1 else 0.0
-    return True
-
-
-@numba.njit(**OPTIONS)
-def _rare(exact, setting, w, i, l, k, full, paths):
-    """What happens in a lane now and then in step k; False if it diverged."""
-    t = w[at.T_0 + l] + k * setting[at.DT]
-    h, until = length_of(setting, w, l, k)
-    if h < setting[at.DT] or 0.0 < until < h:
-        w[at.SINGLE + l] = 1.0
-        return _cut(exact, setting, w, i, l, k, full, paths)
-    if w[at.FLAG + l] > 0.0:
-        if not abs(w[at.N + l]) <= setting[at.BOUND]:
-            diverge(setting, w, l, t, w[at.COUNTED + l] > 0.0)
-            return False
-        if full:
-            look_closer(setting, w, l, t, setting[at.DT], w[at.COUNTED + l] > 0.0)
-        elif w[at.COUNTED + l] > 0.0:
-            split_area(w, l, setting[at.DT])
+            lanes.record(paths, w, l, w[at.T + l])
+        own = w[at.OF_A + 3 * L + l] * d + w[at.OF_A + 4 * L + l] * r_1
+        for n in range(3):
+            own += w[at.OF_A + n * L + l] * w[at.N + (n + 1) * L + l]
+        w[at.LIMITS + L + l], w[at.LIMITS + 3 * L + l] = own + w[at.V + l] * r_1, own
+        if counted and h != rest:  # just after T nothing is recorded any more
+            w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], abs(own))
+        w[at.S + at.EFFORT * L + l] += span * (d * d)
+        w[at.S + at.DELTA * L + l] = max(w[at.S + at.DELTA * L + l], abs(d))
+        w[at.S + at.TRAVEL * L + l] += abs(d - w[at.LAST + l]) if part == 1 else 0.0
     return True
 
 
@@ -282,7 +289,7 @@ def _rare(exact, setting, w, i, l, k, full, paths):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
+def advance(exact, setting, w, k, ahead, first, bend, now, paths):
     """Sample k: what a law makes of the rows of a block, or the command in `TARGET` where its weights are 0."""
     quiet = k < w[at.NEXT_CUT]
     if not quiet:  # a lane passes its T or comes to its last step
@@ -294,7 +301,7 @@ def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
             if k < end and w[at.ALIVE + l] > 0.0:
                 next_cut = min(next_cut, min(full, end) if k < full else (k + 1.0 if k == full else end))
         w[at.NEXT_CUT] = next_cut
-    rare = _light_step(setting, k, ahead, w) if score_only else _step(setting, k, ahead, w, True)
+    rare = _step(setting, k, ahead, w, True)
     if paths.shape[0]:
         for l in range(L):
             w[at.WHEEL + l] = w[at.TARGET + l]
@@ -303,23 +310,30 @@ def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
     if rare or not quiet:
         for l in range(L):
             if w[at.ALIVE + l] > 0.0:
+                t, counted, inside = w[at.T_0 + l] + k * setting[at.DT], w[at.COUNTED + l] > 0.0, True
+                h, until = length_of(setting, w, l, k)
                 w[at.FAILED + l] += 1.0 if w[at.FLAG + l] == _WRONG else 0.0  # the command before it was driven
-                if not _rare(exact, setting, w, first + l, l, k, not score_only, paths):
+                if h < setting[at.DT] or 0.0 < until < h:
+                    w[at.SINGLE + l] = 1.0
+                    inside = _cut(exact, setting, w, first + l, l, k, paths)
+                elif not abs(w[at.N + l]) <= setting[at.BOUND]:
+                    lanes.diverge(setting, w, l, t, counted)
+                    inside = False
+                elif w[at.FLAG + l] > 0.0:
+                    lanes.look_closer(setting, w, l, t, h, counted)
+                if not inside:
                     w[at.DIVERGED + l] = 1.0
                     _leave(setting, w, l)
-    if score_only:
-        _light_score(setting, w)
-    else:
-        copy(w, at.RECORDED, bend, now, 4)
-        look_back(setting, w, k)
-        if not quiet:
-            for l in range(L):
-                if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
-                    look_back_from_end(setting, w, l, k)
-        score_limits(setting, w)
-        _score(setting, w)
+    copy(w, at.RECORDED, bend, now, 4)
+    lanes.look_back(setting, w, k)
+    if not quiet:
+        for l in range(L):
+            if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
+                lanes.look_back_from_end(setting, w, l, k)
+    lanes.score_limits(setting, w)
+    _score(setting, w)
     if rare or not quiet or paths.shape[0]:
-        end_sample(setting, w, k, paths)
+        lanes.end_sample(setting, w, k, paths)
         for l in range(L):
             w[at.SINGLE + l] = 0.0
             if w[at.ALIVE + l] == 0.0:
@@ -327,33 +341,33 @@ def advance(exact, setting, w, k, ahead, first, score_only, bend, now, paths):
 
 
 @numba.njit(**OPTIONS)
-def drive_block(
-    scene, exact, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, tables, score_only
-):
-    """Every design of a law on one block of scenarios; scores into (d, SCORES, m). S alone on request."""
-    w, g, bend = tables
-    several, single, most, width = times.shape[1] != 1, times.shape[1] == 1, 0, int(setting[at.WIDTH])
-    load(scene, exact, block, w)
-    begin(scene, setting, block, w, paths[:0], chosen)
+def drive_block(scene, exact, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, tables):
+    """Every design of a law on one block of scenarios; scores into (d, SCORES, m), S alone into (d, 1, m)."""
+    w, g, bend, begun = tables
+    several, score_only, most = times.shape[1] != 1, score.shape[1] == 1, 0
+    start(scene, exact, setting, block, w, paths, chosen)
+    copy(begun, 0, w, 0, _CHANGED)
     for l in range(L):
-        most = max(most, int(w[at.ENDS + 2 * L + l]))
+        to_T = w[at.ENDS + l] + (1.0 if w[at.ENDS + L + l] > 0.0 else 0.0)
+        most = max(most, int(to_T if score_only else w[at.ENDS + 2 * L + l]))
     if not score_only:
         for k in range(most):
-            lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+            lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
-        start(scene, setting, block, w, paths, chosen)
+        copy(w, 0, begun, 0, _CHANGED)
         for l in range(L):
             i, alive = min(block * L + l, scene.shape[0] - 1), w[at.ALIVE + l]
             for n in range(at.LAW):
                 w[at.OF_LAW + n * L + l] = law[design, i, n] * alive
             for j in range(2 * times.shape[1]):
                 g[j * L + l] = law[design, i, at.LAW + j] * alive
-            w[at.WEIGHTS + l], w[at.WEIGHTS + L + l] = (g[l], g[L + l]) if single else (0.0, 0.0)
-            if score_only:
-                w[at.S + at.BACK * L + l] = 0.0  # no time is wanted beside S
-        ahead = times[design, 0] if single else 0.0
+            w[at.WEIGHTS + l], w[at.WEIGHTS + L + l] = (0.0, 0.0) if several else (g[l], g[L + l])
+        ahead = 0.0 if several else times[design, 0]
         for k in range(most):
             if several:
-                _look_ahead(setting, times, design, k, w, g, width)
-            advance(exact, setting, w, k, ahead, block * L, score_only, bend, 4 * k * L, paths)
-        hand_over(w, design, block, score, diverged, failed)
+                _look_ahead(setting, times, design, k, w, g)
+            if score_only:
+                _drive_to_T(setting, k, ahead, w)
+            else:
+                advance(exact, setting, w, k, ahead, block * L, bend, 4 * k * L, paths)
+        lanes.hand_over(w, design, block, score, diverged, failed)

@@ -71,14 +71,6 @@ def begin(scene, setting, block, w, paths, chosen):
 
 
 @numba.njit(**OPTIONS)
-def split_area(w, l, h):
-    """Integral of |e_y| over a piece of one lane in which e_y may change its sign."""
-    x_0, x_1, n_0, n_1 = w[at.X + l], w[at.X + L + l], w[at.N + l], w[at.N + L + l]
-    if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
-        w[at.SIGNED + l] = absolute_area(x_0, x_1, n_0, n_1, w[at.SIGNED + l], h)
-
-
-@numba.njit(**OPTIONS)
 def look_closer(setting, w, l, t, h, counted):
     """What a piece of one lane holds from t to t + h: change of sign, extremes, edge back inside."""
     l_f, offset = setting[at.AXLE], setting[at.OFFSET]
@@ -91,7 +83,8 @@ def look_closer(setting, w, l, t, h, counted):
         front = hermite_peak(f_0, x_1 + l_f * w[at.X + 3 * L + l], f_1, n_1 + l_f * w[at.N + 3 * L + l], h)
         w[at.S + at.DEEP * L + l] = max(w[at.S + at.DEEP * L + l], hermite_peak(x_0, x_1, n_0, n_1, h))
         w[at.S + at.FRONT * L + l] = max(w[at.S + at.FRONT * L + l], front)
-        split_area(w, l, h)
+        if x_0 * n_0 < 0.0 or touches(x_0, x_1, n_0, n_1, h):
+            w[at.SIGNED + l] = absolute_area(x_0, x_1, n_0, n_1, w[at.SIGNED + l], h)
     w[at.S + at.OPPOSITE * L + l] = max(w[at.S + at.OPPOSITE * L + l], hermite_peak(-x_0, -x_1, -n_0, -n_1, h))
 
 
@@ -249,7 +242,7 @@ def hand_over(w, design, block, score, diverged, failed):
     """Results of a design on a block."""
     for l in range(min(L, score.shape[2] - block * L)):
         i = block * L + l
-        for n in range(at.SCORES):
+        for n in range(score.shape[1]):
             score[design, n, i] = w[at.S + n * L + l]
         diverged[design, i], failed[design, i] = w[at.DIVERGED + l] > 0.0, int(w[at.FAILED + l])
 

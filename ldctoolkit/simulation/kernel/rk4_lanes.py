@@ -23,36 +23,9 @@ import numpy as np
 
 from ldctoolkit.lane_functions import OPTIONS, arctan, cosine, decay, fma, larger, moments, sine, touches
 from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel.lanes import (
-    L,
-    begin,
-    copy,
-    diverge,
-    end_sample,
-    hand_over,
-    lay_bend,
-    look_back,
-    look_back_from_end,
-    look_closer,
-    record,
-    rings,
-    score_limits,
-)
-from ldctoolkit.simulation.kernel.sight import (
-    HEADER,
-    POINT_SIZE,
-    command,
-    frame_of,
-    lay_point,
-    lay_road,
-    look_ahead,
-    noise_of,
-    parabola,
-    see,
-    segment_size,
-    substeps_of,
-    take_between,
-)
+from ldctoolkit.simulation.kernel import lanes, sight
+from ldctoolkit.simulation.kernel.lanes import L, copy, rings
+from ldctoolkit.simulation.kernel.sight import HEADER, POINT_SIZE
 from ldctoolkit.vehicle.parameters import GRAVITY
 
 _SPUN: Final = 1.5
@@ -227,7 +200,7 @@ def _along_ramp(setting, w, j):
         m_1 = q * q * fma(c, q * (1.0 / 3.0), 0.5 * b) + fma(0.5 * u, fma(-q, q, 1.0), -left * fma(q, i_0, i_1))
         m_2 = q * q * q * fma(0.25 * c, q, b * (1.0 / 3.0)) + u * fma(-q * q, q, 1.0) * (1.0 / 3.0)
         m_2 -= left * fma(q, fma(q, i_0, 2.0 * i_1), i_2)
-        b_0, b_1, b_2 = parabola(m_0, m_1, m_2)
+        b_0, b_1, b_2 = sight.parabola(m_0, m_1, m_2)
         w[at.PARABOLA + l] = b_0 if ramp > 0.0 else a_0
         w[at.PARABOLA + L + l] = b_1 if ramp > 0.0 else a_1
         w[at.PARABOLA + 2 * L + l] = b_2 if ramp > 0.0 else a_2
@@ -318,11 +291,11 @@ def _drive_segment(setting, w, k, parts, road, place):
             _linear_substep(w, road, place + HEADER + 2 * j * POINT_SIZE, 0.0)
         if ends:
             if setting[at.CAMERA] > 0.0:
-                take_between(setting, k, w)
+                sight.take_between(setting, k, w)
             if _score(setting, w):
                 for l in range(L):
                     if w[at.FLAG + l] > 0.0:
-                        look_closer(setting, w, l, w[at.NOW + l], w[at.SPAN + l], w[at.COUNTED + l] > 0.0)
+                        lanes.look_closer(setting, w, l, w[at.NOW + l], w[at.SPAN + l], w[at.COUNTED + l] > 0.0)
             _next_piece(setting, w)
     spun = _SPUN if setting[at.SATURATING] > 0.0 else math.inf
     lost = False
@@ -336,7 +309,7 @@ def _drive_segment(setting, w, k, parts, road, place):
 @numba.njit(**OPTIONS)
 def advance(setting, w, k, parts, road, place, end, bend, now, paths):
     """Sample k with the command in `TARGET`: segments of the road from `place` to `end`. Lanes that go on after it."""
-    ring, whole, mine = int(setting[at.COMMANDS]), k - int(setting[at.DELAY_SAMPLES]), segment_size(parts)
+    ring, whole, mine = int(setting[at.COMMANDS]), k - int(setting[at.DELAY_SAMPLES]), sight.segment_size(parts)
     newest = at.RINGS + (k % ring) * L
     fresh, stale = at.RINGS + (whole % ring) * L, at.RINGS + ((whole - 1) % ring) * L
     # the steering angle at the trigger is not limited
@@ -367,7 +340,7 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
                 if w[at.FLAG + l] > 0.0:
                     for n in range(at.SCORES):
                         w[at.S + n * L + l] = w[at.SAVED + n * L + l]
-                    diverge(setting, w, l, w[at.BEGAN + l], w[at.COUNTED + l] > 0.0)
+                    lanes.diverge(setting, w, l, w[at.BEGAN + l], w[at.COUNTED + l] > 0.0)
                     w[at.DIVERGED + l], w[at.ALIVE + l] = 1.0, 0.0
         if place + mine < end:
             _at_T(setting, w, road, place + mine, paths)
@@ -382,12 +355,12 @@ def advance(setting, w, k, parts, road, place, end, bend, now, paths):
         w[at.S + at.RATE * L + l] = larger(w[at.S + at.RATE * L + l], rate if alive else 0.0)
     _accelerations(setting, w, road, end - POINT_SIZE, at.WHEEL, at.LIMITS + L)
     copy(w, at.RECORDED, bend, now, 4)
-    look_back(setting, w, k)
+    lanes.look_back(setting, w, k)
     for l in range(L):
         if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ENDS + 2 * L + l]:
-            look_back_from_end(setting, w, l, k)
-    score_limits(setting, w)
-    return end_sample(setting, w, k, paths)
+            lanes.look_back_from_end(setting, w, l, k)
+    lanes.score_limits(setting, w)
+    return lanes.end_sample(setting, w, k, paths)
 
 
 @numba.njit(**OPTIONS)
@@ -399,7 +372,7 @@ def _at_T(setting, w, road, place, paths):
             peak = abs(w[at.PAST + 2 * L + l])
             w[at.S + at.A_Y_ADDED * L + l] = max(w[at.S + at.A_Y_ADDED * L + l], peak)
             if paths.shape[0] and w[at.KEPT + l] >= 0.0:
-                record(paths, w, l, w[at.T + l])
+                lanes.record(paths, w, l, w[at.T + l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
@@ -409,7 +382,7 @@ def _at_T(setting, w, road, place, paths):
 def start(scene, setting, block, w, paths, chosen):
     """Everything before the first sample of a block."""
     w[:] = 0.0
-    begin(scene, setting, block, w, paths, chosen)
+    lanes.begin(scene, setting, block, w, paths, chosen)
     size, count, modes = int(setting[at.FRAMES]), int(setting[at.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -445,13 +418,13 @@ def start(scene, setting, block, w, paths, chosen):
                 w[at.ESTIMATE + n * L + l] = scene[i, model + at.FIRST + n] * w[at.ALIVE + l]
         if setting[at.CAMERA] > 0.0:
             k = 0
-            while frame_of(setting, k) < 0:
+            while sight.frame_of(setting, k) < 0:
                 frame = rings(setting)[0] + 2 * (k % size) * L + l
                 for n in range(2):
-                    w[frame + n * L] = scene[i, at.SCENE + count + 2 * (-frame_of(setting, k) - 1) + n]
+                    w[frame + n * L] = scene[i, at.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n]
                 k += 1
         w[at.BEGAN + l] = w[at.T_0 + l]
-    lay_point(setting, w, 0.0)
+    sight.lay_point(setting, w, 0.0)
     _accelerations(setting, w, w, at.POINTS, at.WHEEL, at.LIMITS)
     copy(w, at.BEFORE, w, at.LIMITS, 1)
 
@@ -463,23 +436,23 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
     _, _, _, size = rings(setting)
     w = np.empty(size)
     start(scene, setting, block, w, paths[:0], chosen)
-    parts, most, segments = substeps_of(w), 0, 2 if setting[at.DELAY_PART] > 0.0 else 1
+    parts, most, segments = sight.substeps_of(w), 0, 2 if setting[at.DELAY_PART] > 0.0 else 1
     for l in range(L):
         most = max(most, int(w[at.ENDS + 2 * L + l]))
     g, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
-    road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
+    road, ends = np.empty((segments * most + 2 * L) * sight.segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
     ahead, noise = np.empty(most * wide), np.empty(most * 2 * L)
     for k in range(most):
-        ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
-        lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
-        noise_of(setting, k, w, noise, k * 2 * L)
+        ends[k + 1] = sight.lay_road(setting, k, w, parts, road, ends[k])
+        lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        sight.noise_of(setting, k, w, noise, k * 2 * L)
     for design in range(law.shape[0]):
         same = design > 0
         for j in range(lookaheads):
             same &= times[design, j] == times[design - 1, j]
         if not same:
             for k in range(most):
-                look_ahead(setting, k, w, times[design], ahead, k * wide)
+                sight.look_ahead(setting, k, w, times[design], ahead, k * wide)
         start(scene, setting, block, w, paths, chosen)
         for l in range(L):
             i = min(block * L + l, m - 1)
@@ -488,8 +461,8 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
             for j in range(columns):
                 g[j * L + l] = law[design, i, at.LAW + j]
         for k in range(most):
-            see(setting, w, k, ahead, k * wide, noise, k * 2 * L)
-            command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads)
+            sight.see(setting, w, k, ahead, k * wide, noise, k * 2 * L)
+            sight.command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads)
             if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
-        hand_over(w, design, block, score, diverged, failed)
+        lanes.hand_over(w, design, block, score, diverged, failed)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from markupsafe import Markup
 
-from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
+from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT, JERK_WINDOW
 from ldctoolkit.simulation import Takeover
 from studies.ranking.figures import figure_values
 from studies.ranking.ranking import Ranking
@@ -109,7 +109,7 @@ def limits_table(report: ReportInput, table: CaseTable, ranking: Ranking) -> Lim
     @functools.cache
     def recorded(y_s: float) -> str:
         over = Takeover.build(report.results.scenarios, report.setup, y_s=y_s)
-        a_y, jerk = over.recorded_peaks()
+        a_y, jerk = over.driven.peaks(over.start, report.setup.dt, JERK_WINDOW)
         return f"{percent((a_y > A_Y_LIMIT).mean())} / {percent((jerk > JERK_LIMIT).mean())}" if over.m else DASH
 
     D_y = compact(table.D_y)

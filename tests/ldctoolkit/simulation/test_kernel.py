@@ -324,13 +324,13 @@ def test_threads_must_be_a_number_of_threads() -> None:
 
 @pytest.mark.parametrize("controller", [PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR())])
 def test_S_alone_is_the_same_S(controller: Controller) -> None:
-    """Two compilations of the same formulas: equal to rounding; companions that were not worked out are NaN."""
+    """The step that T cuts is a piece of a quartic; companions that were not worked out are NaN."""
     over = closed_loop.takeover(make_scenarios(90, seed=21))
     whole = drive(controller, over).outcome("departure")
     (run,) = drive_many([controller], over, score_only=True)
     alone = run.outcome("departure")
     at_T = drive(controller, closed_loop.takeover(over.scenarios, settle=0.0))
-    np.testing.assert_allclose(alone.S, whole.S, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(alone.S, whole.S, rtol=0, atol=1e-7)
     general = isinstance(controller, Stepped)
     expected = whole if general else at_T.outcome("departure")
     np.testing.assert_array_equal(alone.status, expected.status)
