@@ -156,12 +156,14 @@ GROUPS: Final[Mapping[str, str]] = {
     "comfort": "Comfort, interventions",
     "steering": "Steering, interventions",
     "interventions": "Interventions",
+    "loop": "Linear loop",
     "failures": "Failures",
 }
 """Which metrics belong together, in the order to be shown."""
 
 _SHOWN_UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "share": (100.0, "%"),
+    "ratio": (1.0, ""),
     "1": (100.0, "%"),  # a reduction
     "count": (1.0, ""),
     "rad": (math.degrees(1.0), "°"),
@@ -196,7 +198,7 @@ class Metric:
         What study files and `studies.Ranking` call it.
     unit : str
         SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
-        ``"1"`` for another pure number.
+        ``"ratio"`` for a factor, ``"1"`` for another pure number.
     better : {"less", "more"}
         Which way is good.
     column : str
@@ -325,6 +327,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
         better="more",
         aliases=("dtle_0p3_share",),
     ),
+    Metric("within_dtle_gain", "1", "more", "within_dtle_gain", "The same, more than without control", "lane", 1),
     _share(
         "needless",
         "Needless interventions",
@@ -366,6 +369,8 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     *_of("delta_rate_peak", "max"),
     *_of("effort", "mean", alias="effort"),
     *_of("travel", "mean", alias="travel"),
+    Metric("gain_margin", "ratio", "more", "gain_margin", "Gain margin, least over speed", "loop", 2),
+    Metric("phase_margin", "rad", "more", "phase_margin_rad", "Phase margin, least over speed", "loop", 1),
 )
 """What a release asks for beside S, by its name, in the order of ``ranking.csv``."""
 

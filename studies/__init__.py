@@ -10,9 +10,7 @@ if TYPE_CHECKING:
     from studies.comparison.comparison import Comparison
     from studies.design import Design
     from studies.extraction.runner import run_extraction
-    from studies.plotting.landscape_plot import plot_landscape
-    from studies.plotting.ranking_plots import plot_ranking, plot_trade_off
-    from studies.plotting.score_plots import plot_convergence, plot_distribution
+    from studies.plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
     from studies.ranking.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
     from studies.runner import run_study
@@ -31,11 +29,11 @@ _HOMES = {
     "Study": "study_file.spec",
     "StudyResults": "results",
     "compare": "comparison.compare_studies",
-    "plot_convergence": "plotting.score_plots",
-    "plot_distribution": "plotting.score_plots",
-    "plot_landscape": "plotting.landscape_plot",
-    "plot_ranking": "plotting.ranking_plots",
-    "plot_trade_off": "plotting.ranking_plots",
+    "plot_convergence": "plotting",
+    "plot_distribution": "plotting",
+    "plot_landscape": "plotting",
+    "plot_ranking": "plotting",
+    "plot_trade_off": "plotting",
     "rank_study": "ranking.ranking",
     "read_manifest": "storage.manifest",
     "read_results": "storage.store",

@@ -456,17 +456,36 @@ def warnings_of(
 ) -> tuple[str, ...]:
     """Sentences, the most serious first; each begins with the side where there is one."""
     prefix = f"{found.label}: " if found.label else ""
-    lines = (*_fit(mixture, summary), *_misfit(found), *_components(found), *_events(found, summary))
+    lines = (*_fit(found, mixture, summary), *_misfit(found), *_components(found), *_events(found, summary))
     return tuple(f"{prefix}{line}" for line in lines)
 
 
-def _fit(mixture: BoundedGaussianMixture, summary: SideSummary | None) -> Iterator[str]:
+def _fit(found: SideDiagnostics, mixture: BoundedGaussianMixture, summary: SideSummary | None) -> Iterator[str]:
     converged = summary.converged if summary is not None else getattr(mixture, "converged_", True)
     if not converged:
         yield "the fit stopped before it had converged"
     K = mixture.distribution.weights.size
-    if summary is not None and len(summary.n_components) > 1 and max(summary.n_components) == K:
+    largest = summary is not None and len(summary.n_components) > 1 and max(summary.n_components) == K
+    few = _few(found)
+    if few:
+        events = ", ".join(f"{found.components[k].events:.1f}" for k in few)
+        which = f"component {few[0]} rests" if len(few) == 1 else f"components {', '.join(map(str, few))} rest"
+        also = f"K = {K} is the largest that was tried, but " if largest else ""
+        advice = ": more departures are needed, not more components" if largest else ""
+        yield f"{also}{which} on fewer effective events ({events}) than the {_free(found)} parameters of one{advice}"
+    elif largest:
         yield f"the chosen K = {K} is the largest that was tried, the best may be larger: try more"
+
+
+def _free(found: SideDiagnostics) -> int:
+    """Parameters of one component."""
+    d = len(found.names)
+    return 1 + d + d * (d + 1) // 2
+
+
+def _few(found: SideDiagnostics) -> list[int]:
+    """Components with fewer effective events than parameters."""
+    return [k for k, one in enumerate(found.components) if one.events < _free(found)]
 
 
 def _misfit(found: SideDiagnostics) -> Iterator[str]:
@@ -494,22 +513,25 @@ def _misfit(found: SideDiagnostics) -> Iterator[str]:
 
 
 def _components(found: SideDiagnostics) -> Iterator[str]:
-    d = len(found.names)
-    free = 1 + d + d * (d + 1) // 2
+    """What is odd about components, one sentence a cause."""
+    tails, flat = [], []
     for k, one in enumerate(found.components):
-        if one.events < free:
-            yield f"component {k} rests on {one.events:.1f} effective events, fewer than its {free} parameters"
         rare = one.log_probability < math.log(LEAST_PROBABILITY)
         if rare or one.outside > FAR_OUTSIDE:
             parts = [f"P = 10^{one.log_probability / math.log(10.0):.0f}"] if rare else []
             if one.outside > 0.0:
                 parts.append(f"mean {one.outside:.1f} standard deviations outside in {one.outside_name}")
-            yield (
-                f"component {k} is the tail of a normal that lies outside the bounds ({', '.join(parts)}): its mean "
-                "and covariance say little"
-            )
+            tails.append(f"{k} ({', '.join(parts)})")
         if one.condition > ILL_CONDITIONED:
-            yield f"component {k} is nearly flat: its correlation matrix has condition number {one.condition:.2g}"
+            flat.append(f"{k} ({one.condition:.2g})")
+    if tails:
+        yield f"tails of normals that lie outside the bounds, of which mean and covariance say little: {_named(tails)}"
+    if flat:
+        yield f"nearly flat, by the condition number of the correlation matrix: {_named(flat)}"
+
+
+def _named(parts: list[str]) -> str:
+    return f"component{'' if len(parts) == 1 else 's'} {', '.join(parts)}"
 
 
 def _events(found: SideDiagnostics, summary: SideSummary | None) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from ldctoolkit.review.arguments import review_plant
 from ldctoolkit.review.design_review import BEND, SPEEDS, Review, review, without_review
 from ldctoolkit.review.findings import Finding, Severity, Thresholds
-from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers
+from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers, design_margins
 
 __all__ = [
     "BEND",
@@ -14,6 +14,7 @@ __all__ = [
     "Review",
     "Severity",
     "Thresholds",
+    "design_margins",
     "review",
     "review_plant",
     "without_review",

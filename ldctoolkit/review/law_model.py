@@ -116,7 +116,7 @@ def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
     if isinstance(law, RecordedPath):
         return None
     if isinstance(law, LinearLaw):
-        return _exact(law, plant)
+        return exact_view(law, plant)
     return _identified(controller, plant)
 
 
@@ -127,7 +127,8 @@ def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw |
         return check_law(made, plant.n, controller.name)
 
 
-def _exact(law: LinearLaw, plant: Plant) -> LinearView:
+def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
+    """A law that is linear by its type."""
     n = plant.n
     bend = law.G_yaw_rate.sum(axis=1) + law.G_heading @ law.preview_times
     D = np.column_stack([law.F, law.f_u, bend, np.zeros(n) if law.f_wheel is None else law.f_wheel])

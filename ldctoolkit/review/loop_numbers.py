@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.control import Controller
+from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.conditioning import hessian_condition
-from ldctoolkit.review.law_model import LinearView, first_answers
-from ldctoolkit.review.margins import bandwidth, margins, poles
+from ldctoolkit.review.law_model import LinearView, exact_view, first_answers
+from ldctoolkit.review.margins import bandwidth, least_margins, margins, poles
 from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
+from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
 
 BEND_ERROR = 0.05
@@ -190,3 +193,39 @@ def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
         for i in range(plant.n)
     ]
     return [Camera(held / plant.dt, plant.age / plant.dt, *both) for both in zip(gains, steps, strict=True)]
+
+
+def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.ArrayLike) -> list[tuple[float, float]]:
+    """Smallest gain and phase margin over speed of many designs on one plant.
+
+    Parameters
+    ----------
+    controllers : sequence of Controller
+    setup : Setup
+        Vehicle, plant options, clock, and what the designs know of the plant.
+    v : (k,) [m/s]
+
+    Returns
+    -------
+    list of (float, float)
+        Factor by which the gain may grow, and phase margin [rad], as `least_margins` has them; NaN for a law that is
+        not linear, leaves the recorded path alone, or raises.
+    """
+    plant, options = setup.plant(np.asarray(v, dtype=np.float64)), setup.options
+    vehicles = [
+        sampled_vehicle(*some, plant.dt, options.actuator) for some in zip(*plant.model.matrices(plant.v), strict=True)
+    ]
+    cameras = _cameras(plant, options)
+    found = []
+    for controller in controllers:
+        loops: list[Loop] = []
+        with contextlib.suppress(Exception):  # a controller may be anybody's code; running it says what is wrong
+            law = controller.prepare(plant)
+            if isinstance(law, LinearLaw):
+                sides = (
+                    controller_side(model, camera)
+                    for model, camera in zip(exact_view(law, plant).models, cameras, strict=True)
+                )
+                loops = [Loop.of(vehicle, side) for vehicle, side in zip(vehicles, sides, strict=True)]
+        found.append(least_margins(loops, plant.dt) if loops else (math.nan, math.nan))
+    return found

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ldctoolkit.gains import GainValue
 
 
-_WIDTH = 160
+_WIDTH = 120
 """Columns where stdout is no terminal: a file or a log has no width of its own."""
 
 
@@ -38,14 +38,21 @@ def console() -> Console:
     return Console() if sys.stdout.isatty() else Console(width=_WIDTH)
 
 
-def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,)) -> Table:
-    """A table whose columns `left` are words and all others numbers; neither title nor headings are markup."""
+def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), *, narrow: bool = False) -> Table:
+    """A table whose columns `left` are text and all others numbers; neither title nor headings are markup.
+
+    A narrow one has no rules between its columns; its text breaks where the terminal ends, its numbers do not.
+    """
+    from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title, style="table.title"), title_justify="left")
+    table = Table(
+        title=Text(title, style="table.title"), title_justify="left", box=box.SIMPLE_HEAD if narrow else box.HEAVY_HEAD,
+        padding=(0, 1, 0, 0) if narrow else (0, 1), pad_edge=not narrow,
+    )  # fmt: skip
     for i, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="left" if i in left else "right")
+        table.add_column(Text(heading), justify="left" if i in left else "right", no_wrap=narrow and i not in left)
     return table
 
 

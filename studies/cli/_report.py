@@ -32,9 +32,7 @@ def add_report_options(parser: argparse.ArgumentParser) -> None:
         help="drive no designs on other plants for the report, which takes some seconds the first time: it shows what "
         "DIR/robustness.json holds of this study, or leaves that section out",
     )
-    parser.add_argument(
-        "--no-figures", action="store_true", help="write no figures/: the report's figures as SVG and PNG files"
-    )
+    parser.add_argument("--no-figures", action="store_true", help="write no figures/: the report's charts as SVG files")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +41,7 @@ class ReportOptions:
 
     source: Departures | None = None  # what the scenario model was fitted to
     robustness: bool = True  # whether to drive designs on other plants where no numbers of them are stored
-    figures: bool = True  # whether to write the figures as files
+    figures: bool = True  # whether to write the charts as files
     departures: tuple[int, ...] = ()  # scenario numbers to be put into the explorer
     designs: tuple[str, ...] = ()  # beginnings of ids of designs to be put into the explorer
 
@@ -57,6 +55,15 @@ class ReportOptions:
             source = read_all_departures(chosen.source)[0]
         return cls(source, not chosen.no_robustness, not chosen.no_figures, tuple(departures), tuple(designs))
 
+    def robustness_of(self, folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
+        """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
+        if not self.robustness or not results.designs or not results.drivable().scenarios.n:
+            return stored_robustness(folder, study, results, ranking)
+        from studies.robustness.robustness import RobustnessTask
+        from studies.robustness.stored import robustness_of
+
+        return robustness_of(folder, RobustnessTask.of(results, ranking, study.setup()))
+
 
 def write_study_report(
     folder: Path,
@@ -65,16 +72,15 @@ def write_study_report(
     results: StudyResults,
     rankings: tuple[Ranking, ...],
     options: ReportOptions,
+    robustness: Robustness | None,
 ) -> Path:
     """Write DIR/report.html and DIR/figures/."""
     from ldctoolkit.errors import StoreError
-    from studies.report import write_report
-    from studies.report.of_study import report_input
+    from studies.pages.report import report_input, write_report
 
     report = report_input(
         folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
-        shown_designs=options.designs,
-        robustness=_robustness(folder, study, results, rankings[0], drive=options.robustness),
+        shown_designs=options.designs, robustness=robustness,
     )  # fmt: skip
     path = folder / "report.html"
     try:
@@ -83,14 +89,11 @@ def write_study_report(
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _robustness(
-    folder: Path, study: Study, results: StudyResults, ranking: Ranking, *, drive: bool
-) -> Robustness | None:
-    """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
+def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
+    """What DIR/robustness.json holds of these results; None where there is nothing."""
     if not results.designs or not results.drivable().scenarios.n:
         return None
     from studies.robustness.robustness import RobustnessTask
-    from studies.robustness.stored import robustness_of, stored_of
+    from studies.robustness.stored import stored_of
 
-    task = RobustnessTask.of(results, ranking, study.setup())
-    return robustness_of(folder, task) if drive else stored_of(folder, task)
+    return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))

@@ -127,7 +127,7 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
 
     def write(found: Extraction) -> None:
         from ldctoolkit.errors import StoreError
-        from studies.extraction_page import write_extraction_page
+        from studies.pages.extraction_page import write_extraction_page
 
         try:
             write_extraction_page(page, found)

@@ -75,7 +75,6 @@ def add_parser(commands: Subparsers) -> None:
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
     )  # fmt: skip
-    add("--png", action="store_true", help="write MODEL.png too, the summary of the page as a picture")
     add("--verbose", action="store_true", help="tell of every start and pass on stderr")
     parser.set_defaults(run=run)
 
@@ -109,8 +108,6 @@ def run(chosen: argparse.Namespace) -> None:
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
-    if chosen.png and not chosen.page:
-        raise InputError("--png: given beside --no-page; allowed: one of them, the picture is of the page")
     bounds, transforms = _bounds(chosen), _transforms(chosen)
     departures, provenance = read_all_departures(chosen.departures)
     model = _fitted(chosen, departures, provenance, bounds, transforms)
@@ -186,7 +183,7 @@ def _source(provenance: Provenance) -> dict[str, Any]:
 
 def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace) -> None:
     """Write the page; the model is kept also where there can be none."""
-    from studies.fit_page import write_fit_page
+    from studies.pages.fit_page import write_fit_page
 
     try:
         with progress_bar("checking") as advance:
@@ -195,13 +192,12 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
                 model,
                 departures,
                 seed=chosen.seed,
-                png=page.with_suffix(".png") if chosen.png else None,
                 progress=None if advance is None else lambda _, done, total: advance(done, total),
             )
     except LdcError as error:
         warn(f"no page about the fit: {error}")
     else:
-        print(f"page about the fit written to {page}{' and its picture beside it' if chosen.png else ''}")
+        print(f"page about the fit written to {page}")
 
 
 _COLUMNS = (

@@ -29,8 +29,8 @@ def add_parser(commands: Subparsers) -> None:
         "--require",
         action="append",
         metavar="TEXT",
-        help="what a design must meet to be ranked, as 'ay_p95 <= 3.0', instead of the study's requirements; "
-        "repeatable; '' for none",
+        help="what a design must meet to be ranked, as 'ay_p95 <= 3.0', or a set: stable, comfort, lane-edge, "
+        "physical; instead of the study's requirements; repeatable; '' for none",
     )
     parser.add_argument(
         "--baseline",
@@ -40,8 +40,8 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "--pareto",
         action="append",
-        metavar="FIGURE",
-        help="figure of the Pareto front, instead of the study's; repeatable; '' for no front",
+        metavar="METRIC",
+        help="metric of the Pareto front, instead of the study's; repeatable; '' for no front",
     )
     parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
     parser.add_argument("-o", "--output", metavar="FILE", help="write the ranking here, as .csv or .md, not to DIR")
@@ -53,10 +53,12 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
+    from studies.cli._report import stored_robustness
     from studies.cli._results import print_race, print_rankings, rank_summary, study_head, write_ranking
     from studies.ranking.ranking import rank_study
     from studies.ranking.ranking_csv import write_csv
-    from studies.ranking.ranking_markdown import write_markdown
+    from studies.ranking.ranking_text import write_markdown
+    from studies.ranking.verdict import verdict
     from studies.storage.store import Store
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
@@ -71,20 +73,23 @@ def run(chosen: argparse.Namespace) -> None:
     if results.race is not None and results.race.dropped and study.ranking.confidence != own.ranking.confidence:
         warn(f"the race gave designs up at the study's own confidence, {own.ranking.confidence:g}")
     rankings = rank_study(results, study)
+    found = verdict(
+        rankings[0], results, study.setup(), stored_robustness(Path(chosen.folder), study, results, rankings[0])
+    )
     if chosen.baseline:
         _check_baseline(chosen.baseline, rankings[0])
     if not (chosen.quiet or chosen.json):
         if results.race is not None:
             print_race(results.race)
-        print_rankings(rankings, chosen.top)
+        print_rankings(rankings, chosen.top, found)
     if target is not None and target.suffix.lower() == ".md":
-        write_markdown(rankings, target, study_head(study, store.manifest))
+        write_markdown(rankings, target, study_head(study, store.manifest), found)
     elif target is not None:
         write_csv(rankings, target, results.race)
     elif study.ranking == own.ranking:
-        target = write_ranking(Path(chosen.folder), study, store.manifest, results, rankings)
+        target = write_ranking(Path(chosen.folder), study, store.manifest, results, rankings, found)
     if chosen.json:
-        print(rank_summary(results, rankings[0], store.manifest, target))
+        print(rank_summary(results, rankings[0], store.manifest, target, found))
     elif target is not None:
         print(f"ranking: {target}")
 
@@ -111,5 +116,5 @@ def _check_baseline(baseline: str, ranking: Ranking) -> None:
     if ranking.baseline is None:
         raise InputError(
             f"--baseline {baseline}: it failed or was given up in a race, and has no results to compare with; allowed: "
-            "a design with figures in ranking.csv"
+            "a design with metrics in ranking.csv"
         )

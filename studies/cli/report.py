@@ -43,19 +43,22 @@ def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from studies.cli._report import ReportOptions, write_study_report
     from studies.cli._results import write_ranking
+    from studies.pages.replay import designs_of_ids, rows_of_numbers
     from studies.ranking.ranking import rank_study
-    from studies.report.replay.asked import asked_departures, asked_designs
+    from studies.ranking.verdict import verdict
     from studies.storage.store import Store
 
     options = ReportOptions.of(chosen, chosen.departure, chosen.design)
     folder = _folder(chosen.study)
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
-    asked_departures(results.drivable().scenarios, options.departures)  # refused before the work begins
-    asked_designs(results.designs, options.designs)
+    rows_of_numbers(results.drivable().scenarios, options.departures)  # refused before the work begins
+    designs_of_ids(results.designs, options.designs)
     rankings = rank_study(results, study)
-    print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings)}")
-    print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, options)}")
+    robustness = options.robustness_of(folder, study, results, rankings[0])
+    found = verdict(rankings[0], results, study.setup(), robustness)
+    print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings, found)}")
+    print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, options, robustness)}")
 
 
 def _folder(name: str) -> Path:

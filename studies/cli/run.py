@@ -26,7 +26,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "study",
         metavar="STUDY",
-        help="name in the catalog (paper, reality, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
+        help="name in the catalog (ideal, paper, reality, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
     )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
@@ -62,6 +62,7 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.cli._report import ReportOptions, write_study_report
     from studies.cli._results import json_summary, print_race, print_rankings, write_ranking
     from studies.ranking.ranking import rank_study
+    from studies.ranking.verdict import verdict
     from studies.runner import TIME_LIMIT, run_study
     from studies.storage.manifest import read_manifest
     from studies.study_file.ready import load_study
@@ -80,20 +81,22 @@ def run(chosen: argparse.Namespace) -> int:
     )
     manifest = read_manifest(folder)
     rankings = rank_study(results, study)
+    robustness = options.robustness_of(folder, study, results, rankings[0])
+    found = verdict(rankings[0], results, study.setup(), robustness)
     silent = chosen.quiet or chosen.json
     if not silent:
         if results.race is not None:
             print_race(results.race)
-        print_rankings(rankings, chosen.top)
+        print_rankings(rankings, chosen.top, found)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, model {manifest.model} ({manifest.model_hash[:12]})"
         )
     # files last: what they are called is the last thing on the screen
-    ranking_path = write_ranking(folder, study, manifest, results, rankings)
-    report_path = write_study_report(folder, study, manifest, results, rankings, options)
+    ranking_path = write_ranking(folder, study, manifest, results, rankings, found)
+    report_path = write_study_report(folder, study, manifest, results, rankings, options, robustness)
     if chosen.json:
-        print(json_summary(results, rankings[0], manifest, ranking_path, report_path))
+        print(json_summary(results, rankings[0], manifest, ranking_path, report_path, found))
     else:
         print(f"ranking: {ranking_path}")
         print(f"report:  {report_path}")

@@ -18,7 +18,7 @@ from studies.results import Case, FailedDesign
 PHRASES: Final = {
     Verdict.BETTER: "better",
     Verdict.WORSE: "worse",
-    Verdict.UNTOLD: "cannot be told",
+    Verdict.UNTOLD: "not separated",
     Verdict.SAME: "the same",
 }
 """Verdict -> how a sentence says it."""
@@ -131,7 +131,7 @@ class Comparison:
 
     @property
     def summary(self) -> str:
-        """One sentence: how many designs of the primary case got better, worse, stayed or cannot be told."""
+        """One sentence: how many designs of the primary case got better, worse, stayed or are not separated."""
         shared = f"{self.shared.n:,} shared scenarios ({self.shared.left:,} left, {self.shared.right:,} right)"
         first = self.cases[0]
         if len(first):

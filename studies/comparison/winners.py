@@ -146,6 +146,7 @@ def _ranking(side: FinishedStudy, case: Case) -> Ranking:
         confidence=study.ranking.confidence,
         D_y=study.report.D_y,
         require=study.ranking.require,
+        setup=study.setup(),
     )
 
 

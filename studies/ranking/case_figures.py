@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -13,8 +13,8 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import DTLE_LIMIT
 from studies.design import Design
-from studies.ranking.figures import Requirement, figure_values
 from studies.ranking.release import ReleaseFigures, release_metrics
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
@@ -122,7 +122,13 @@ class DrivableCase:
         return int(self.status.shape[1]) - len(self.scenarios)
 
 
-def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) -> CaseFigures:
+Margins = Mapping[str, tuple[float, float]]
+"""Design -> gain margin and phase margin [rad] of its linear loop."""
+
+
+def case_figures(
+    drivable: DrivableCase, designs: Sequence[Design], D_y: float, margins: Margins | None = None
+) -> CaseFigures:
     """Figures of the designs of a case, in its order.
 
     Parameters
@@ -132,6 +138,8 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
         In the order of the case.
     D_y : float [m]
         Depth that counts as deep.
+    margins : mapping, optional
+        By identifier; NaN for a design that is not in it.
     """
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
@@ -140,6 +148,12 @@ def case_figures(drivable: DrivableCase, designs: Sequence[Design], D_y: float) 
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_figures(counted)
     taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
+    passive = [i for i, design in enumerate(designs) if design.is_baseline]
+    kept = taken["within_dtle"][passive[0]] if passive else np.mean(-scenarios.d_y >= DTLE_LIMIT)
+    taken["within_dtle_gain"] = taken["within_dtle"] - kept
+    nothing = (np.nan, np.nan)
+    loops = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64).reshape(-1, 2)
+    taken["gain_margin"], taken["phase_margin"] = loops.T
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
@@ -172,27 +186,6 @@ def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
     values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseFigures)}
     return {name: v.take(order) if isinstance(v, ReleaseFigures) else v[order] for name, v in values.items()}
-
-
-def missed_requirements(requirements: Sequence[Requirement], figures: CaseFigures) -> tuple[tuple[str, ...], ...]:
-    """For every design the requirements that it does not meet, as text.
-
-    Parameters
-    ----------
-    requirements : sequence of Requirement
-    figures : CaseFigures
-        Of d designs.
-
-    Returns
-    -------
-    tuple of d tuples of str
-        Empty for a design that meets all. A metric that a design does not have (NaN) meets nothing.
-    """
-    missed: list[list[str]] = [[] for _ in range(figures.S.size)]
-    for one in requirements:
-        for i in np.flatnonzero(~one.met(figure_values(one.figure.name, figures))).tolist():
-            missed[i].append(one.text)
-    return tuple(tuple(texts) for texts in missed)
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:

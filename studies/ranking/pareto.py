@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
-from studies.ranking.figures import figure, figure_values
+from studies.ranking.requirements import metric, metric_values
 
 _BLOCK: Final = 64
 """Rows that are compared with the front at once."""
@@ -22,9 +22,9 @@ def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
     Parameters
     ----------
     names : sequence of str
-        k figures, as `studies.ranking.figures.figure` takes them.
+        k figures, as `studies.ranking.requirements.metric` takes them.
     *sources : Mapping or object
-        As for `studies.ranking.figures.figure_values`.
+        As for `studies.ranking.requirements.metric_values`.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
     if not names:
         raise InputError("Pareto front: no figures; allowed: one or more")
     signs = {"less": 1.0, "more": -1.0}
-    return np.stack([signs[figure(name).better] * figure_values(name, *sources) for name in names], axis=1)
+    return np.stack([signs[metric(name).better] * metric_values(name, *sources) for name in names], axis=1)
 
 
 def pareto_front(costs: npt.ArrayLike) -> BoolArray:

@@ -3,42 +3,35 @@
 from __future__ import annotations
 
 import dataclasses
-import html
-import re
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, IntArray
-from ldctoolkit.notebook import CELL
+from ldctoolkit.review import design_margins
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
-from studies.ranking.case_figures import CaseFigures, DrivableCase, case_figures, in_order, missed_requirements
+from studies.ranking.case_figures import CaseFigures, DrivableCase, Margins, case_figures, in_order
 from studies.ranking.failed_commands import warnings_of
 from studies.ranking.few_scenarios import warnings_of_sample
-from studies.ranking.figures import Requirement, figure, parse_requirement
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
 from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
+from studies.ranking.requirements import SETS, Miss, Requirement, metric, missed_by, requirements_of
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 from studies.study_file.spec import Study
+
+if TYPE_CHECKING:
+    from ldctoolkit import Setup
 
 SCORE: Final = (
     "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"
 )
 """What every score means; no full stop, the window may follow."""
 
-TOP: Final = 20
-"""Rows; the winner and the baseline follow where they are further down."""
-
-_BAR: Final = 120
-"""Width of the interval bars [px]."""
-
-_LEFT: Final = f"text-align:left;{CELL}"
-_RIGHT: Final = f"text-align:right;white-space:nowrap;{CELL}"
-
-_MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
+MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))
+"""Speeds [m/s] that the margins of a design are the smallest of."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -60,16 +53,19 @@ class Ranking(CaseFigures, Inference, FreshScores):
     rank : (d,) int
         1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is not
         ranked.
-    unmet : tuple of tuple of str
-        For each design, the requirements that it misses.
-    require : tuple of str
-        The requirements.
+    missed : tuple of tuple of Miss
+        For each design, the requirements that it misses, and its values.
+    requirements : tuple of Requirement
+    limits : tuple of Requirement
+        The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``.
     baseline : int or None
         Position of the design behind `baseline_difference`.
     pareto : (d,) bool
         Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
         another.
     pareto_figures : tuple of str
+    scenarios : int
+        Study scenarios that could be driven under every design.
     D_y : float [m]
     bootstrap : int
         Resamples.
@@ -90,11 +86,13 @@ class Ranking(CaseFigures, Inference, FreshScores):
     designs: tuple[Design, ...]
     index: IntArray
     rank: IntArray
-    unmet: tuple[tuple[str, ...], ...]
-    require: tuple[str, ...]
+    missed: tuple[tuple[Miss, ...], ...]
+    requirements: tuple[Requirement, ...]
+    limits: tuple[Requirement, ...]
     baseline: int | None
     pareto: BoolArray
     pareto_figures: tuple[str, ...]
+    scenarios: int
     D_y: float
     bootstrap: int
     confidence: float
@@ -112,12 +110,24 @@ class Ranking(CaseFigures, Inference, FreshScores):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
+        from studies.ranking.ranking_text import ranking_html  # it is made from rankings
+
         return ranking_html(self)
 
     @property
     def ranked(self) -> int:
         """Number of designs that have a rank; they are the first ones."""
         return int((self.rank > 0).sum())
+
+    @property
+    def require(self) -> tuple[str, ...]:
+        """The requirements as text."""
+        return tuple(one.text for one in self.requirements)
+
+    @property
+    def unmet(self) -> tuple[tuple[str, ...], ...]:
+        """For each design, the requirements that it misses, as text."""
+        return tuple(tuple(miss.requirement.text for miss in some) for some in self.missed)
 
     @property
     def survivors_only(self) -> bool:
@@ -137,6 +147,7 @@ class Ranking(CaseFigures, Inference, FreshScores):
         baseline: str = "",
         require: Sequence[str] = (),
         pareto: Sequence[str] = (),
+        setup: Setup | None = None,
     ) -> Ranking:
         """Rank the designs of one case.
 
@@ -157,9 +168,11 @@ class Ranking(CaseFigures, Inference, FreshScores):
         baseline : str
             As `studies.ranking.baseline.find_baseline` takes it.
         require : sequence of str
-            Requirements, as `studies.ranking.figures.parse_requirement` takes them.
+            Requirements and names of sets, as `studies.ranking.requirements.requirements_of` takes them.
         pareto : sequence of str
-            Figures of the Pareto front; none for no front.
+            Metrics of the Pareto front; none for no front.
+        setup : Setup, optional
+            What the designs were driven with: for their margins and the friction. Without it margins are NaN.
 
         Returns
         -------
@@ -170,16 +183,19 @@ class Ranking(CaseFigures, Inference, FreshScores):
         InputError
             For settings outside what is allowed, a baseline that is not there, or scores that are not finite.
         UnknownNameError
-            For a figure that does not exist.
+            For a metric or set that does not exist.
         """
-        requirements = [parse_requirement(text) for text in require]
-        pareto_figures = tuple(figure(name).name for name in pareto)
+        options = None if setup is None else setup.options
+        requirements = requirements_of(require, options)
+        limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
+        pareto_figures = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
-        figures = case_figures(drivable, results.designs, D_y)
-        missed = missed_requirements(requirements, figures)
-        order = np.lexsort((figures.S, np.array([bool(texts) for texts in missed]))).astype(np.int64)
-        ranked = sum(not texts for texts in missed)
+        margins = {} if setup is None else _margins(results.designs, setup.under(case.case.convention))
+        figures = case_figures(drivable, results.designs, D_y, margins)
+        missed = missed_by(requirements, figures)
+        order = np.lexsort((figures.S, np.array([bool(some) for some in missed]))).astype(np.int64)
+        ranked = sum(not some for some in missed)
         taken = in_order(figures, order)
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
@@ -194,7 +210,6 @@ class Ranking(CaseFigures, Inference, FreshScores):
         warnings = list(_warnings(drivable, results.designs))
         if (np.isnan(figures.release.a_y_added_peak_mean) & np.isfinite(figures.release.a_y_peak_mean)).any():
             warnings.append(_NOT_RECORDED)
-        warnings += _about_requirements(requirements, ranked, len(order))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
@@ -212,7 +227,10 @@ class Ranking(CaseFigures, Inference, FreshScores):
                 again,
                 np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64),
                 search,
-                missed_requirements(requirements, case_figures(again, results.fresh.designs, D_y)),
+                [
+                    tuple(miss.requirement.text for miss in some)
+                    for some in missed_by(requirements, case_figures(again, results.fresh.designs, D_y, margins))
+                ],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,
             )
@@ -237,11 +255,13 @@ class Ranking(CaseFigures, Inference, FreshScores):
             designs=designs,
             index=order,
             rank=rank,
-            unmet=tuple(missed[i] for i in order),
-            require=tuple(one.text for one in requirements),
+            missed=tuple(missed[i] for i in order),
+            requirements=requirements,
+            limits=limits,
             baseline=position,
             pareto=front,
             pareto_figures=pareto_figures,
+            scenarios=len(drivable.scenarios),
             D_y=D_y,
             bootstrap=bootstrap,
             confidence=confidence,
@@ -284,9 +304,19 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
             baseline=settings.baseline,
             require=settings.require,
             pareto=settings.pareto,
+            setup=study.setup(),
         )
         for case in results.cases
     )
+
+
+def _margins(designs: Sequence[Design], setup: Setup) -> Margins:
+    """Margins of every design; they do not depend on its threshold."""
+    same: dict[tuple[Any, ...], list[Design]] = {}
+    for design in designs:
+        same.setdefault((design.law, design.gains), []).append(design)
+    found = design_margins([some[0].controller(setup.convention) for some in same.values()], setup, MARGIN_SPEEDS)
+    return {design.id: pair for some, pair in zip(same.values(), found, strict=True) for design in some}
 
 
 _NOT_RECORDED = (
@@ -301,15 +331,6 @@ def _fields(part: Inference | FreshScores) -> dict[str, Any]:
 
 def _position(order: IntArray, index: int) -> int:
     return int(np.flatnonzero(order == index)[0])
-
-
-def _about_requirements(requirements: Sequence[Requirement], ranked: int, d: int) -> Iterator[str]:
-    if requirements and not ranked:
-        texts = " and ".join(one.text for one in requirements)
-        yield (
-            f"None of the {d} designs meets the requirements ({texts}): no design is ranked, and there is no winner. "
-            "They are listed by mean S."
-        )
 
 
 def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
@@ -341,7 +362,7 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
     if drivable.left_out:
         yield (
             f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
-            "or has the wrong sign, or the speed leaves 1 to 90 m/s); no figure of any design counts them."
+            "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
         )
     if case.case.window == "control" and len({design.y_s for design in designs}) > 1:
         yield (
@@ -349,203 +370,3 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
             "Designs with different y_s are not comparable here; use the departure window."
         )
     yield from warnings_of(case, designs)
-
-
-def ranking_sentences(ranking: Ranking) -> Iterator[str]:
-    """The winner and its score, its gain over no control and over the baseline, the set of best, what is not ranked.
-
-    Parameters
-    ----------
-    ranking : Ranking
-
-    Yields
-    ------
-    str
-        Plain text, not escaped; it holds titles of laws.
-    """
-    yield _winner(ranking)
-    if ranking.winner is not None:
-        yield from _gains(ranking, ranking.winner)
-    yield from _set_of_best(ranking)
-    if ranking.ranked < len(ranking):
-        left = len(ranking) - ranking.ranked
-        yield f"{_count(left, 'design')} of {len(ranking):,} not ranked: a requirement is missed."
-    if ranking.failed:
-        yield f"{_count(len(ranking.failed), 'design')} failed, without figures."
-    if ranking.given_up:
-        yield f"{_count(ranking.given_up, 'design')} given up in a race before."
-
-
-def failures(ranking: Ranking, place: int) -> int:
-    """Scenarios of a design in which its law did not do its work."""
-    counts = (ranking.solver_failed, ranking.diverged, ranking.timed_out, ranking.crashed)
-    return sum(int(count[place]) for count in counts)
-
-
-def marks(ranking: Ranking, place: int) -> tuple[str, ...]:
-    """What a design is called beside its rank: winner, set of best, Pareto, baseline, and what it misses."""
-    found = []
-    if place == ranking.winner:
-        found.append("winner")
-    elif ranking.set_of_best[place]:
-        found.append("set of best")
-    if ranking.pareto[place]:
-        found.append("Pareto")
-    if place == ranking.baseline:
-        found.append("baseline")
-    return (*found, *(f"misses {text}" for text in ranking.unmet[place]))
-
-
-def _winner(ranking: Ranking) -> str:
-    i, level = ranking.winner, f"{100.0 * ranking.confidence:g} % interval"
-    if i is None:
-        if not ranking.ranked:
-            return "No design meets the requirements: none is ranked and none wins."
-        if ranking.survivors_only:
-            return "There is no winner: this case was not raced, and the best design may have been given up."
-        return "There is no winner: no finalist meets the requirements on the fresh scenarios."
-    label = ranking.designs[i].label
-    if np.isfinite(ranking.fresh_S[i]):
-        return (
-            f"Winner: {label}, mean S {ranking.fresh_S[i]:.4f} m s on {ranking.fresh_scenarios:,} fresh scenarios "
-            f"({level} {ranking.fresh_low[i]:.4f} to {ranking.fresh_high[i]:.4f})."
-        )
-    between = f" ({level} {ranking.S_low[i]:.4f} to {ranking.S_high[i]:.4f})" if np.isfinite(ranking.S_low[i]) else ""
-    return f"Winner: {label}, mean S {ranking.S[i]:.4f} m s{between}."
-
-
-def _gains(ranking: Ranking, i: int) -> Iterator[str]:
-    b, fresh_share = ranking.baseline, float(ranking.fresh_reduction[i])
-    known = b is not None and b != i and np.isfinite(fresh_share)
-    if b is not None and known:
-        other = "no control" if ranking.designs[b].is_baseline else ranking.designs[b].label
-        yield f"On the same scenarios that is {_change(fresh_share)} than {other} ({ranking.fresh_S[b]:.4f} m s)."
-    share = float(ranking.reduction[i])
-    told = b is not None and known and ranking.designs[b].is_baseline
-    if np.isfinite(share) and not told and not ranking.designs[i].is_baseline:
-        if np.isfinite(ranking.fresh_S[i]):
-            yield (
-                f"On the scenarios that designs were chosen on it has mean S {ranking.S[i]:.4f} m s, {_change(share)} "
-                f"than no control ({ranking.S_uncorrected[i]:.4f} m s)."
-            )
-        else:
-            yield f"That is {_change(share)} than no control ({ranking.S_uncorrected[i]:.4f} m s)."
-    if b is None or b == i:
-        return
-    fresh = bool(np.isfinite(ranking.fresh_baseline_difference[i]))
-    name = "fresh_baseline_difference" if fresh else "baseline_difference"
-    value, low, high = (float(getattr(ranking, name + end)[i]) for end in ("", "_low", "_high"))
-    if np.isfinite(low):
-        where = "on the fresh scenarios" if fresh else "for all designs at once"
-        yield (
-            f"Difference to the baseline, {ranking.designs[b].label}: {value:+.4f} m s (interval {low:+.4f} to "
-            f"{high:+.4f}, {where})."
-        )
-
-
-def _set_of_best(ranking: Ranking) -> Iterator[str]:
-    size = int(ranking.set_of_best.sum())
-    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
-        return
-    level = f"{100.0 * ranking.confidence:g} % confidence"
-    if size > 1:
-        yield f"Set of best: {size:,} designs, which these scenarios do not tell apart; it holds the best with {level}."
-    else:
-        yield f"Set of best: one design; with {level} no other ranked design is better."
-
-
-def _change(reduction: float) -> str:
-    return f"{100.0 * abs(reduction):.1f} % {'less' if reduction >= 0 else 'more'}"
-
-
-def _count(number: int, one: str) -> str:
-    return f"{number:,} {one}{'' if number == 1 else 's'}"
-
-
-def ranking_html(ranking: Ranking, top: int = TOP) -> str:
-    """A ranking as HTML without script.
-
-    Parameters
-    ----------
-    ranking : Ranking
-    top : int
-        Rows.
-
-    Returns
-    -------
-    str
-        Everything in it is escaped.
-    """
-    places = list(range(min(top, len(ranking))))
-    places += sorted({p for p in (ranking.winner, ranking.baseline) if p is not None and p >= len(places)})
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
-    said = "<br>".join(html.escape(_MINUS.sub("\u2212", sentence)) for sentence in ranking_sentences(ranking))
-    warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in ranking.warnings)
-    level = f"{100 * ranking.confidence:g} % interval"
-    headings = "".join(
-        f'<th scope="col" style="{style}">{html.escape(text)}</th>'
-        for text, style in (
-            ("rank", _RIGHT),
-            ("design", _LEFT),
-            ("mean S [m s]", _RIGHT),
-            (level, _LEFT),
-            ("to the best [m s]", _RIGHT),
-            ("reduction", _RIGHT),
-            ("failed", _RIGHT),
-            ("", _LEFT),
-        )
-    )
-    most = _right_end(ranking, places)
-    rows = "".join(_row(ranking, place, most) for place in places)
-    more = len(ranking) - len(places)
-    foot = f"<div>and {more:,} more</div>" if more > 0 else ""
-    return (
-        f'<div style="overflow-x:auto"><div><b>{html.escape(title)}</b><br>{said}{warnings}</div>'
-        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><thead><tr>{headings}</tr></thead>'
-        f"<tbody>{rows}</tbody></table>{foot}</div>"
-    )
-
-
-def _right_end(ranking: Ranking, places: list[int]) -> float:
-    ends = np.concatenate([ranking.S[places], ranking.S_high[places]])
-    ends = ends[np.isfinite(ends)]
-    return max(float(ends.max()), 1e-12) if ends.size else 1.0
-
-
-def _row(ranking: Ranking, i: int, most: float) -> str:
-    away = "–" if i == 0 else f"{ranking.difference[i]:+.4f}".replace("-", "\u2212")  # noqa: RUF001
-    weight = ";font-weight:bold" if i == ranking.winner else ""
-    cells = (
-        (_RIGHT, str(ranking.rank[i]) if ranking.rank[i] else "–"),  # noqa: RUF001
-        (_LEFT + weight, html.escape(ranking.designs[i].label)),
-        (_RIGHT + weight, f"{ranking.S[i]:.4f}"),
-        (
-            f"{_LEFT};white-space:nowrap",
-            _bar(float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), most),
-        ),
-        (_RIGHT, away),
-        (_RIGHT, _percent(float(ranking.reduction[i]))),
-        (_RIGHT, str(failures(ranking, i) or "–")),  # noqa: RUF001
-        (_LEFT, html.escape(", ".join(marks(ranking, i)))),
-    )
-    return "<tr>" + "".join(f'<td style="{style}">{cell}</td>' for style, cell in cells) + "</tr>"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %".replace("-", "\u2212") if np.isfinite(share) else "–"  # noqa: RUF001
-
-
-def _bar(value: float, low: float, high: float, most: float) -> str:
-    """The interval as a line and the mean as a point, to the scale of all rows; the numbers are its title."""
-    if not np.isfinite(low + high):
-        return "–"  # noqa: RUF001
-    left, right, at = (round(_BAR * min(max(one / most, 0.0), 1.0), 1) for one in (low, high, value))
-    text = f"{low:.4f} to {high:.4f}".replace("-", "\u2212")
-    width = max(round(right - left, 1), 1.0)
-    line = f"position:absolute;top:6px;height:2px;left:{left:g}px;width:{width:g}px;background:currentColor"
-    point = f"position:absolute;top:3px;width:3px;height:8px;left:{at - 1.5:g}px;background:#0072B2"
-    return (
-        f'<span title="{text}" style="display:inline-block;position:relative;width:{_BAR}px;height:14px;'
-        f'border-bottom:1px solid rgba(128,128,128,.35)"><span style="{line}"></span>'
-        f'<span style="{point}"></span></span> {text}'
-    )

@@ -11,8 +11,8 @@ import numpy as np
 
 from ldctoolkit.errors import InputError, nearest
 from studies.design import Design
-from studies.ranking.figures import figure
 from studies.ranking.pareto import pareto_front
+from studies.ranking.requirements import metric, requirements_of
 from studies.search.law_search import LawSearch
 from studies.study_file.ranking_settings import SearchSettings
 from studies.study_file.spec import Study
@@ -55,12 +55,12 @@ class Search:
         if study.search is None:
             raise InputError("search: the study has no [search] table")
         self._settings: SearchSettings = study.search
-        self._signs = [1.0 if figure(name).better == "less" else -1.0 for name in self._settings.objectives]
+        self._signs = [1.0 if metric(name).better == "less" else -1.0 for name in self._settings.objectives]
         spaces = [space for block in study.design for space in block.space()]
         self._given = [space.design({}) for space in spaces if not space.varying]
         varying = [space for space in spaces if space.varying]
         each = math.ceil(self._settings.trials / max(len(varying), 1))
-        self._requirements = len(study.ranking.require)
+        self._requirements = len(requirements_of(study.ranking.require))
         self._laws = [
             LawSearch(space, self._settings, (study.seed, i), each, constrained=bool(self._requirements))
             for i, space in enumerate(varying)

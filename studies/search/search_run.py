@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.design import Design
-from studies.ranking.figures import figure_values, parse_requirement
 from studies.ranking.ranking import Ranking
+from studies.ranking.requirements import metric_values, requirements_of
 from studies.running.campaign import Campaign
-from studies.search.requirement_margins import requirement_margins
 from studies.search.search import Search, Values
 
 
@@ -46,10 +45,13 @@ def _values_and_margins(
     if not ran:
         return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
-    ranking = Ranking.of(results, results.cases[0], seed=study.seed, bootstrap=_RESAMPLES, D_y=study.report.D_y)
-    columns = [figure_values(name, ranking) for name in study.search.objectives] if study.search else []
-    missed = requirement_margins([parse_requirement(text) for text in study.ranking.require], ranking)
+    ranking = Ranking.of(
+        results, results.cases[0], seed=study.seed, bootstrap=_RESAMPLES, D_y=study.report.D_y, setup=study.setup()
+    )
+    columns = [metric_values(name, ranking) for name in study.search.objectives] if study.search else []
+    wanted = requirements_of(study.ranking.require, study.plant)
+    excess = [one.excess(metric_values(one.metric.name, ranking)) for one in wanted]
     for i, design in enumerate(ranking.designs):
         values[design.id] = tuple(float(column[i]) for column in columns)
-        margins[design.id] = tuple(missed[i].tolist())
+        margins[design.id] = tuple(float(one[i]) for one in excess)
     return values, margins

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ldctoolkit import LdcError
-from studies.ranking.figures import figure, parse_requirement
+from studies.ranking.requirements import SETS, metric, parse_requirement
 from studies.study_file._part import Part, fail
 
 T = TypeVar("T")
@@ -22,11 +22,11 @@ def _names(entry: Any) -> Any:
 
 
 def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_checked(parse_requirement, text).text for text in texts)
+    return tuple(text if text in SETS else _checked(parse_requirement, text).text for text in texts)
 
 
 def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_checked(figure, name).name for name in names)
+    return tuple(_checked(metric, name).name for name in names)
 
 
 def _checked(check: Callable[[str], T], text: str) -> T:
@@ -49,9 +49,9 @@ class RankingSettings(Part):
         The design that all others are compared with beside the best: a law's name (its first design), or the start of
         a design's identifier; empty for the design without control, if there is one.
     require : tuple of str
-        What a design must meet to be ranked, as ``"a_y_peak_p95 <= 3.0"``.
+        What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``.
     pareto : tuple of str
-        Figures of the Pareto front.
+        Metrics of the Pareto front.
     finalists : int
         At most so many of the best designs are scored again on fresh scenarios; 0 for none.
     """
@@ -81,7 +81,7 @@ class SearchSettings(Part):
     batch : int
         Designs asked for at once; they run in parallel.
     objectives : tuple of str
-        Figures to make small (or large, where more is better): one, or several for a Pareto front.
+        Metrics to make small (or large, where more is better): one, or several for a Pareto front.
     """
 
     method: Literal["optuna"] = "optuna"

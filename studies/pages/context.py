@@ -1,0 +1,284 @@
+"""What a report is made from, and what its sections share."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from ldctoolkit import Scenarios, Setup, controller_class
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import METRICS
+from studies.design import Design
+from studies.pages.charts import Style, law_styles
+from studies.pages.text import compact, number, plural
+from studies.ranking.ranking import Ranking
+from studies.ranking.requirements import metric_values
+from studies.ranking.verdict import Verdict, verdict
+from studies.results import CaseResults, StudyResults
+
+if TYPE_CHECKING:
+    from ldctoolkit.departures import Departures
+    from ldctoolkit.scenario_model import Given, ScenarioModel
+    from studies.robustness.robustness import Robustness
+    from studies.sensitivity.sensitivity import BlockSensitivity
+
+MOST_CURVES = 5
+"""Designs in one chart of curves."""
+
+SIDE_NAMES = {LEFT: "left", -LEFT: "right"}
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportInput:
+    """Everything that one report shows. Strings are plain text; the report escapes them.
+
+    Attributes
+    ----------
+    title : str
+        For people.
+    study_name : str
+        The study's short name.
+    results : StudyResults
+        Scores of all designs.
+    rankings : tuple of Ranking
+        One per case, in the order of ``results.cases``; the first is the primary one.
+    setup : Setup
+        How scenarios were driven, in the first convention; example paths are simulated again with it.
+    settings : tuple of (name, value)
+        The study's settings, seeds and hashes, in the order to be shown.
+    versions : tuple of (name, version)
+        Software and machine.
+    model_notes : tuple of str
+        Where the scenario model comes from.
+    warnings : tuple of str
+        Anything that the reader must know first.
+    synthetic : bool
+        Whether the scenario model was fitted to invented and not to recorded driving.
+    command : str
+        What makes the study again.
+    study_file : str
+        Text of a study file that does, with every default written out.
+    departures : tuple of int
+        Numbers of departures that the explorer shows beside those of its own rule.
+    shown_designs : tuple of str
+        Identifiers of designs that it shows likewise, or how they begin.
+    sensitivity : tuple of BlockSensitivity
+        Which gain matters, of the primary case; none leaves that part out.
+    robustness : Robustness, optional
+        Some designs on other plants; without it they were not driven.
+    model : ScenarioModel, optional
+        What generated the scenarios.
+    model_name : str
+        Its name; empty where no model generated them.
+    given : mapping
+        Conditions that they were drawn under.
+    source_departures : Departures, optional
+        What the model was fitted to; without them what its file holds of them.
+    """
+
+    title: str
+    study_name: str
+    results: StudyResults
+    rankings: tuple[Ranking, ...]
+    setup: Setup = dataclasses.field(default_factory=Setup)
+    settings: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    model_notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    synthetic: bool = False
+    command: str = ""
+    study_file: str = ""
+    departures: tuple[int, ...] = ()
+    shown_designs: tuple[str, ...] = ()
+    sensitivity: tuple[BlockSensitivity, ...] = ()
+    robustness: Robustness | None = None
+    model: ScenarioModel | None = None
+    model_name: str = ""
+    given: Given = dataclasses.field(default_factory=dict)
+    source_departures: Departures | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Context:
+    """A report's input, on the scenarios that can be driven under every design only.
+
+    Attributes
+    ----------
+    report : ReportInput
+    every : int
+        Number of scenarios, those that cannot be driven included.
+    """
+
+    report: ReportInput
+    every: int
+
+    @classmethod
+    def of(cls, report: ReportInput) -> Self:
+        """Check the input.
+
+        Raises
+        ------
+        InputError
+            If the results hold no design, scenario or case, or the rankings do not belong to the cases.
+        """
+        results = report.results
+        if not results.designs or not results.cases or results.scenarios.n == 0:
+            raise InputError(
+                "report: the results hold no designs, no cases or no scenarios; allowed: at least one of each"
+            )
+        if len(report.rankings) != len(results.cases):
+            raise InputError(
+                f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case"
+            )
+        every, results = results.scenarios.n, results.drivable()
+        if results.scenarios.n == 0:
+            raise InputError("report: no scenario could be driven under every design; there is nothing to report on")
+        return cls(dataclasses.replace(report, results=results), every)
+
+    @property
+    def ranking(self) -> Ranking:
+        """Of the primary case."""
+        return self.report.rankings[0]
+
+    @property
+    def case(self) -> CaseResults:
+        """Results of the primary case."""
+        return self.report.results.cases[0]
+
+    @property
+    def scenarios(self) -> Scenarios:
+        """The n scenarios that can be driven."""
+        return self.report.results.scenarios
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict on the primary case."""
+        return verdict(self.ranking, self.report.results, self.report.setup, self.report.robustness)
+
+    @property
+    def shown(self) -> int:
+        """Place of the design that the page speaks of: the winner, else the first one."""
+        return self.ranking.winner or 0
+
+    @property
+    def shown_name(self) -> str:
+        """What it is called in a sentence."""
+        if self.ranking.winner is not None:
+            return "the winner"
+        return "the first of the ranking" if self.ranking.ranked else "the design with the smallest mean S"
+
+    @cached_property
+    def best_of_each_law(self) -> tuple[int, ...]:
+        """Places of the best design of each law that intervenes, the shown one first."""
+        ranking, places = self.ranking, dict.fromkeys((self.shown,))
+        laws = {ranking.designs[self.shown].law}
+        for place in ranking.best_of_each_law():
+            if ranking.designs[place].law not in laws:
+                laws.add(ranking.designs[place].law)
+                places[place] = None
+        return tuple(place for place in places if not ranking.designs[place].is_baseline)
+
+    @cached_property
+    def styles(self) -> dict[str, Style]:
+        """One style a law; that of the shown design is solid."""
+        first = self.ranking.designs[self.shown].law
+        return law_styles((first, *(design.law for design in self.ranking.designs)))
+
+    def style(self, place: int) -> Style:
+        """Style of a design's law."""
+        return self.styles[self.ranking.designs[place].law]
+
+    @property
+    def no_control(self) -> int | None:
+        """Place of the design without control."""
+        return next((i for i, design in enumerate(self.ranking.designs) if design.is_baseline), None)
+
+    def S(self, place: int) -> FloatArray:
+        """Scores of a design as they count, (n,) [m s]."""
+        result: FloatArray = self.case.counted[self.ranking.index[place]]
+        return result
+
+    def S_uncorrected(self, place: int) -> FloatArray:
+        """Scores without control over the same window, (n,) [m s]."""
+        result: FloatArray = self.case.S_uncorrected[self.ranking.index[place]]
+        return result
+
+    def metric(self, name: str, place: int) -> float:
+        """A metric of a design, in SI units."""
+        return float(self.values(name)[place])
+
+    def values(self, name: str) -> FloatArray:
+        """A metric of all designs, in the order of the ranking."""
+        return metric_values(name, self.ranking)
+
+    @property
+    def model_sentence(self) -> str:
+        """What intervals do not hold: the uncertainty of the scenario model itself."""
+        if self.report.model is None:
+            return "Intervals hold for the departures that these scenarios were drawn from, not for other traffic."
+        return (
+            "Intervals say how well these scenarios represent the scenario model; how well the model represents "
+            "traffic is not in them."
+        )
+
+    def scenario_text(self) -> str:
+        """Number of study scenarios, side by side."""
+        side = self.scenarios.side
+        parts = [f"{int((side == which).sum()):,} {name}" for which, name in SIDE_NAMES.items()]
+        left_out = self.every - self.scenarios.n
+        text = f"{self.scenarios.n:,} study scenarios ({', '.join(parts)})"
+        return f"{text}, {left_out:,} more cannot be driven" if left_out else text
+
+
+def metric_text(name: str, value: float, *, unit: bool = True) -> str:
+    r"""A metric with its own digits, in the unit of the page.
+
+    Examples
+    --------
+    >>> metric_text("a_y_added_peak_p95", 3.456), metric_text("needless", 0.5, unit=False)
+    ('3.46\xa0m/s²', '50.0')
+    """
+    one = METRICS[name]
+    shown = number(one.scale * value, one.digits)
+    return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
+
+
+def law_title(design: Design) -> str:
+    """Title of a design's law."""
+    return controller_class(design.law).title
+
+
+def gains_text(design: Design) -> str:
+    """Gains that differ from their defaults."""
+    return ", ".join(f"{name} = {compact(value)}" for name, value in design.changed)
+
+
+def name_of(design: Design) -> str:
+    """A design in a sentence: law, threshold, gains."""
+    gains = gains_text(design)
+    return f"{law_title(design)}, y_s = {compact(design.y_s)} m{', ' if gains else ''}{gains}"
+
+
+def interval(low: float, high: float, digits: int = 3) -> str:
+    """Both ends; empty where there is no interval."""
+    return f"{number(low, digits)} to {number(high, digits)}" if math.isfinite(low + high) else ""
+
+
+def side_rows(context: Context) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and rows of each side that there are scenarios of."""
+    for which, name in SIDE_NAMES.items():
+        rows = np.flatnonzero(context.scenarios.side == which)
+        if rows.size:
+            yield name, rows
+
+
+def share_of(count: int, total: int, what: str) -> str:
+    """``3 of 400 departures``."""
+    return f"{count:,} of {plural(total, what)}"

@@ -1,0 +1,251 @@
+"""The departures explorer: single departures with every design's path, and the distributions over all of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit import EventStatus
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT
+from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
+from studies.pages.charts import RECORDED, Axis, Chart, Style, ecdf, legend
+from studies.pages.context import MOST_CURVES, Context, law_title, name_of, side_rows
+from studies.pages.replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
+from studies.pages.shell import Section, figure, packed, paragraphs, render
+from studies.pages.text import compact, number, percent, plural
+from studies.results import status_among
+
+RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
+"""Steps of the embedded positions [m], steering angles [deg] and accelerations [m/s^2]."""
+
+SHORTEST_STEP: Final = 0.05
+"""Between embedded samples [s], where the controller's clock is faster."""
+
+_SPANS: Final = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    designs = chosen_designs(context)
+    charts = tuple(_distributions(context))
+    every = max(1, round(SHORTEST_STEP / context.report.setup.dt))
+    shown = context.best_of_each_law[:MOST_CURVES]
+    data: dict[str, object] | None = None
+    note = ""
+    if designs:
+        picks = picked_departures(context, designs)
+        replayed = replay(context, picks, designs)
+        data = _data(context, replayed, every)
+        if replayed.mismatch > 1e-3:
+            note = (
+                f"Paths were driven again for this page and differ from the stored scores by up to "
+                f"{percent(replayed.mismatch)}: the results are of another version or machine."
+            )
+    body = render("explorer.html", explorer=data is not None, note=note)
+    entries = [("No control", RECORDED), *((law_title(context.ranking.designs[i]), context.style(i)) for i in shown)]
+    body += Markup("<h3>Distributions</h3>") + figure(
+        charts,
+        "Share of departures, or of interventions for what control adds, with less than the value. A "
+        "dash-dotted line is "
+        "a limit of ISO 11270 or Euro NCAP. An axis ends before a few far values.",
+        legend(entries),
+    )
+    return Section("departures", "Departures", body, charts, data, ("explorer.js",) if data else ())
+
+
+def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
+    """What the script draws: numbers as whole steps of `RESOLUTION`, and all text."""
+    step = every * context.report.setup.dt
+    recorded = _recorded(replayed, step)
+    count, start = [], []
+    values: dict[str, list[FloatArray]] = {name: [] for name in RESOLUTION}
+    for paths in replayed.paths:
+        angles = np.degrees(paths.delta)
+        for k, t in enumerate(paths.t):
+            known = t[np.isfinite(t)]
+            since = (known - known[:1]) / step
+            kept = np.flatnonzero(np.abs(since - np.rint(since)) * step < 1e-9)
+            count.append(kept.size)
+            start.append(float(known[0]) if known.size else 0.0)
+            for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
+                values[name].append(np.nan_to_num(table[k, kept]))
+    joined = {name: np.concatenate([np.empty(0), *some]) for name, some in values.items()}
+    return {
+        "step": step,
+        "resolution": RESOLUTION,
+        "departures": [_departure(replayed, k) for k in range(len(replayed.picks))],
+        "duration": packed(replayed.scenarios.T),
+        "designs": [
+            {
+                "name": name_of(context.ranking.designs[one.place]),
+                "why": one.why,
+                "style": context.style(one.place).name,
+                "dash": context.style(one.place).dash,
+            }
+            for one in replayed.designs
+        ],
+        "recorded": {name: _whole(some, name) for name, some in recorded.items() if name != "count"}
+        | {"count": packed(recorded["count"], "i4")},
+        "count": packed(count, "i4"),
+        "start": packed(start),
+        "paths": {name: _whole(some, name) for name, some in joined.items()},
+        "facts": _facts(context, replayed),
+        "scales": {
+            "t": [_scale(0.0, span) for span in (5.0, 10.0, 20.0, 40.0, 80.0)],
+            "y": _around_zero(),
+            "delta": _around_zero(),
+            "a_y": _around_zero(),
+        },
+    }
+
+
+def _whole(values: FloatArray, name: str) -> dict[str, str]:
+    steps = np.clip(np.rint(values / RESOLUTION[name]), -(2.0**31) + 1, 2.0**31 - 1).astype(np.int64)
+    return packed(steps, "i2" if steps.size == 0 or np.abs(steps).max() < 2**15 else "i4")
+
+
+def _scale(low: float, high: float) -> dict[str, object]:
+    return {"low": low, "high": high, "ticks": [[value, text] for value, text in Axis("", low, high).ticks(260.0)]}
+
+
+def _around_zero() -> list[dict[str, object]]:
+    """Scales that hold zero, the tightest first: the script takes the first that holds all it draws."""
+    ends = [(low, high) for low in (0.0, *_SPANS) for high in (0.0, *_SPANS) if 0.2 * max(low, high) <= min(low, high)]
+    return [_scale(-low, high) for low, high in sorted(ends, key=lambda pair: pair[0] + pair[1]) if low + high]
+
+
+def _departure(replayed: Replay, k: int) -> dict[str, str]:
+    some, pick = replayed.scenarios, replayed.picks[k]
+    side = "left" if some.side[k] == LEFT else "right"
+    roles = f": {', '.join(pick.roles)}" if pick.roles else ""
+    facts = (
+        f"T = {number(float(some.T[k]), 1)} s, d_y = {number(float(some.d_y[k]), 2)} m, "
+        f"v = {number(float(some.v_mean[k]), 1)} m/s, curvature "
+        f"{number(1000.0 * float(some.c_0[k]), 2)}\u00b710\u207b\u00b3 1/m"
+    )
+    return {"name": f"{some.index[k]}, {side}{roles}", "number": str(int(some.index[k])), "facts": facts}
+
+
+def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
+    some, path = replayed.scenarios, replayed.recorded
+    count = np.ceil(some.T / step - 1e-9).astype(np.int64) + 1
+    t = np.minimum(np.arange(int(count.max())) * step, some.T[:, None])
+    used = np.arange(t.shape[1]) < count[:, None]
+    a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
+    return {"count": count.astype(np.float64), "y": path.lateral(t)[used], "a_y": a_y[used]}
+
+
+def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
+    """Text of S, reduction, deepest crossing, added acceleration and fate, for every design and departure."""
+    case, rows = context.case, [pick.row for pick in replayed.picks]
+    every = []
+    for chosen in replayed.designs:
+        i = int(context.ranking.index[chosen.place])
+        S, S_0 = case.counted[i][rows], case.S_uncorrected[i][rows]
+        deepest, a_y = case.companions.deepest[i][rows], case.companions.a_y_added_peak[i][rows]
+        status = case.status[i][rows]
+        saved = 1.0 - np.divide(S, S_0, out=np.ones_like(S), where=S_0 > 0)
+        every.append(
+            [
+                [
+                    number(float(S[k])),
+                    f"{percent(float(saved[k]))}",
+                    number(float(deepest[k]), 2),
+                    number(float(a_y[k]), 2) if status[k] != EventStatus.NEVER_TRIGGERED else "\u2013",
+                    STATUS_TEXT[EventStatus(int(status[k]))],
+                ]
+                for k in range(len(rows))
+            ]
+        )
+    return every
+
+
+# ------------------------------------------------------------------------------------------------ distributions
+
+
+def _distributions(context: Context) -> Iterator[Chart]:
+    """S of each side, deepest crossing, and what control adds."""
+    ranking, case = context.ranking, context.case
+    shown = context.best_of_each_law[:MOST_CURVES]
+    for name, rows in side_rows(context):
+        recorded = context.S_uncorrected(context.shown)[rows]
+        samples: list[tuple[str, FloatArray, Style]] = [("No control", recorded, RECORDED)]
+        samples += [(law_title(ranking.designs[i]), context.S(i)[rows], context.style(i)) for i in shown]
+        yield _curve(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
+    index = [int(ranking.index[i]) for i in shown]
+    titles = [(law_title(ranking.designs[i]), context.style(i)) for i in shown]
+    held = context.no_control
+    for name, title, label, limit in (
+        ("deepest", "Deepest crossing", "Edge beyond the line [m]", None),
+        ("dtle", "Distance to the lane edge", "Front axle beyond the line [m]", (-DTLE_LIMIT, "Euro NCAP")),
+        ("a_y_added_peak", "Added a_y", "Added a_y [m/s\u00b2]", (A_Y_LIMIT, "ISO 11270")),
+        ("jerk_added_peak", "Added jerk", "Added jerk over 0.5 s [m/s\u00b3]", (JERK_LIMIT, "ISO 11270")),
+    ):
+        table, sign = getattr(case.companions, name), -1.0 if name == "dtle" else 1.0
+        samples = []
+        if name == "deepest":
+            samples.append(("No control", context.scenarios.d_y, RECORDED))
+        elif name == "dtle" and held is not None:
+            samples.append(("No control", sign * table[int(ranking.index[held])], RECORDED))
+        for i, (law, style) in zip(index, titles, strict=True):
+            values = sign * table[i]
+            if "added" in name:
+                values = values[~status_among(case.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))]
+            samples.append((law, values, style))
+        if any(np.isfinite(values).any() for _, values, _ in samples):
+            of = "Share of interventions" if "added" in name else "Share of departures"
+            yield _curve(name.replace("_", "-"), title, samples, label, of, limit)
+
+
+def _curve(
+    name: str, title: str, samples: list[tuple[str, FloatArray, Style]], label: str, of: str,
+    limit: tuple[float, str] | None = None,
+) -> Chart:  # fmt: skip
+    finite = [values[np.isfinite(values)] for _, values, _ in samples]
+    finite = [values for values in finite if values.size]
+    low = min(0.0, *(float(np.quantile(values, 0.01)) for values in finite))
+    high = max(float(np.quantile(values, 0.98)) for values in finite)
+    if limit is not None:
+        median = max(float(np.quantile(values, 0.75)) for values in finite)
+        high = max(1.25 * limit[0], min(high, max(5.0 * limit[0], 1.05 * median)))
+    axis = Axis(label, low, high if high > low else low + 1.0)
+    return ecdf(f"distribution-{name}", f"Distribution: {title}", samples, axis, of, limit=limit)
+
+
+def failure_sentences(context: Context) -> Iterator[str]:
+    """Departures in which a law did not do its work, of the shown design and of the best of each law."""
+    case = context.case
+    for place in dict.fromkeys((context.shown, *context.best_of_each_law)):
+        status = case.status[int(context.ranking.index[place])]
+        parts = []
+        for which in (EventStatus.DIVERGED, EventStatus.SOLVER_FAILED, EventStatus.TIMED_OUT, EventStatus.CRASHED):
+            rows = np.flatnonzero(status == which)
+            if rows.size:
+                numbers = ", ".join(str(int(context.scenarios.index[row])) for row in rows[:5])
+                more = " and others" if rows.size > 5 else ""
+                parts.append(f"{STATUS_TEXT[which]} in {plural(rows.size, 'departure')} (no. {numbers}{more})")
+        if parts:
+            yield f"{name_of(context.ranking.designs[place])}: {'; '.join(parts)}."
+
+
+def worst_sentence(context: Context) -> str:
+    """How much of S the worst departures make up."""
+    S = np.sort(context.S(context.shown))[::-1]
+    if S.size < 40 or not S.sum() > 0:
+        return ""
+    count = math.ceil(0.05 * S.size)
+    return (
+        f"The worst 5 % of departures ({count:,}) make up {percent(float(S[:count].sum() / S.sum()), 0)} of "
+        "the sum of S "
+        f"of {context.shown_name}; their largest S is {compact(float(f'{S[0]:.3g}'))} m\u00b7s."
+    )
+
+
+def failures(context: Context) -> Markup:
+    """The same as paragraphs."""
+    return paragraphs(*failure_sentences(context), worst_sentence(context))

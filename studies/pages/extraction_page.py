@@ -1,0 +1,641 @@
+"""The page of an extraction: what was kept of recordings, what was refused and why, and what it is enough for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, curvature, lateral, speed
+from ldctoolkit.errors import LdcError
+from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
+from ldctoolkit.recordings.account import Account, Origin, joined_accounts, share_of_widths
+from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.extract_part import SCALE, SOURCE
+from ldctoolkit.recordings.opened import ReadersTogether
+from ldctoolkit.version import __version__
+from studies.pages.charts import Axis, Chart, Series, Style, bars, legend, lines
+from studies.pages.settings_section import pairs
+from studies.pages.shell import Column, Line, Section, bullets, details, figure, make_page, paragraphs, table
+from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten
+from studies.storage.files import write_text
+
+if TYPE_CHECKING:
+    from ldctoolkit.recordings.drawn import DrawnEvent
+
+SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
+FIT: Final = Style(-1, "", "|")
+
+FEW: Final = 30
+"""Departures of a side that a fit needs."""
+
+MODEL: Final = 150
+"""Departures of a side from which on a fitted model agrees with its recordings."""
+
+RARE: Final = 1000
+"""Departures of a side from which on rare ones are known, too."""
+
+MOST_ROWS: Final = 60
+MOST_PROBLEMS: Final = 300
+MOST_FILES: Final = 200
+MOST_WARNINGS: Final = 60
+MOST_LABELS: Final = 6
+MOST_BINS: Final = 40
+MOST_DOTS: Final = 80
+NOT_KNOWN: Final = "not known"
+
+MEANINGS: Final = {
+    "lane_change": "the lane changes in it",
+    "invalid": "it holds or touches samples that cannot be used",
+    "gap": "it holds a gap in time",
+    "jump": "the offset jumps in it",
+    "cut_by_end": "the recording starts or ends with the edge beyond the line",
+    "too_short": "shorter than the shortest duration",
+    "too_long": "longer than the longest duration",
+    "too_few_samples": "fewer than three samples between its crossings",
+    "slow": "too slow on average, or the vehicle stops in it",
+    "intended": "the turn signal is on towards the departed side",
+    "implausible": "it accelerates or bends more than tyres can do, or the lane is no wider than the vehicle: noise",
+}
+
+
+def write_extraction_page(path: str | Path, extraction: Extraction) -> Path:
+    """Write what was found in recordings, and what was refused, as one HTML file that needs nothing else.
+
+    Parameters
+    ----------
+    path : path
+        File to write; whole or not at all.
+    extraction : Extraction
+        As `ldctoolkit.extract_departures` or ``ldc extract`` makes it.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from ldctoolkit.recordings import Recording, extract_departures
+    >>> t = np.arange(0, 10, 0.1)
+    >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
+    >>> one = np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     page = write_extraction_page(f"{folder}/quality.html", extract_departures([drive]))
+    ...     page.read_text(encoding="utf-8")[:15]
+    '<!DOCTYPE html>'
+    """
+    write_text(Path(path), extraction_page(extraction))
+    return Path(path)
+
+
+def extraction_page(extraction: Extraction) -> str:
+    """The page as one HTML document; the same extraction gives the same text."""
+    accounts, n = extraction.accounts, extraction.departures.n
+    rows, whole = by_source(accounts), total(accounts)
+    left, right = side_counts(extraction)
+    return make_page(
+        kind="Lane departure correction: departures of recordings",
+        title=f"{plural(n, 'departure')} in {plural(extraction.recordings, 'recording')}",
+        heading=f"{plural(n, 'departure')} in {plural(extraction.recordings, 'recording')}",
+        facts=[
+            f"{left:,} left, {right:,} right",
+            f"{hours(whole.account.hours_valid if whole else 0.0)} h valid",
+            plural(len({one.origin.source for one in accounts}), "source"),
+            f"format {extraction.provenance.reader}",
+        ],
+        sections=[
+            _verdict(extraction, whole),
+            _read(extraction),
+            _amounts_section(extraction, whole, rows),
+            _refusals_section(whole, rows),
+            _parameters(extraction, rows),
+            _widths(extraction, whole, rows),
+            _events("deepest", "Deepest", extraction.drawn.deepest, lambda event: event.depth, "Those with the largest "
+                "d_y of each side"),
+            _events("random", "At random", extraction.drawn.by_lot, lambda event: (event.lot, *event.depth),
+                    "Every departure of a side had the same chance; the choice is the same in every run"),
+        ],
+        footer=(f"ldctoolkit {__version__}. What counts as a departure, and the eight parameters, follow Zhao, "
+            "Wang and LeBlanc (2017)."),
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------ counts
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """Counts of some recordings: a title, their sum, and the sources or label values that it stands for."""
+
+    title: str
+    account: Account
+    sources: tuple[str, ...] = ()
+
+    @property
+    def departures(self) -> tuple[int, int]:
+        """Left and right."""
+        left, right = self.account.departures.tolist()
+        return left, right
+
+    @property
+    def refused(self) -> tuple[int, int]:
+        """Refused candidates, left and right."""
+        left, right = self.account.refused.sum(axis=1).tolist()
+        return left, right
+
+    def refusals(self, side: int) -> dict[str, int]:
+        """Count of each reason; 0 left, 1 right."""
+        return dict(zip(REASONS, self.account.refused[side].tolist(), strict=True))
+
+
+def total(accounts: Sequence[Account]) -> Row | None:
+    """All together; None where nothing was read."""
+    joined = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in accounts)
+    return Row("All", joined[0]) if joined else None
+
+
+def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[Row, ...]:
+    """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row."""
+    return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
+
+
+def label_names(accounts: Sequence[Account]) -> tuple[str, ...]:
+    """Labels that any recording has, in the order in which they first come."""
+    return tuple(dict.fromkeys(label.name for one in accounts for label in one.origin.labels))
+
+
+def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[Row, ...]:
+    """One row a value of a label, D2 before D10; recordings without it come last. `most` as in `by_source`."""
+
+    def value(one: Account) -> str:
+        return next((label.value for label in one.origin.labels if label.name == name), "")
+
+    valued = [dataclasses.replace(one, origin=Origin(value(one))) for one in accounts]
+    return _rows(sorted(valued, key=lambda one: (not one.origin.source, _natural(one.origin.source))), most)
+
+
+def _natural(text: str) -> list[tuple[int, int, str]]:
+    """Sorts runs of digits as numbers, however long."""
+    parts = re.split("0*([0-9]+)", text)
+    return [(1, 0, part) if k % 2 == 0 else (0, len(part), part) for k, part in enumerate(parts)]
+
+
+def _rows(accounts: Sequence[Account], most: int) -> tuple[Row, ...]:
+    joined = joined_accounts(accounts)
+    longest = set(range(len(joined)))
+    if len(joined) > most:
+        longest = set(sorted(longest, key=lambda i: -joined[i].read_ns)[: most - 1])
+    rows = [
+        Row(one.origin.source or NOT_KNOWN, one, (one.origin.source,)) for i, one in enumerate(joined) if i in longest
+    ]
+    rest = [one for i, one in enumerate(joined) if i not in longest]
+    if rest:
+        (gathered,) = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
+        rows.append(Row(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
+    return tuple(rows)
+
+
+def side_counts(extraction: Extraction) -> tuple[int, int]:
+    """Departures left and right."""
+    left = int(np.sum(extraction.departures.side == LEFT))
+    return left, extraction.departures.n - left
+
+
+def hours(value: float) -> str:
+    """Hours with two decimals where they are few."""
+    return number(value, 2) if value < 10.0 else number(value, 1) if value < 100.0 else f"{value:,.0f}"
+
+
+def rate(value: float) -> str:
+    """Events per hour; a dash without any hours."""
+    if not math.isfinite(value):
+        return number(value)
+    return number(value, 0 if value >= 100.0 else 1 if value >= 10.0 else 2 if value >= 0.1 or value == 0.0 else 3)
+
+
+def size(count: int) -> str:
+    """Bytes in a unit that gives a short number, powers of ten."""
+    value, units = float(count), iter(("kB", "MB", "GB", "TB"))
+    unit = "B"
+    while value >= 999.5 and unit != "TB":
+        value, unit = value / 1000.0, next(units)
+    return f"{value:.0f} {unit}" if unit == "B" or value >= 99.95 else f"{value:.1f} {unit}"
+
+
+# ------------------------------------------------------------------------------------------------ sections
+
+
+def extraction_verdict(left: int, right: int) -> str:
+    """What the departures are enough for, by the side with fewer."""
+    least, side = (left, "left") if left <= right else (right, "right")
+    counted = f"{least:,} {side}"
+    if not left + right:
+        return "No departures were found: see what was refused, and the vehicle width."
+    if least < FEW:
+        return f"Too few departures for a model of both sides ({counted}; {FEW} a side at least)."
+    if least < MODEL:
+        return (
+            f"Enough to compare designs on the recorded departures; too few for a model ({counted}; {MODEL} "
+            "a side at least)."
+        )
+    if least < RARE:
+        return (
+            f"Good enough for a scenario model and mean S of designs; too few departures ({counted}) for "
+            "rare, extreme ones."
+        )
+    return f"Good enough for a scenario model, and for the worst 5 % of departures ({counted})."
+
+
+def _verdict(extraction: Extraction, whole: Row | None) -> Section:
+    body = Markup('<p class="verdict">{}</p>').format(extraction_verdict(*side_counts(extraction)))
+    if whole is not None:
+        account = whole.account
+        share = f" ({percent(account.hours_valid / account.hours_read, 0)})" if account.hours_read > 0 else ""
+        candidates, refused = int(account.candidates.sum()), sum(whole.refused)
+        text = (
+            f"{hours(account.hours_valid)} h of {hours(account.hours_read)} h read are valid{share}; "
+            f"{refused:,} of {plural(candidates, 'candidate')} were refused"
+        )
+        reasons = {reason: count + whole.refusals(1)[reason] for reason, count in whole.refusals(0).items()}
+        most = max(reasons, key=lambda reason: reasons[reason])
+        body += paragraphs(f"{text}, most often: {most.replace('_', ' ')}." if refused else f"{text}.")
+    shown = list(extraction.warnings[:MOST_WARNINGS])
+    more = len(extraction.warnings) - len(shown)
+    body += bullets([*shown, f"and {plural(more, 'more warning')}"] if more else shown, "warnings") or paragraphs(
+        "No warnings: units, signs, scale and curvature look plausible, and no recording repeats another."
+    )
+    problems = extraction.problems
+    if problems:
+        first = f", the first {MOST_PROBLEMS} of {len(problems):,}" if len(problems) > MOST_PROBLEMS else ""
+        rows = [
+            Line((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
+            for one in problems[:MOST_PROBLEMS]
+        ]
+        columns = [Column("File", text=True), Column("Place", text=True), Column("What", text=True)]
+        found = table(f"What could not be used, or only in part{first}", columns, rows)
+        body += found if len(rows) <= 10 else details(f"{plural(len(problems), 'problem')} with the files", found)
+    else:
+        body += paragraphs("No problems: every file was read whole.")
+    return Section("verdict", "Verdict", body, printed=True)
+
+
+def _read(extraction: Extraction) -> Section:
+    sources = extraction.provenance.sources
+    body = pairs(facts(extraction))
+    if sources:
+        columns = [Column("File", text=True), Column("Size"), Column("SHA-256", text=True)]
+        rows = [Line((shorten(one.name, 300), size(one.bytes), one.sha256[:12])) for one in sources[:MOST_FILES]]
+        first = f", the first {MOST_FILES}" if len(sources) > MOST_FILES else ""
+        body += details(
+            "Files", table(f"{plural(len(sources), 'file')}{first}; twelve digits of each SHA-256", columns, rows)
+        )
+    return Section("read", "What was read", body)
+
+
+def facts(extraction: Extraction) -> list[tuple[str, str]]:
+    """Name and value of format, criteria and preparation."""
+    origin = extraction.provenance
+    criteria, preparation = origin.criteria, origin.preparation
+    reader = _reader(origin.reader)
+    valid = origin.samples - origin.invalid_samples
+    width = f"{compact(criteria.vehicle_width)} m"
+    if reader is not None:
+        own = criteria.vehicle_width == reader.vehicle_width
+        width += (
+            f", the default of {reader.name}"
+            if own
+            else f", given by the user; {reader.name} takes {compact(reader.vehicle_width)} m by itself"
+        )
+    step = "as recorded"
+    if preparation.step is not None:
+        default = " (the reader\u2019s own)" if reader is not None and preparation.step == reader.step else ""
+        step = f"{compact(preparation.step)} s{default}, by local medians of valid samples"
+    gap = "2.5 median steps of the recording, at least 0.25 s"
+    if criteria.max_gap is not None:
+        gap = f"{compact(criteria.max_gap)} s"
+    elif preparation.step is not None:
+        gap = f"{compact(preparation.max_gap)} s between valid samples, bridged by resampling"
+    return [
+        ("Format", f"{origin.reader}{f' ({reader.title})' if reader else ''}"),
+        ("Read", f"{plural(origin.recordings, 'recording')}, {plural(origin.samples, 'sample')}, {valid:,} of "
+            "them valid"),
+        ("Vehicle width", width),
+        ("Time step", step),
+        ("Nominal lane width", _nominal(extraction)),
+        ("Curvature", curvature_text(extraction)),
+        ("Duration", f"{compact(criteria.min_duration)} to {compact(criteria.max_duration)} s"),
+        ("Mean speed", f"above {compact(criteria.min_speed)} m/s"),
+        ("Longest step that is no gap", gap),
+        ("Largest jump of the offset", f"{compact(criteria.max_jump)} m from one sample to the next"),
+    ]  # fmt: skip
+
+
+def _reader(name: str) -> RecordingReader | ReadersTogether | None:
+    try:
+        readers = tuple(map(recording_reader, name.split(" + ")))
+    except LdcError:  # a reader that is not installed here: its defaults are not known
+        return None
+    return readers[0] if len(readers) == 1 else ReadersTogether(readers)
+
+
+def _nominal(extraction: Extraction) -> str:
+    nominal = extraction.provenance.preparation.nominal_lane_width
+    if nominal is None:
+        return "none: lanes as recorded"
+    text = f"{compact(nominal)} m: offset and width of each recording scaled to it"
+    scales = next((one.values for one in extraction.departures.extra if one.name == SCALE), np.empty(0))
+    if scales.size and scales.dtype.kind == "f":
+        text += f", by factors of {scales.min():.3f} to {scales.max():.3f} where there are departures"
+    return text
+
+
+def curvature_text(extraction: Extraction) -> str:
+    """Where the curvature comes from; a source that records 0 everywhere records none."""
+    origin, departures = extraction.provenance, extraction.departures
+    text = {
+        "measured": "recorded by the source",
+        "yaw_rate": "from yaw rate and speed",
+        "none": "not recorded: taken as 0",
+        "mixed": "recorded in some of the recordings, from yaw rate and speed or taken as 0 in others",
+    }.get(origin.curvature, origin.curvature)
+    if origin.curvature in ("measured", "mixed") and departures.n and not (departures.c_0.any() or departures.dc.any()):
+        text = "0 in every departure: the source gives no curvature, roads are taken as straight"
+    factor = origin.preparation.yaw_rate_factor
+    return text if factor == 1.0 else f"{text}; yaw rate times {compact(factor)}"
+
+
+def _amounts(rows: Sequence[Row], head: str, whole: Row | None = None) -> Markup:
+    columns = [
+        Column(head, text=True), Column("Recordings"), Column("Hours read"), Column("Valid"), Column("Left"),
+        Column("Right"), Column("Per valid hour, left"), Column("right"), Column("Refused"),
+    ]  # fmt: skip
+    out = []
+    for row in (*rows, *([whole] if whole else [])):
+        account, (left, right) = row.account, row.departures
+        valid = account.hours_valid
+        out.append(
+            Line(
+                (
+                    shorten(row.title, 200),
+                    f"{account.recordings:,}",
+                    hours(account.hours_read),
+                    hours(valid),
+                    f"{left:,}",
+                    f"{right:,}",
+                    *(rate(count / valid if valid > 0 else math.nan) for count in (left, right)),
+                    f"{sum(row.refused):,}",
+                ),
+                "winner" if row is whole else "",
+            )
+        )
+    return table(f"By {head.lower()}", columns, out)
+
+
+def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> Section:
+    if whole is None:
+        return Section("sides", "Hours and departures", paragraphs("Nothing was read."))
+    body = _amounts(rows, "Source", whole if len(rows) > 1 else None)
+    names = label_names(extraction.accounts)
+    for name in names[:MOST_LABELS]:
+        body += _amounts(by_label(extraction.accounts, name), printable(name).capitalize())
+    if len(names) > MOST_LABELS:
+        body += paragraphs(f"Not shown: {', '.join(map(printable, names[MOST_LABELS:]))}.")
+    body += paragraphs(
+        "Valid hours are those in which a departure could have been seen; departures per hour are per valid hour."
+    )
+    return Section("sides", "Hours and departures", body)
+
+
+def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
+    reasons = [] if whole is None else [r for r in REASONS if whole.refusals(0)[r] or whole.refusals(1)[r]]
+    if whole is None or not reasons:
+        return Section("refusals", "Refused", paragraphs("No candidate was refused." if whole else "Nothing was read."))
+    candidates = int(whole.account.candidates.sum())
+    columns = [
+        Column("Reason", text=True),
+        Column("The candidate", text=True),
+        Column("Left"),
+        Column("Right"),
+        Column("Of all candidates", "%"),
+    ]
+    lines_ = []
+    for reason in reasons:
+        left, right = whole.refusals(0)[reason], whole.refusals(1)[reason]
+        lines_.append(
+            Line(
+                (
+                    reason.replace("_", " "),
+                    MEANINGS[reason],
+                    f"{left:,}",
+                    f"{right:,}",
+                    number(100 * (left + right) / candidates, 1),
+                )
+            )
+        )
+    body = table(f"{sum(whole.refused):,} of {plural(candidates, 'candidate')} refused, by reason", columns, lines_)
+    body += paragraphs(
+        "A candidate is a stretch with the vehicle\u2019s edge beyond a line. Each refused one has one "
+        "reason, the first "
+        "that holds in this order."
+    )
+    if len(rows) > 1:
+        heads = [Column("Source", text=True), *(Column(reason.replace("_", " ")) for reason in reasons)]
+        cells = [
+            Line((shorten(row.title, 200), *(f"{row.refusals(0)[r]:,} / {row.refusals(1)[r]:,}" for r in reasons)))
+            for row in rows
+        ]
+        body += details("By source", table("Refused by source and reason: left / right", heads, cells))
+    return Section("refusals", "Refused", body)
+
+
+def _edges(values: FloatArray) -> FloatArray:
+    """Edges of bins over nearly all values."""
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, (0.002, 0.998)) if known.size >= 500 else (known.min(), known.max())
+    if high <= low:
+        low, high = low - 0.5, high + 0.5
+    return np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
+
+
+def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
+    departures = extraction.departures
+    if not departures.n:
+        return Section("parameters", "Parameters", paragraphs("No departures were found."))
+    charts, lines_ = [], []
+    for name in PARAMETER_NAMES:
+        values = np.asarray(getattr(departures, name), dtype=np.float64)
+        edges = _edges(values)
+        shares, cells = [], []
+        for side, which in (("left", LEFT), ("right", RIGHT)):
+            own = values[departures.side == which]
+            cells += (
+                [compact(float(f"{q:.3g}")) for q in np.quantile(own, (0.05, 0.5, 0.95))]
+                if own.size
+                else ["\u2013"] * 3
+            )
+            if own.size:
+                shares.append((side, 100.0 * np.histogram(own, edges)[0] / own.size, SIDE[side]))
+        charts.append(
+            bars(
+                f"parameter-{name}",
+                f"{name}, {PARAMETER_MEANINGS[name]}",
+                edges,
+                shares,
+                parameter_label(name),
+                "Share per bin [%]",
+            )
+        )
+        lines_.append(Line((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells)))
+    left, right = side_counts(extraction)
+    key = legend(
+        [(f"left, {plural(left, 'departure')}", SIDE["left"]), (f"right, {plural(right, 'departure')}", SIDE["right"])]
+    )
+    body = figure(
+        charts,
+        "Share of the departures of a side in each bin. Curvature is outward, positive where the lane bends "
+        "towards the departed side.",
+        key,
+    )
+    columns = [
+        Column("Parameter", text=True),
+        *(Column(f"{side} {q}") for side in ("Left", "Right") for q in ("5 %", "median", "95 %")),
+    ]
+    body += table("Parameters in numbers", columns, lines_)
+    if len(rows) > 1:
+        body += details("Medians by source", _medians(extraction, rows))
+    return Section("parameters", "Parameters", body)
+
+
+def _medians(extraction: Extraction, rows: Sequence[Row]) -> Markup:
+    departures = extraction.departures
+    column = next((one.values for one in departures.extra if one.name == SOURCE), None)
+    source = np.full(departures.n, "", dtype=object) if column is None else column.astype(str)
+    out = []
+    for row in rows:
+        own = np.isin(source, row.sources)
+        cells = [
+            compact(float(f"{np.median(getattr(departures, n)[own]):.3g}")) if own.any() else "\u2013"
+            for n in PARAMETER_NAMES
+        ]
+        out.append(Line((shorten(row.title, 200), f"{int(own.sum()):,}", *cells)))
+    columns = [
+        Column("Source", text=True),
+        Column("Departures"),
+        *(Column(parameter_label(n)) for n in PARAMETER_NAMES),
+    ]
+    return table("Medians of both sides", columns, out)
+
+
+def _widths(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> Section:
+    if whole is None or not whole.account.widths.any():
+        return Section("widths", "Lane width", paragraphs("No valid samples."))
+    edges, share = share_of_widths(whole.account.widths)
+    inside = np.flatnonzero((np.cumsum(share) > 0.002) & (np.cumsum(share[::-1])[::-1] > 0.002))
+    first, last = max(int(inside[0]) - 1, 0), int(inside[-1]) + 2
+    edges, share = edges[first : last + 1], share[first:last]
+    chart = bars(
+        "lane-width",
+        "Lane width of all valid samples",
+        edges,
+        [("all", 100.0 * share, SIDE["left"])],
+        "Lane width [m]",
+        "Share per bin [%]",
+    )
+    scaled = (
+        ", after scaling to the nominal width"
+        if extraction.provenance.preparation.nominal_lane_width is not None
+        else ""
+    )
+    body = figure(
+        [chart], f"Share of the valid samples in bins of 0.1 m{scaled}; median {number(_median_width(whole), 2)} m."
+    )
+    if len(rows) > 1:
+        out = [Line((shorten(row.title, 200), number(_median_width(row), 2))) for row in rows]
+        body += details(
+            "By source", table("Median lane width", [Column("Source", text=True), Column("Median", "m")], out)
+        )
+    return Section("widths", "Lane width", body)
+
+
+def _median_width(row: Row) -> float:
+    counts = row.account.widths
+    if not counts.any():
+        return math.nan
+    edges, _ = share_of_widths(counts)
+    return float(np.interp(0.5 * counts.sum(), np.concatenate([[0], np.cumsum(counts)]), edges))
+
+
+# ------------------------------------------------------------------------------------------------ single departures
+
+
+def _events(
+    id: str, title: str, events: Sequence[DrawnEvent], order: Callable[[DrawnEvent], tuple[object, ...]], about: str
+) -> Section:
+    if not events:
+        return Section(id, title, paragraphs("No departures were found."))
+    body = legend([("samples, left", SIDE["left"]), ("samples, right", SIDE["right"]), ("fit by the parameters", FIT)])
+    for side, which in (("left", LEFT), ("right", RIGHT)):
+        shown = sorted((event for event in events if event.side == which), key=order)[:4]
+        body += Markup("").join(_event(event, side) for event in shown)
+    return Section(
+        id,
+        title,
+        body
+        + paragraphs(
+            f"{about}: y, the edge\u2019s distance beyond the line, with the fitted parabola; speed v and "
+            "outward curvature c with their lines."
+        ),
+    )
+
+
+def _event(event: DrawnEvent, side: str) -> Markup:
+    """Samples and fit of one departure."""
+    sides = np.array([event.side])
+    fit = DepartureParameters(sides, *(event.parameters[i : i + 1] for i in range(len(PARAMETER_NAMES))))
+    known = np.isfinite(event.t) & np.isfinite(event.y) & np.isfinite(event.v) & np.isfinite(event.c)
+    rows = np.flatnonzero(known)
+    rows = rows[np.linspace(0, rows.size - 1, min(rows.size, MOST_DOTS)).round().astype(np.int64)]
+    T = float(fit.T[0])
+    t, fine = event.t[rows], np.linspace(0.0, T, 33)
+    charts = [
+        _signal(event, side, "y [m]", t, event.y[rows], fine, np.ravel(lateral(fit, fine))),
+        _signal(event, side, "v [m/s]", t, event.v[rows], fine, np.ravel(speed(fit, fine))),
+        _signal(event, side, "c [1/km]", t, 1000.0 * event.c[rows], fine, 1000.0 * np.ravel(curvature(fit, fine))),
+    ]
+    d_y = float(fit.d_y[0])
+    source = f" of {shorten(event.source, 100)}" if event.source else ""
+    caption = (
+        f"{side.capitalize()}: d_y = {number(d_y, 2)} m, T = {number(T, 1)} s; "
+        f"{shorten(event.recording, 200)}{source}, from {number(event.start_time, 1)} s"
+    )
+    return figure(charts, caption)
+
+
+def _signal(
+    event: DrawnEvent, side: str, label: str, t: FloatArray, values: FloatArray, at: FloatArray, fitted: FloatArray
+) -> Chart:
+    low, high = float(min(values.min(), fitted.min())), float(max(values.max(), fitted.max()))
+    room = max(0.06 * (high - low), {"y [m]": 0.05, "v [m/s]": 0.5}.get(label, 0.25))
+    y = Axis(label, low - room, high + room)
+    samples = dataclasses.replace(SIDE[side], dash="0 1000")
+    return lines(
+        "event", f"Departure to the {side}, {shorten(event.recording, 100)}: {label}, samples and fit",
+        [Series("samples", t, values, samples, points=True), Series("fit", at, fitted, FIT)],
+        Axis("Time since the crossing [s]", 0.0, float(at[-1]) or 1.0), y, height=170,
+    )  # fmt: skip

@@ -1,0 +1,449 @@
+"""The page of a fit: whether a scenario model describes its departures, and what it is good enough for."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup
+
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import PARAMETER_NAMES, Departures
+from ldctoolkit.diagnostics import ModelDiagnostics, SideDiagnostics, diagnose_model
+from ldctoolkit.diagnostics.parts import COMPARISON_STANDARD_ERRORS, strip_is_off
+from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
+from ldctoolkit.version import __version__
+from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
+from studies.pages.settings_section import pairs
+from studies.pages.shell import (
+    Cell,
+    Column,
+    Line,
+    Section,
+    bullets,
+    details,
+    figure,
+    make_page,
+    paragraphs,
+    table,
+)
+from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, signed
+from studies.storage.files import write_text
+from studies.storage.stored_model import WARNING, model_notes
+
+Progress = Callable[[str, int, int], None]
+
+SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
+MODEL: Final = Style(-1, "", "|")
+
+FEW: Final = 150
+"""Departures of a side below which a fitted model can contradict its recordings."""
+
+ENOUGH: Final = 1000
+"""Departures of a side from which on rare ones are known, too."""
+
+CLEAR: Final = 0.05
+"""Kolmogorov distance from which on a misfit matters whatever the number of events."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """One side with all that the page shows of it."""
+
+    key: str
+    model: SideModel
+    summary: SideSummary | None
+    found: SideDiagnostics
+
+    @property
+    def K(self) -> int:
+        """Components."""
+        return len(self.found.components)
+
+    @property
+    def misfits(self) -> list[str]:
+        """Parameters whose distribution is clearly not that of the events."""
+        return [c.name for c in self.found.calibrations if c.distance > max(c.limit, CLEAR)]
+
+
+def write_fit_page(
+    target: str | Path,
+    model: ScenarioModel,
+    departures: Departures,
+    *,
+    seed: int = 0,
+    weights: npt.ArrayLike | None = None,
+    drawn: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Check a model against the departures that it was fitted to, and write the page.
+
+    Parameters
+    ----------
+    target : path
+        File to write; whole or not at all.
+    model : ScenarioModel
+        The fitted model.
+    departures : Departures
+        What it was fitted to, both sides together.
+    seed : int
+        Seed of model samples and the split of the comparison.
+    weights : (n,), optional
+        Events that each departure stands for, as in the fit.
+    drawn : bool
+        Whether the departures are only some of those that the model was fitted to, drawn at random; the page says so.
+    progress : callable, optional
+        Called as ``progress("left: held-out likelihood", done, total)``.
+
+    Raises
+    ------
+    InputError
+        If a side holds too few departures inside the model's bounds.
+    StoreError
+        If a file cannot be written.
+    """
+    found = diagnose_model(model, departures, seed=seed, weights=weights, progress=progress)
+    write_text(Path(target), fit_page(model, found, seed=seed, drawn=drawn))
+
+
+def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
+    """The page as one HTML document; the same input gives the same text."""
+    origin = model.provenance
+    left = Side("left", model.left_side, origin.left, found.left)
+    right = Side("right", model.right_side, origin.right, found.right)
+    sides = (left, right)
+    source = _source_line(model)
+    return make_page(
+        kind="Lane departure correction: scenario model",
+        title=f"Scenario model {model.content_hash[:12]}: how well it fits",
+        heading="How well the model fits",
+        facts=[
+            *(f"{side.key}: {plural(side.found.events, 'departure')}, K = {side.K}" for side in sides),
+            f"model {model.content_hash[:12]}",
+            *([source] if source else []),
+        ],
+        sections=[
+            _verdict(model, sides, drawn=drawn),
+            _margins(sides),
+            _joint(sides),
+            _calibration(sides),
+            _bounds(sides),
+            _components(sides),
+            _selection(sides),
+            _settings(model, sides, seed),
+        ],
+        footer=f"ldctoolkit {__version__}. The bounded Gaussian mixture and the choice of K follow Zhao, Wang and "
+        "LeBlanc (2017); its fit follows Lee and Scott (2012).",
+    )
+
+
+# ------------------------------------------------------------------------------------------------ the verdict
+
+
+def side_verdict(side: Side) -> str:
+    """What a side of the model is good enough for.
+
+    The numbers of departures are those from which on a model's answer was found to lie within the interval of the
+    recorded departures themselves.
+    """
+    n, misfits = side.found.effective_events, side.misfits
+    name = side.key.capitalize()
+    if n < FEW:
+        return (
+            f"{name}: too few departures for a model ({n:,.0f}; {FEW} at least): rank designs on the recorded "
+            "departures "
+            "instead, or record more."
+        )
+    if misfits:
+        return (
+            f"{name}: misfit in {', '.join(misfits)}: good enough for designs that do not depend on it; see "
+            "the margins."
+        )
+    if n < ENOUGH:
+        return (
+            f"{name}: good enough for comparing mean S of designs; too few departures ({n:,.0f}) for rare, "
+            "extreme ones."
+        )
+    return f"{name}: good enough for comparing designs, in their mean S and in the worst 5 % of departures."
+
+
+def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> Section:
+    warnings = fit_warnings(model, sides, drawn=drawn)
+    body = Markup("").join(Markup('<p class="verdict">{}</p>').format(side_verdict(side)) for side in sides)
+    body += bullets(warnings, "warnings") or paragraphs("No warnings: no check of this page found anything.")
+    body += paragraphs(
+        "Unless a warning says otherwise the model is checked against the departures that it was fitted to: a "
+        "misfit is "
+        "certain, a good fit is weaker evidence than fresh departures would give."
+    )
+    return Section("verdict", "Verdict", body, printed=True)
+
+
+def fit_warnings(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool = False) -> list[str]:
+    """Warnings of the diagnosis and those that the model carries; those of both sides together, nothing twice."""
+    origin = model.provenance
+    found: dict[str, list[str]] = {}
+    for side in sides:
+        summary = side.summary
+        if summary is not None and summary.events != side.found.events + sum(n for _, n in side.found.outside):
+            others = "of them, drawn at random" if drawn else "others"
+            text = (
+                f"the model was fitted to {summary.events:,} departures and is checked here against "
+                f"{side.found.events:,} {others}"
+            )
+            found.setdefault(text, []).append(side.key)
+        for warning in side.found.warnings:
+            found.setdefault(warning.removeprefix(f"{side.key}: "), []).append(side.key)
+    lines = (
+        ["the model is synthetic: it was fitted to invented, not to recorded departures"] if origin.synthetic else []
+    )
+    lines += [f"{' and '.join(keys)}: {text}" for text, keys in found.items()]
+    # of components and of the fit's end the diagnosis has spoken
+    covered = tuple(f"{side.key}: {start}" for side in sides for start in ("Component", "Not converged"))
+    return list(dict.fromkeys((*lines, *(one for one in origin.warnings if not one.startswith(covered)))))
+
+
+def _source_line(model: ScenarioModel) -> str:
+    """Where the departures come from, in one line; empty where the model does not say."""
+    source = model.provenance.source
+    if source.get("description"):
+        return str(source["description"])
+    parts = []
+    recordings, hours, files = (source.get(key) for key in ("recordings", "hours", "files"))
+    if isinstance(recordings, int):
+        parts.append(plural(recordings, "recording"))
+    if isinstance(hours, int | float):
+        parts.append(f"{hours:.3g} hours")
+    if isinstance(files, list | tuple) and files:
+        parts.append(", ".join(map(str, files[:3])) + (f" and {len(files) - 3} more" if len(files) > 3 else ""))
+    return f"from {'; '.join(parts)}" if parts else ""
+
+
+# ------------------------------------------------------------------------------------------------ the evidence
+
+
+def _margins(sides: tuple[Side, ...]) -> Section:
+    body = legend([("events, left", SIDE["left"]), ("events, right", SIDE["right"]), ("model", MODEL)])
+    for side in sides:
+        charts = []
+        for one, calibration in zip(side.found.marginals, side.found.calibrations, strict=True):
+            title = (
+                f"{side.key}: {one.name}, {PARAMETER_MEANINGS.get(one.name, '')}; Kolmogorov distance "
+                f"{percent(calibration.distance, 2)}"
+            )
+            charts.append(
+                bars(
+                    f"margin-{side.key}-{one.name}", title, one.edges, [("events", 100.0 * one.data, SIDE[side.key])],
+                    parameter_label(one.name), "Share per bin [%]", outlines=[("model", 100.0 * one.model, MODEL)],
+                )
+            )  # fmt: skip
+        body += Markup("<h3>{}</h3>").format(side.key.capitalize()) + figure(
+            charts,
+            "Share of events (bars) and of the model (line) in equal bins, without the outermost 0.3 % at open ends.",
+        )
+    return Section("margins", "Margins", body)
+
+
+def _joint(sides: tuple[Side, ...]) -> Section:
+    body = Markup()
+    for side in sides:
+        pair = side.found.joint
+        if pair is None:
+            continue
+        charts = [_density(side, pair.first_edges, pair.second_edges, values, what)
+                  for what, values in (("events", pair.data), ("model", pair.model))]  # fmt: skip
+        body += figure(
+            charts, f"{side.key.capitalize()}: events, and the model, on one scale of the square root of the density."
+        )
+    return Section("joint", "T and d_y", body or paragraphs("T or d_y does not vary."))
+
+
+def _density(side: Side, x: FloatArray, y: FloatArray, values: FloatArray, what: str) -> Chart:
+    cells = np.sqrt(values.T)
+    cells = np.where(cells > 0, cells, np.nan)
+    empty = [[""] * cells.shape[1] for _ in range(cells.shape[0])]
+    every = [max(1, (edges.size - 1) // 5) for edges in (x, y)]
+    ends = [
+        [compact(float(f"{edge:.3g}")) if i % k == 0 else "" for i, edge in enumerate(edges[:-1].tolist())]
+        for edges, k in zip((x, y), every, strict=True)
+    ]
+    chart = heat_map(f"joint-{side.key}-{what}", f"{side.key}: density of T and d_y, {what}", cells, empty,
+                     (f"T [s], {what}", ends[0]), ("d_y [m]", ends[1]))  # fmt: skip
+    return dataclasses.replace(chart)
+
+
+def _calibration(sides: tuple[Side, ...]) -> Section:
+    columns = [Column("Parameter", text=True)]
+    for side in sides:
+        columns += [Column(f"{side.key.capitalize()}: distance", "%"), Column("Limit", "%"), Column("Reached at")]
+    rows, charts = [], []
+    for name in PARAMETER_NAMES:
+        cells: list[Cell | str] = [f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}"]
+        series = []
+        for side in sides:
+            one = next((c for c in side.found.calibrations if c.name == name), None)
+            if one is None:
+                cells += ["constant", "", ""]
+                continue
+            cells += [
+                Cell(number(100 * one.distance, 2), bad=one.distance > one.limit),
+                number(100 * one.limit, 2),
+                compact(float(f"{one.position:.3g}")),
+            ]
+            series.append(Series(side.key, one.u, 100.0 * one.difference, SIDE[side.key]))
+        rows.append(Line(tuple(cells)))
+        if series:
+            y = Axis.around("Difference [%]", *(one.y for one in series), [0.0])
+            charts.append(
+                lines(
+                    f"calibration-{name}",
+                    f"Calibration of {name}",
+                    series,
+                    Axis(f"u of {name}", 0.0, 1.0),
+                    y,
+                    level=0.0,
+                    height=190,
+                )
+            )
+    body = table("Kolmogorov distances in per cent of events; set off: beyond what chance allows", columns, rows)
+    body += paragraphs(
+        "With very many events a distance may be beyond its limit and still too small to matter: below 5 % it is not a "
+        "reason to refuse the model."
+    )
+    body += details("Curves", legend([("left", SIDE["left"]), ("right", SIDE["right"])]) + figure(
+        charts, "Probability integral transform u = F(x): share of events below u, minus u. Above zero: the "
+            "model lies too high.",
+    ))  # fmt: skip
+    return Section("calibration", "Calibration", body)
+
+
+def _bounds(sides: tuple[Side, ...]) -> Section:
+    rows = [
+        [Dot(f"{side.key}: {s.name} {s.end}", 100 * s.error, 100 * (s.error - 1.96 * s.standard_error),
+             100 * (s.error + 1.96 * s.standard_error), SIDE[side.key], open=not strip_is_off(s),
+             tip=f"model {percent(s.model, 2)}, events {percent(s.data, 2)}")]
+        for side in sides
+        for s in side.found.strips
+    ]  # fmt: skip
+    if not rows:
+        return Section("bounds", "Bounds", paragraphs("No events come near a finite bound."))
+    ends = [value for (one,) in rows for value in (one.low, one.high)]
+    chart = dots(
+        "bounds",
+        "Error of the mass next to the bounds",
+        rows,
+        Axis.around("Error of the mass [%]", ends, [0.0]),
+        at=0.0,
+    )
+    body = figure(
+        [chart],
+        "Error of the model\u2019s share in the strip between a bound and the outermost 5 % of the events, "
+        "with 1.96 standard "
+        "errors. Filled: clearly wrong, by more than 20 % and four standard errors.",
+    )
+    far = [f"{side.key} {name} {end}" for side in sides for name, end in side.found.far_bounds]
+    return Section("bounds", "Bounds", body + paragraphs(f"No events come near: {', '.join(far)}." if far else ""))
+
+
+def _components(sides: tuple[Side, ...]) -> Section:
+    columns = [
+        Column("Side", text=True), Column("Component"), Column("Weight", "%"), Column("Effective events"),
+        Column("P in the box"), Column("Mean outside by", "standard deviations"), Column("Condition number"),
+    ]  # fmt: skip
+    rows = []
+    for side in sides:
+        for k, c in sorted(enumerate(side.found.components), key=lambda pair: -pair[1].weight):
+            outside = f"{number(c.outside, 2)} ({c.outside_name})" if c.outside > 0 else "inside"
+            cells = (
+                side.key,
+                str(k),
+                number(100 * c.weight, 1),
+                f"{c.events:,.0f}",
+                f"{c.probability:.3g}",
+                outside,
+                f"{c.condition:.3g}",
+            )
+            rows.append(Line(cells))
+    return Section("components", "Components", table("Components, the heaviest first", columns, rows))
+
+
+def _selection(sides: tuple[Side, ...]) -> Section:
+    body = Markup()
+    for side in sides:
+        summary = side.summary
+        if summary is None or not summary.bic:
+            body += paragraphs(f"{side.key.capitalize()}: the model does not say how its K = {side.K} was chosen.")
+            continue
+        if summary.reason:
+            body += paragraphs(f"{side.key.capitalize()}: {summary.reason}.")
+        criteria = [(title, values, digits) for title, values, digits in (
+            ("AIC", summary.aic, 1), ("ICL", summary.icl, 1), ("Held out [nats an event]", summary.held_out, 4),
+        ) if len(values) == len(summary.bic)]  # fmt: skip
+        least = min(summary.bic)
+        columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event"),
+                   *(Column(title) for title, _, _ in criteria)]  # fmt: skip
+        rows = [
+            Line(
+                (
+                    str(K),
+                    number(summary.bic[i], 1),
+                    number(summary.bic[i] - least, 1),
+                    number(summary.log_likelihood[i], 4),
+                    *(number(values[i], digits) for _, values, digits in criteria),
+                ),
+                "winner" if K == side.K else "",
+            )
+            for i, K in enumerate(summary.n_components)
+        ]
+        body += table(f"{side.key.capitalize()}: choice of K; the chosen one is set in bold", columns, rows)
+    return Section("selection", "Choice of K", body + _alternative(sides))
+
+
+def _alternative(sides: tuple[Side, ...]) -> Markup:
+    """The comparison with a mixture after a transform."""
+
+    def sentences() -> Iterator[str]:
+        for side in sides:
+            c, name = side.found.comparison, side.key.capitalize()
+            if c is None:
+                yield f"{name}: not compared with a transformed mixture: {side.found.comparison_note}."
+                continue
+            clear = abs(c.difference) > COMPARISON_STANDARD_ERRORS * c.standard_error
+            which = "transformed" if c.difference > 0 else "bounded"
+            verdict = f"the {which} mixture describes them better" if clear else "no clear difference"
+            yield (
+                f"{name}: on {c.events_held_out:,} held-out events a mixture after a logarithm or logit of the bounded "
+                f"parameters has {signed(c.difference)} \u00b1 {number(c.standard_error)} nats an event: {verdict}."
+            )
+
+    return Markup("<h3>The alternative: a mixture after a transform</h3>") + paragraphs(*sentences())
+
+
+def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:
+    origin = model.provenance
+    facts = [
+        ("Model content", model.content_hash),
+        ("Fitted with", origin.software),
+        ("Created", origin.created),
+        ("Seed of the fit", str(origin.seed)),
+        *((f"Bounds, {side.key}", _bounds_text(side)) for side in sides),
+        *((f"Log-likelihood an event, {side.key}", f"{number(side.found.log_likelihood, 4)} nats") for side in sides),
+        ("Seed of the checks", str(seed)),
+        ("Model sample", f"{sides[0].found.n_model:,} events a side"),
+    ]
+    notes = [note for note in model_notes(model) if not note.startswith(WARNING)]
+    return Section("settings", "Settings", bullets(notes) + pairs([(a, b) for a, b in facts if b]))
+
+
+def _bounds_text(side: Side) -> str:
+    """Bounds of each parameter and the constants of a side."""
+    parts = []
+    for name, low, high in zip(side.model.names, *(ends.tolist() for ends in side.model.bounds()), strict=True):
+        a, b = (compact(end) if np.isfinite(end) else "" for end in (low, high))
+        parts.append(f"{name} {f'{a} to {b}' if a and b else f'above {a}' if a else f'below {b}' if b else 'open'}")
+    parts += [f"{name} = {compact(value)} (constant)" for name, value in side.model.constants]
+    return ", ".join(parts)

@@ -1,0 +1,206 @@
+"""Mean S over what was swept: where the best gains are, and which gain matters."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit import controller_class
+from ldctoolkit.gains import GainValue
+from studies.design import Design
+from studies.pages.charts import Axis, Chart, Series, heat_map, lines
+from studies.pages.context import Context, metric_text
+from studies.pages.shell import Column, Line, Section, figure, paragraphs, table
+from studies.pages.text import compact, number, unit_text
+from studies.sensitivity.sensitivity import BlockSensitivity
+
+MOST_LAWS: Final = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class SweptAxis:
+    """Something that the designs of a law differ in.
+
+    Attributes
+    ----------
+    name, unit : str
+    values : tuple
+        In rising order where they are numbers.
+    log : bool
+    """
+
+    name: str
+    unit: str
+    values: tuple[GainValue, ...]
+    log: bool
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values are numbers."""
+        return all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.values)
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        unit = unit_text(self.unit)
+        return f"{self.name} [{unit}]" if unit else self.name
+
+
+def values_of(design: Design) -> dict[str, GainValue]:
+    """The threshold and the gains of a design by name."""
+    return {"y_s": design.y_s, **dict(design.gains)}
+
+
+def swept_axes(designs: Sequence[Design]) -> tuple[SweptAxis, ...]:
+    """What the designs of one law differ in: y_s first, then gains in the law's own order."""
+    declared = {g.name: (g.unit, g.scale) for g in controller_class(designs[0].law).gains()}
+    every = [values_of(design) for design in designs]
+    axes = []
+    for name, (unit, scale) in {"y_s": ("m", "linear"), **declared}.items():
+        seen = list(dict.fromkeys(values[name] for values in every))
+        if len(seen) > 1:
+            numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in seen)
+            axes.append(SweptAxis(name, unit, tuple(sorted(seen, key=float) if numeric else seen), scale == "log"))
+    return tuple(axes)
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    ranking = context.ranking
+    charts: list[Chart] = []
+    left_out = []
+    for place in context.best_of_each_law:
+        found = _charts(context, place)
+        if len(charts) < MOST_LAWS or not charts:
+            charts += found
+        elif found:
+            left_out.append(controller_class(ranking.designs[place].law).title)
+    body = figure(
+        charts,
+        "Mean S in m\u00b7s over what was swept. Every cell is the best design of the others\u2019 values; "
+        "the frame marks "
+        "the best design of the law, a cross cells in which no design meets the requirements.",
+    )
+    if not charts:
+        body += paragraphs("No law has designs that differ in a number: there is no landscape to show.")
+    if left_out:
+        body += paragraphs(f"Not shown: {', '.join(left_out)}.")
+    blocks = [block for block in context.report.sensitivity if block.indices is not None]
+    if blocks:
+        body += _sensitivity(blocks)
+    return Section("landscape", "Gain landscape", body, tuple(charts))
+
+
+def _charts(context: Context, place: int) -> list[Chart]:
+    """One chart a law: the two axes that move the best S most; a line for a single one."""
+    ranking, law = context.ranking, context.ranking.designs[place].law
+    members = [i for i, design in enumerate(ranking.designs) if design.law == law]
+    axes = swept_axes([ranking.designs[i] for i in members])
+    if not axes:
+        return []
+    best = values_of(ranking.designs[place])
+    title, name = controller_class(law).title, f"landscape-{law.replace('_', '-')}"
+    grid_axes = [axis for axis in axes if len(axis.values) <= 14]
+    if len(grid_axes) < min(len(axes), 2):
+        return [_sampled(context, members, place, axis) for axis in axes[:2] if axis.numeric]
+
+    def cells(x: SweptAxis, y: SweptAxis | None) -> tuple[np.ndarray, np.ndarray]:
+        S = np.full((len(y.values) if y else 1, len(x.values)), np.nan)
+        met = np.zeros(S.shape, dtype=np.bool_)
+        for i in members:
+            values = values_of(ranking.designs[i])
+            at = (y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name]))
+            admissible = not ranking.missed[i]
+            if (admissible and not met[at]) or (admissible == met[at] and not S[at] <= ranking.S[i]):
+                S[at] = ranking.S[i]
+            met[at] |= admissible
+        return S, met
+
+    spread = {}
+    for axis in grid_axes:
+        S, _ = cells(axis, None)
+        known = S[np.isfinite(S)]
+        spread[axis.name] = float(np.log(known.max() / known.min())) if known.size > 1 and known.min() > 0 else 0.0
+    first = sorted(grid_axes, key=lambda axis: -spread[axis.name])[:2]
+    if len(first) == 1:
+        (x,) = first
+        S, _ = cells(x, None)
+        return [_line(context, x, S[0], title, name, place)]
+    x, y = first
+    S, met = cells(x, y)
+    texts = [[metric_text("S", value, unit=False) for value in row] for row in S.tolist()]
+    at = y.values.index(best[y.name]), x.values.index(best[x.name])
+    return [
+        heat_map(
+            name, f"{title}: mean S [m\u00b7s]", S, texts, (f"{title}: {x.label}", [compact(v) for v in x.values]),
+            (y.label, [compact(v) for v in y.values]), ring=at, open_cells=~met,
+        )
+    ]  # fmt: skip
+
+
+def _line(context: Context, x: SweptAxis, S: np.ndarray, title: str, name: str, place: int) -> Chart:
+    at = np.arange(len(x.values), dtype=np.float64)
+    level = float(context.ranking.S_uncorrected[place])
+    names = tuple(compact(value) for value in x.values)
+    axis = Axis(f"{title}: {x.label}", -0.3, len(names) - 0.7, categories=names)
+    best = x.values.index(values_of(context.ranking.designs[place])[x.name])
+    return lines(
+        name, f"{title}: mean S over {x.name}", [Series(title, at, S, context.style(place), points=True)], axis,
+        Axis.around("Mean S [m\u00b7s]", S, [level]), level=level, ring=(float(best), float(S[best])), height=230,
+    )  # fmt: skip
+
+
+def _sampled(context: Context, members: Sequence[int], place: int, axis: SweptAxis) -> Chart:
+    """Designs of a sample as points over one quantity."""
+    ranking = context.ranking
+    at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
+    S = ranking.S[list(members)]
+    order = np.argsort(at, kind="stable")
+    title, law = controller_class(ranking.designs[place].law).title, ranking.designs[place].law
+    log = axis.log and bool((at > 0).all())
+    own = Series(title, at[order], np.where(S[order] > 0, S[order], np.nan), context.style(place), points=True)
+    best = float(values_of(ranking.designs[place])[axis.name]), float(ranking.S[place])
+    chart = lines(
+        f"landscape-{law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
+        [dataclasses.replace(own, low=None)], Axis.around(f"{title}: {axis.label}", at, log=log),
+        Axis.around("Mean S [m\u00b7s]", S), ring=best, height=230,
+    )  # fmt: skip
+    return dataclasses.replace(chart, body=chart.body.replace('class="curve', 'style="display:none" class="curve', 1))
+
+
+def _sensitivity(blocks: Sequence[BlockSensitivity]) -> Markup:
+    columns = [
+        Column("Law", text=True), Column("Gain", text=True), Column("Total index"), Column("Interval"),
+        Column("First-order index"),
+    ]  # fmt: skip
+    rows = []
+    for block in blocks:
+        found = block.indices
+        if found is None:
+            continue
+        total = np.nan_to_num(np.where(np.isnan(found.total), found.first, found.total))
+        for j in np.argsort(-total, kind="stable").tolist():
+            known = math.isfinite(found.total[j])
+            low, high = (found.total_low, found.total_high) if known else (found.first_low, found.first_high)
+            rows.append(
+                Line(
+                    (
+                        controller_class(block.law).title,
+                        block.names[j],
+                        number(float(found.total[j]), 2),
+                        f"{number(float(low[j]), 2)} to {number(float(high[j]), 2)}",
+                        number(float(found.first[j]), 2),
+                    )
+                )
+            )
+    return table(
+        "Which gain matters: Sobol indices of mean S over the designs tested", columns, rows, head=1
+    ) + paragraphs(
+        "Total index: share of the variance of mean S that would be left if all other gains were fixed. It depends on "
+        "the range swept."
+    )

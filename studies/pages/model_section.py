@@ -1,0 +1,263 @@
+"""The scenario model: whether the study's departures are like the model and like those that it was fitted to."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit import Scenarios
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
+from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
+from ldctoolkit.scenario_model.model import Condition, mixture_conditions
+from studies.pages.context import Context
+from studies.pages.shell import Cell, Column, Line, Section, bullets, details, paragraphs, table
+from studies.pages.text import PARAMETER_UNIT_TEXT as UNITS
+from studies.pages.text import compact, figure, number, percent, plural
+
+LEAST: Final = 30
+"""Source departures that a comparison needs, as a fit does."""
+
+_DRAWN: Final = 40_000
+_KNOTS: Final = 4
+"""Of a marginal distribution: its error of 0.0008 is far below what chance makes in any study."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gap:
+    """A Kolmogorov distance beside the one that chance exceeds in 5 % of cases in one of the parameters or more."""
+
+    value: float
+    limit: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether it is more than chance."""
+        return self.value > self.limit
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterMatch:
+    """One parameter: medians of the generated and of the source departures, and how far they are apart."""
+
+    name: str
+    median: float
+    source_median: float
+    to_model: Gap | None
+    to_source: Gap | None
+
+
+@dataclasses.dataclass(frozen=True)
+class SideMatch:
+    """One side: number of generated and of source departures, its parameters, and why there is no source."""
+
+    key: str
+    generated: int
+    source: int | None
+    reason: str
+    parameters: tuple[ParameterMatch, ...]
+
+
+def match(
+    scenarios: Scenarios, model: ScenarioModel | None, *, source: Departures | None = None, given: Given | None = None
+) -> tuple[SideMatch, ...]:
+    """Compare generated departures with the model, and with what it was fitted to.
+
+    Parameters
+    ----------
+    scenarios : Scenarios
+        The generated departures.
+    model : ScenarioModel, optional
+        What generated them.
+    source : Departures, optional
+        What the model was fitted to; else what the model's file holds of them.
+    given : mapping, optional
+        The conditions that they were drawn under.
+
+    Returns
+    -------
+    tuple of SideMatch
+        Left and right, without a side that has no departures. The same arguments give the same numbers.
+
+    Raises
+    ------
+    InputError
+        If the conditions are none, or the model cannot meet them.
+
+    Examples
+    --------
+    >>> from ldctoolkit import load_model
+    >>> model = load_model("reference")
+    >>> (left,) = match(model.sample(200, 0, seed=1), model)
+    >>> left.source, all(one.to_model.value < 0.15 for one in left.parameters)
+    (30000, True)
+    """
+    wanted = conditions(given)
+    return tuple(
+        _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, wanted)
+        for side, key in ((LEFT, "left"), (RIGHT, "right"))
+        if (scenarios.side == side).any()
+    )
+
+
+def _side(
+    key: str, side: int, some: Scenarios, model: ScenarioModel | None, table: Departures | None,
+    wanted: tuple[Condition, ...],
+) -> SideMatch:  # fmt: skip
+    half = None if model is None else (model.left_side if side == LEFT else model.right_side)
+    fitted = None if model is None else (model.provenance.left if side == LEFT else model.provenance.right)
+    single = {one.name for one in wanted if one.low == one.high}
+    varies = half.names if half is not None else tuple(n for n in PARAMETER_NAMES if np.ptp(getattr(some, n)) > 0)
+    names = tuple(name for name in varies if name not in single)
+    columns, count, effective, reason = _source(side, names, table, fitted, wanted)
+    margins = {} if half is None else _margins(half, wanted, key)
+    limits = [kolmogorov_limit(size, len(names)) if names and size else 1.0
+              for size in (some.n, some.n * effective / (some.n + effective))]  # fmt: skip
+    found = []
+    for name in names:
+        x = np.sort(np.asarray(getattr(some, name), dtype=np.float64))
+        to_model = Gap(_to_model(x, margins[name]), limits[0]) if name in margins else None
+        known = columns.get(name)
+        to_source = None if known is None else Gap(_to_quantiles(x, *known), limits[1])
+        middle = math.nan if known is None else float(np.interp(0.5, known[1], known[0]))
+        found.append(ParameterMatch(name, float(np.median(x)), middle, to_model, to_source))
+    return SideMatch(key, some.n, count, reason, tuple(found))
+
+
+def _source(
+    side: int, names: tuple[str, ...], table: Departures | None, fitted: SideSummary | None,
+    wanted: tuple[Condition, ...],
+) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int | None, float, str]:  # fmt: skip
+    """Quantiles of each parameter with their shares, the number of departures, its effective one, why there is none."""
+    if table is not None:
+        rows = table.take(table.side == side)
+        keep = np.ones(rows.n, dtype=np.bool_)
+        for one in wanted:
+            column = getattr(rows, one.name)
+            keep &= (column >= one.low) & (column <= one.high)
+        rows = rows.take(keep)
+        if rows.n < LEAST:
+            under = " that meet the study\u2019s conditions" if wanted else ""
+            return (
+                {},
+                None,
+                0.0,
+                f"The departures table holds {rows.n} departures of this side{under}; {LEAST} are needed.",
+            )
+        share = np.arange(1, rows.n + 1) / rows.n
+        columns = {name: (np.sort(np.asarray(getattr(rows, name), dtype=np.float64)), share) for name in names}
+        return columns, rows.n, float(rows.n), ""
+    summary = None if fitted is None else fitted.source_summary
+    if summary is None:
+        return {}, None, 0.0, "Source departures are not known: the model\u2019s file holds no summary of them."
+    if wanted:
+        return (
+            {},
+            None,
+            0.0,
+            "The model\u2019s file sums up all of its source departures, not those under the conditions.",
+        )
+    columns = {
+        name: (np.array(summary.quantiles[summary.names.index(name)]), np.asarray(summary.probabilities))
+        for name in names
+        if name in summary.names
+    }
+    return columns, summary.departures, float(summary.effective), ""
+
+
+def _margins(half: SideModel, wanted: tuple[Condition, ...], key: str) -> dict[str, ModelMarginal]:
+    """Marginal distributions of a side's mixture under the conditions; nothing where all values are given."""
+    columns = mixture_conditions(wanted, half, key)
+    distribution = half.mixture.distribution
+    if columns:
+        if all(isinstance(value, float) for value in columns.values()) and len(columns) == len(half.names):
+            return {}
+        distribution = distribution.condition(columns)
+    sample, _ = distribution.sample(_DRAWN, 0)
+    if columns:  # under conditions the margins are those of the draws, to 0.003
+        ends = np.array([0, _DRAWN]), np.array([0.0, 1.0])
+        return {name: ModelMarginal(np.sort(sample[:, j]), *ends) for j, name in enumerate(half.names)}
+    return {name: model_marginal(distribution, sample, j, _KNOTS) for j, name in enumerate(half.names)}
+
+
+def _to_model(x: FloatArray, model: ModelMarginal) -> float:
+    """Kolmogorov distance of ordered values from a distribution function."""
+    u, step = model.cdf(x), np.arange(x.size + 1) / x.size
+    return float(max((step[1:] - u).max(), (u - step[:-1]).max(), 0.0))
+
+
+def _to_quantiles(x: FloatArray, at: FloatArray, share: FloatArray) -> float:
+    """The same from quantiles with their shares, at these."""
+    return float(np.abs(np.searchsorted(x, at, side="right") / x.size - share).max())
+
+
+# ------------------------------------------------------------------------------------------------ the section
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    report = context.report
+    found = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
+    body = paragraphs(*_sentences(context, found)) + details("Parameter by parameter", _table(found))
+    if report.model_notes:
+        body += details("Where the model comes from", bullets(report.model_notes))
+    return Section("model", "Scenario model", body)
+
+
+def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
+    report = context.report
+    if report.model is not None:
+        yield (
+            f"The study scenarios were drawn from the model {report.model_name}; ldc fit writes the page that "
+            "shows how "
+            "well that model fits."
+        )
+    if report.given:
+        yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
+    for side in found:
+        for what, gaps in (
+            ("the model", {one.name: one.to_model for one in side.parameters if one.to_model}),
+            ("the source departures", {one.name: one.to_source for one in side.parameters if one.to_source}),
+        ):
+            if not gaps:
+                continue
+            worst = max(gaps, key=lambda name: gaps[name].value / gaps[name].limit)
+            verdict = "more than chance makes" if gaps[worst].beyond else "no more than chance makes"
+            of = f" ({side.source:,})" if side.source and what != "the model" else ""
+            yield (
+                f"{side.key.capitalize()}, {plural(side.generated, 'departure')} against {what}{of}: the "
+                "largest gap is in "
+                f"{worst}, {percent(gaps[worst].value)} of departures, {verdict} ({percent(gaps[worst].limit)})."
+            )
+        if side.reason:
+            yield f"{side.key.capitalize()}: {side.reason}"
+
+
+def _range(value: object) -> str:
+    if isinstance(value, tuple | list):
+        low, high = (("" if end is None else compact(float(end))) for end in value)
+        return f"{low} to {high}"
+    return str(value)
+
+
+def _table(found: tuple[SideMatch, ...]) -> Markup:
+    columns = [
+        Column("Parameter", text=True), Column("Side", text=True), Column("Median"), Column("Source median"),
+        Column("Gap to the model", "%"), Column("Gap to the source", "%"),
+    ]  # fmt: skip
+    rows = []
+    for side in found:
+        for one in side.parameters:
+            unit = f" [{UNITS[one.name]}]" if UNITS.get(one.name) else ""
+            gaps = [
+                Cell("\u2013") if gap is None else Cell(number(100 * gap.value, 1), bad=gap.beyond)
+                for gap in (one.to_model, one.to_source)
+            ]
+            rows.append(Line((f"{one.name}{unit}", side.key, figure(one.median), figure(one.source_median), *gaps)))
+    return table("Kolmogorov distances; set off: more than chance makes", columns, rows)

@@ -1,0 +1,193 @@
+"""The ranking as a table, and the limits: what each asks, and what the designs have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit.metrics import METRICS
+from studies.pages.context import Context, gains_text, interval, law_title, metric_text
+from studies.pages.shell import Cell, Column, Line, Section, bullets, render, table
+from studies.pages.text import compact, number, percent, plural
+from studies.ranking.ranking_text import judged
+
+MOST_ROWS: Final = 1000
+"""Designs of the table; all of them are in ranking.csv."""
+
+FIRST_ROWS: Final = 20
+"""Rows that are shown before all are asked for, and those that are printed."""
+
+METRIC_COLUMNS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    ranking = context.ranking
+    named = [place for place in (ranking.winner, ranking.baseline) if place is not None]
+    kept = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
+    places = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
+    by_name = {"S": "S", "y_s": "y_s", "reduction": "reduction", "a_y": "a_y", "jerk": "jerk", "needless": "needless"}
+    level = percent(ranking.confidence, 0)
+    columns = [
+        Column("Rank", key="rank"),
+        Column("Law", text=True),
+        Column("y_s", "m", key=by_name["y_s"], about="Trigger threshold"),
+        Column("Gains", text=True, about="Gains that differ from their defaults"),
+        Column("Mean S", "m\u00b7s", key="S"),
+        Column(f"{level} interval", "m\u00b7s", about="Of mean S, for all designs at once"),
+        Column("Reduction", "%", key="reduction", about="Of mean S against no control"),
+        Column("a_y p95", "m/s\u00b2", key="a_y", about=METRICS["a_y_added_peak_p95"].title),
+        Column("Jerk p95", "m/s\u00b3", key="jerk", about=METRICS["jerk_added_peak_p95"].title),
+        Column("Needless", "%", key="needless", about=METRICS["needless"].title),
+    ]
+    if ranking.fresh_scenarios:
+        columns.append(Column("Fresh S", "m\u00b7s", key="fresh", about="Mean S on the fresh scenarios"))
+    columns.append(Column("Verdict", text=True))
+    rows = table(
+        f"{plural(len(ranking), 'design')}, {ranking.case.label}", columns,
+        (_line(context, place, place in named) for place in places), id="designs", sortable=True, head=1,
+    )  # fmt: skip
+    body = render(
+        "ranking.html",
+        table=rows,
+        count=len(ranking),
+        listed=len(places),
+        later=len(places) - sum(_shown_first(place, place in named) for place in places),
+        set_of_best=_set_of_best(context),
+        others=_other_cases(context),
+    )
+    return Section("ranking", "Ranking", body, scripts=("table.js",), printed=True)
+
+
+def _shown_first(place: int, named: bool) -> bool:
+    return named or place < FIRST_ROWS
+
+
+def _line(context: Context, i: int, named: bool) -> Line:
+    ranking, design = context.ranking, context.ranking.designs[i]
+    missed = {miss.requirement.metric.name for miss in ranking.missed[i]}
+    cells: list[Cell | str] = [
+        Cell(str(ranking.rank[i]) if ranking.rank[i] else "\u2013", float(ranking.rank[i]) or math.nan),
+        law_title(design),
+        Cell(compact(design.y_s), design.y_s),
+        gains_text(design),
+        Cell(number(float(ranking.S[i]), METRICS["S"].digits), float(ranking.S[i])),
+        Cell(interval(float(ranking.S_low[i]), float(ranking.S_high[i])) or "\u2013", float(ranking.S_low[i])),
+    ]
+    for name in METRIC_COLUMNS:
+        value = context.metric(name, i)
+        shown = Cell(metric_text(name, value, unit=False), METRICS[name].scale * value, bad=name in missed)
+        cells.append(shown)
+    if ranking.fresh_scenarios:
+        fresh = float(ranking.fresh_S[i])
+        cells.append(Cell(number(fresh, METRICS["S"].digits), fresh))
+    cells.append(Cell(judged(ranking, i), bad=bool(missed)))
+    kinds = ["winner" if i == ranking.winner else "", "baseline" if i == ranking.baseline else ""]
+    kinds += ["kept"] if named else ["far"] if i >= FIRST_ROWS else []
+    return Line(tuple(cells), " ".join(filter(None, kinds)), later=not _shown_first(i, named))
+
+
+def _set_of_best(context: Context) -> str:
+    ranking = context.ranking
+    size, level = int(ranking.set_of_best.sum()), percent(ranking.confidence, 0)
+    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+        return ""
+    if size == 1:
+        return f"Set of best: the first design alone, with {level} confidence."
+    return (
+        f"Set of best: {plural(size, 'design')} that these scenarios do not separate; with {level} confidence it holds "
+        "the best of those that meet the requirements."
+    )
+
+
+def _other_cases(context: Context) -> Markup:
+    def sentences() -> Iterator[str]:
+        for one in context.report.rankings[1:]:
+            if one.winner is None:
+                yield f"{one.case.label}: no winner."
+            else:
+                design = one.designs[one.winner]
+                S = number(float(one.S[one.winner]))
+                yield (
+                    f"{one.case.label}: {law_title(design)}, y_s = {compact(design.y_s)} m, "
+                    f"{gains_text(design)}; mean S {S} m\u00b7s."
+                )
+            yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in context.ranking.warnings)
+
+    return bullets(sentences())
+
+
+# ------------------------------------------------------------------------------------------------ limits
+
+
+def limits_section(context: Context) -> Section:
+    """What each requirement asks, what the shown design and no control have, and how many designs meet it."""
+    ranking, i, without = context.ranking, context.shown, context.no_control
+    columns = [
+        Column("Metric", text=True),
+        Column("Limit"),
+        Column("Set", text=True),
+        Column(_title(context)),
+        Column("No control"),
+        Column("Designs that meet it"),
+    ]
+
+    def value(name: str, place: int | None) -> str:
+        return "\u2013" if place is None else metric_text(name, context.metric(name, place))
+
+    rows = []
+    for one in ranking.limits:
+        met = one.met(context.values(one.metric.name))
+        own = Cell(value(one.metric.name, i), bad=not met[i], good=bool(met[i]))
+        limit = f"{_operator(one.operator)} {_limit_text(one.metric.name, one.limit)}"
+        asked = (
+            one.set if any(one.text == other.text for other in ranking.requirements) else f"{one.set} (not required)"
+        )
+        rows.append(
+            Line((one.metric.title, limit, asked or "own", own, value(one.metric.name, without), f"{int(met.sum()):,}"))
+        )
+    named = _named_metrics(context)
+    body = render(
+        "limits.html",
+        table=table("Limits", columns, rows),
+        metrics=named,
+        recorded=context.verdict.recorded,
+        recorded_text=percent(context.verdict.recorded),
+    )
+    return Section("limits", "Limits", body, printed=True)
+
+
+def _operator(operator: str) -> str:
+    return {"<=": "\u2264", ">=": "\u2265"}.get(operator, operator)
+
+
+def _limit_text(name: str, limit: float) -> str:
+    one = METRICS[name]
+    unit = f"\u00a0{one.shown_unit}" if one.shown_unit else ""
+    return f"{compact(float(f'{one.scale * limit:.4g}'))}{unit}"
+
+
+def _title(context: Context) -> str:
+    return "Winner" if context.ranking.winner is not None else "First design"
+
+
+def _named_metrics(context: Context) -> Markup:
+    """Every metric of the shown design beside no control and the baseline."""
+    ranking, i = context.ranking, context.shown
+    others = [("No control", context.no_control)]
+    if ranking.baseline is not None and ranking.baseline not in (i, context.no_control):
+        others.append(("Baseline", ranking.baseline))
+    columns = [Column("Metric", text=True), Column(_title(context)), *(Column(name) for name, _ in others)]
+    rows = []
+    for name, one in METRICS.items():
+        try:
+            values = [context.metric(name, i), *(math.nan if j is None else context.metric(name, j) for _, j in others)]
+        except LookupError:
+            continue
+        if any(math.isfinite(value) for value in values):
+            rows.append(Line((one.title, *(metric_text(name, value) for value in values))))
+    return table("All metrics", columns, rows)

@@ -1,0 +1,307 @@
+"""Departures and designs of the explorer: which ones, by a stated rule, and their motion, driven again."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from ldctoolkit import Controller, EventStatus, Scenarios
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import InputError
+from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.simulation import Takeover, drive
+from studies.design import Design
+from studies.pages.context import Context
+from studies.paper_design import PAPER_LAW, is_paper_design
+from studies.results import FAILED_STATUSES
+
+MOST_DESIGNS: Final = 8
+COUNT: Final = 60
+"""Departures in the explorer beside those asked for."""
+
+STATUS_TEXT: Final = {
+    EventStatus.OK: "driven to the end",
+    EventStatus.NEVER_TRIGGERED: "never took over",
+    EventStatus.SOLVER_FAILED: "a solve failed, the fallback steered",
+    EventStatus.DIVERGED: "diverged",
+    EventStatus.TIMED_OUT: "ended by the time limit",
+    EventStatus.INVALID: "cannot be driven",
+    EventStatus.CRASHED: "the law crashed",
+    EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
+}
+"""What became of a departure, for people."""
+
+_NOT_AGAIN: Final = (EventStatus.TIMED_OUT, EventStatus.CRASHED)
+_GOLDEN: Final = 0.6180339887498949
+"""Multiples of it, without their whole parts, are spread evenly wherever they are cut off."""
+
+
+def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, ...]:
+    """Rows of the scenarios with these numbers, each once.
+
+    Raises
+    ------
+    InputError
+        For a number that no scenario has.
+
+    Examples
+    --------
+    >>> rows_of_numbers(Scenarios.from_arrays(T=[2.0, 3.0], d_y=0.3, v_mean=25.0), [1, 1])
+    (1,)
+    """
+    found = []
+    for number in numbers:
+        rows = np.flatnonzero(scenarios.index == number)
+        if not rows.size:
+            low, high = int(scenarios.index.min()), int(scenarios.index.max())
+            why = "it is a scenario that cannot be driven; " if low <= number <= high else ""
+            near = int(scenarios.index[np.argmin(np.abs(scenarios.index - number))])
+            raise InputError(f"departure: {number}; {why}allowed: {low} to {high}, the nearest is {near}")
+        found.append(int(rows[0]))
+    return tuple(dict.fromkeys(found))
+
+
+def designs_of_ids(designs: Sequence[Design], prefixes: Sequence[str]) -> tuple[int, ...]:
+    """Positions of the designs whose identifiers begin like this, each once.
+
+    Raises
+    ------
+    InputError
+        For a beginning that no design has, or several.
+    """
+    ids = [design.id for design in designs]
+    found = []
+    for prefix in prefixes:
+        places = [i for i, name in enumerate(ids) if prefix and name.startswith(prefix.lower())]
+        if len(places) > 1:
+            listed = ", ".join(ids[i] for i in places[:8]) + (f" and {len(places) - 8} more" if len(places) > 8 else "")
+            raise InputError(
+                f"design: {prefix!r}; {len(places)} designs begin like this ({listed}); allowed: more digits"
+            )
+        if not places:
+            near = max(ids, key=lambda name: _likeness(name, prefix.lower()))
+            raise InputError(
+                f"design: {prefix!r}; no design begins like this, the nearest is {near}; allowed: the first "
+                "digits of a "
+                "design's id"
+            )
+        found.append(places[0])
+    return tuple(dict.fromkeys(found))
+
+
+def _likeness(name: str, given: str) -> tuple[int, float]:
+    shared = sum(name.startswith(given[:k]) for k in range(1, len(given) + 1))
+    return shared, difflib.SequenceMatcher(None, given, name).ratio()
+
+
+@dataclasses.dataclass(frozen=True)
+class Chosen:
+    """One design of the explorer: its place in the ranking, and why it is there."""
+
+    place: int
+    why: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Pick:
+    """One departure of the explorer: its row, and why it is there; empty for those that are spread over S."""
+
+    row: int
+    roles: tuple[str, ...]
+
+
+def chosen_designs(context: Context) -> tuple[Chosen, ...]:
+    """The shown design, those asked for, the baseline, the best of each law, Table I, the second of the ranking."""
+    ranking = context.ranking
+    place_of = {index: place for place, index in enumerate(ranking.index.tolist())}
+    wanted = designs_of_ids(context.report.results.designs, context.report.shown_designs)
+    paper = [i for i, design in enumerate(ranking.designs) if is_paper_design(design)]
+    own = [i for i, design in enumerate(ranking.designs) if design.law == PAPER_LAW][:1]
+    reasons = (
+        (context.shown_name.removeprefix("the "), [context.shown]),
+        ("asked for", [place_of[i] for i in wanted if i in place_of]),
+        ("baseline", [] if ranking.baseline is None else [ranking.baseline]),
+        ("best of its law", [*context.best_of_each_law[1:6], *own]),
+        ("Table I of the paper", paper),
+        ("second of the ranking", [1] if len(ranking) > 1 else []),
+    )
+    kept: dict[int, Chosen] = {}
+    for why, places in reasons:
+        for place in places:
+            passive = ranking.designs[place].is_baseline and place != context.shown
+            if not passive and (why == "asked for" or len(kept) < MOST_DESIGNS):
+                kept.setdefault(place, Chosen(place, why))
+    return tuple(kept.values())
+
+
+def picked_departures(context: Context, designs: Sequence[Chosen], count: int = COUNT) -> tuple[Pick, ...]:
+    """Departures asked for, then those with a name, then others evenly over the ranks of S."""
+    n = context.scenarios.n
+    roles: dict[int, list[str]] = {}
+    for row in rows_of_numbers(context.scenarios, context.report.departures):
+        roles[row] = ["asked for"]
+    for row, role in _named(context, designs):
+        roles.setdefault(row, []).append(role)
+    S = context.S(designs[0].place)
+    order, room = np.argsort(S, kind="stable"), max(count - len(roles), 0)
+    ranks = np.arange(n) if n <= count else np.unique(np.rint(np.linspace(0, n - 1, room)).astype(np.int64))
+    ranks = ranks[np.argsort((np.arange(ranks.size) * _GOLDEN) % 1.0, kind="stable")]
+    for row in order[ranks].tolist():
+        roles.setdefault(row, [])
+    return tuple(Pick(row, tuple(some)) for row, some in roles.items())
+
+
+def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]:
+    """What a reader wants to see of the first design: its failures, worst, median and best departures of each side."""
+    case, place = context.case, designs[0].place
+    index, S = int(context.ranking.index[place]), context.S(place)
+    deepest, a_y = case.companions.deepest[index], case.companions.a_y_added_peak[index]
+    acted = case.status[index] != EventStatus.NEVER_TRIGGERED
+    found = []
+    for chosen in designs:
+        status = case.status[int(context.ranking.index[chosen.place])]
+        rows = np.flatnonzero(np.isin(status, FAILED_STATUSES))
+        if rows.size:
+            design = context.ranking.designs[chosen.place]
+            found.append((int(rows[0]), f"{STATUS_TEXT[EventStatus(int(status[rows[0]]))]} ({design.law})"))
+    for side, name in ((LEFT, "left"), (RIGHT, "right")):
+        some = np.flatnonzero(context.scenarios.side == side)
+        if not some.size:
+            continue
+        order = some[np.argsort(S[some], kind="stable")]
+        found += [(int(order[-1]), f"largest S, {name}"), (int(order[(order.size - 1) // 2]), f"median S, {name}")]
+        found += [(int(some[np.argmax(deepest[some])]), f"deepest, {name}")]
+        driven = some[acted[some] & np.isfinite(a_y[some])]
+        if driven.size:
+            found.append((int(driven[np.argmax(a_y[driven])]), f"largest added a_y, {name}"))
+    return found
+
+
+# ------------------------------------------------------------------------------------------------ driven again
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignPaths:
+    """One design on the p picked departures; arrays (p, k), NaN after the end and where there is no path.
+
+    Attributes
+    ----------
+    t : [s]
+        Time since the crossing: the controller's samples from the trigger on, T, and the end.
+    y : [m]
+        Edge beyond the line, outward.
+    delta : [rad]
+        Steering angle of the wheel just after that time.
+    a_y : [m/s^2]
+        Lateral acceleration just after it.
+    """
+
+    t: FloatArray
+    y: FloatArray
+    delta: FloatArray
+    a_y: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """Departures that were driven again; `mismatch` is the largest relative difference of a score to the stored one."""
+
+    picks: tuple[Pick, ...]
+    designs: tuple[Chosen, ...]
+    scenarios: Scenarios
+    recorded: UncorrectedPath
+    paths: tuple[DesignPaths, ...]
+    mismatch: float
+
+
+def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:
+    """Drive designs again, with the vehicle, plant, seed and clock of the study."""
+    scenarios = context.scenarios.take([pick.row for pick in picks])
+    setup = context.report.setup
+    driven = [_driven(context, picks, scenarios, chosen) for chosen in designs]
+    return Replay(
+        picks, designs, scenarios, UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed),
+        tuple(paths for paths, _ in driven), max((off for _, off in driven), default=0.0),
+    )  # fmt: skip
+
+
+def _driven(
+    context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, chosen: Chosen
+) -> tuple[DesignPaths, float]:
+    setup, case, design = context.report.setup, context.case, context.ranking.designs[chosen.place]
+    index = int(context.ranking.index[chosen.place])
+    rows = np.array([pick.row for pick in picks], dtype=np.int64)
+    again = ~np.isin(case.status[index][rows], _NOT_AGAIN)
+    if design.batch < Controller.batch:  # a law that takes long says so by a small batch
+        again[design.batch :] = False
+    some = np.flatnonzero(again)
+    nothing = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
+    if not some.size:
+        return nothing, 0.0
+    over = Takeover.build(scenarios.take(some), setup.under(case.case.convention), y_s=design.y_s)
+    outcome = drive(design.controller(case.case.convention), over, trajectories=True).outcome(case.case.window)
+    stored = case.S[index][rows[some]]
+    off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
+    kept = outcome.trajectories
+    if kept is None:  # the law never intervenes
+        return nothing, off
+    t, y, delta, a_y = (np.full((len(picks), kept.t.shape[1]), np.nan) for _ in range(4))
+    t[some], delta[some] = kept.t, kept.delta
+    y[some] = kept.x[:, :, 0] - setup.vehicle.edge_offset
+    a_y[some[over.rows]] = path_acceleration(
+        over, np.arange(over.m), kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
+    )
+    return DesignPaths(t, y, delta, a_y), off
+
+
+def path_acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
+    """Lateral acceleration of driven paths just after each sample: the axles' forces over the mass, true vehicles.
+
+    Parameters
+    ----------
+    over : Takeover
+        What was driven.
+    places : (c,) int
+        Of the paths' scenarios among the takeover's m.
+    t : (c, k) [s]
+        Times of the samples, NaN after the end.
+    x : (c, k, 4)
+        State (e_y, de_y/dt, e_psi, de_psi/dt).
+    delta : (c, k) [rad]
+        Steering angle of the wheel just after each sample.
+
+    Returns
+    -------
+    (c, k) [m/s^2]
+        NaN where t is.
+    """
+    path, cars = over.driven.take(places), over.vehicles
+    known = np.isfinite(t)
+    times = np.where(known, t, 0.0)
+    zero = 0.0 * times
+    v = path.speed(times) if over.setup.options.speed == "profile" else over.plant.v[places][:, None] + zero
+    lane = v * path.curvature(times)
+    m, I_z, C_af, C_ar, mu = (
+        getattr(cars, name)[places][:, None] + zero for name in ("m", "I_z", "C_af", "C_ar", "mu")
+    )
+    rate, heading, turning = x[..., 1], x[..., 2], x[..., 3]
+    if over.setup.options.tyres.ideal:
+        v_y, omega = rate - v * heading, turning + lane
+        front = 2.0 * C_af * (delta - (v_y + cars.l_f * omega) / v)
+        rear = -2.0 * C_ar * (v_y - cars.l_r * omega) / v
+        printed = 4.0 * C_ar * cars.l_r / m if over.setup.convention == "as_printed" else 0.0
+        a_y = (front + rear) / m - printed * turning / v
+    else:
+        from ldctoolkit.vehicle._nonlinear_compiled import nonlinear_rhs
+
+        every = np.vectorize(nonlinear_rhs, otypes=[np.float64] * 3)
+        a_y = every(
+            *(np.where(known, part, 0.0) for part in (rate, heading, turning, delta)), lane, v, zero,
+            C_af, C_ar, cars.l_f + zero, cars.l_r + zero, m, I_z, mu, over.setup.options.tyres.shape + zero,
+        )[2]  # fmt: skip
+    return np.where(known, a_y, np.nan)

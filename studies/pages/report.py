@@ -1,0 +1,231 @@
+"""The comparison report: one self-contained HTML file, and its charts as files."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ldctoolkit.version import __version__
+from studies.pages import (
+    confidence_section,
+    explorer,
+    landscape_section,
+    model_section,
+    ranking_section,
+    robustness_section,
+    settings_section,
+    trade_offs_section,
+    verdict_section,
+)
+from studies.pages.charts import Chart
+from studies.pages.context import Context, ReportInput
+from studies.pages.shell import Section, make_page
+from studies.pages.text import plural
+from studies.sensitivity.sensitivity import sensitivity
+from studies.storage.files import write_text
+from studies.storage.stored_model import WARNING, read_model
+from studies.study_file.plant_table import plant_settings, simulation_settings
+from studies.study_file.toml_text import toml_text
+
+if TYPE_CHECKING:
+    from ldctoolkit.departures import Departures
+    from studies.ranking.ranking import Ranking
+    from studies.results import StudyResults
+    from studies.robustness.robustness import Robustness
+    from studies.storage.manifest import Manifest
+    from studies.study_file.spec import Study
+
+SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
+    verdict_section.section,
+    ranking_section.section,
+    ranking_section.limits_section,
+    trade_offs_section.section,
+    landscape_section.section,
+    explorer.section,
+    robustness_section.section,
+    confidence_section.section,
+    model_section.section,
+    settings_section.section,
+)
+"""What makes each section, in the order of the page."""
+
+
+def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
+    """The report as one HTML document, and its charts.
+
+    Parameters
+    ----------
+    report : ReportInput
+
+    Returns
+    -------
+    html : str
+        The same input gives the same text.
+    charts : tuple of Chart
+
+    Raises
+    ------
+    InputError
+        If the results hold no design, scenario or case, or the rankings do not belong to the cases.
+    """
+    context = Context.of(report)
+    sections = tuple(make(context) for make in SECTIONS)
+    ranking = context.ranking
+    html = make_page(
+        kind="Lane departure correction: comparison of designs",
+        title=f"{report.title}: comparison report",
+        heading=report.title,
+        facts=(
+            plural(len(ranking) + len(ranking.failed), "design"),
+            f"{context.every:,} departures" + (f" of the model {report.model_name}" if report.model_name else ""),
+            ranking.case.label,
+            _plant(report),
+        ),
+        sections=sections,
+        footer=f"Study {report.study_name}. ldctoolkit {__version__}.",
+    )
+    return html, tuple(chart for section in sections for chart in section.charts)
+
+
+def _plant(report: ReportInput) -> str:
+    """What of the plant is not ideal: ``plant with actuator, sensors``."""
+    parts = dict.fromkeys(key.partition(".")[0] for key, _ in plant_settings(report.setup.options))
+    return f"plant with {', '.join(parts)}" if parts else "ideal plant"
+
+
+def write_report(report: ReportInput, path: str | Path, *, figures: str | Path | None = None) -> Path:
+    """Write the report of a study as one HTML file that needs nothing else.
+
+    Parameters
+    ----------
+    report : ReportInput
+        Results, rankings and their circumstances.
+    path : path
+        File to write; whole or not at all.
+    figures : path, optional
+        Folder for the charts as SVG files; none are written without it.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to report on.
+    """
+    html, charts = report_page(report)
+    write_text(Path(path), html)
+    if figures is not None:
+        folder = Path(figures)
+        folder.mkdir(parents=True, exist_ok=True)
+        written = {folder / f"{chart.name}.svg" for chart in charts}
+        for old in (*folder.glob("*.svg"), *folder.glob("*.png")):  # of an earlier report of other designs
+            if old not in written:
+                old.unlink()
+        for chart in charts:
+            write_text(folder / f"{chart.name}.svg", chart.document)
+    return Path(path)
+
+
+def report_input(
+    folder: Path,
+    study: Study,
+    manifest: Manifest,
+    results: StudyResults,
+    rankings: tuple[Ranking, ...],
+    *,
+    source: Departures | None = None,
+    departures: Sequence[int] = (),
+    shown_designs: Sequence[str] = (),
+    robustness: Robustness | None = None,
+) -> ReportInput:
+    """Gather what a report shows of a study that was run.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    study : Study
+    manifest : Manifest
+    results : StudyResults
+    rankings : tuple of Ranking
+        One a case.
+    source : Departures, optional
+        What the scenario model was fitted to.
+    departures : sequence of int
+        Scenario numbers to be put into the explorer.
+    shown_designs : sequence of str
+        Beginnings of ids of designs to be put into the explorer.
+    robustness : Robustness, optional
+        Numbers on other plants.
+
+    Raises
+    ------
+    StoreError
+        If the folder's scenario model is broken.
+    """
+    return ReportInput(
+        title=study.title or study.name,
+        study_name=study.name,
+        results=results,
+        rankings=rankings,
+        setup=study.setup(),
+        settings=tuple(_settings(study, manifest)),
+        versions=tuple(_versions(manifest)),
+        model_notes=manifest.model_notes,
+        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
+        synthetic=manifest.model_synthetic,
+        command=manifest.command,
+        sensitivity=sensitivity(results, study),
+        robustness=robustness,
+        study_file=toml_text(study),
+        model=read_model(folder, manifest),
+        model_name=manifest.model,
+        given=study.scenarios.given,
+        source_departures=source,
+        departures=tuple(departures),
+        shown_designs=tuple(shown_designs),
+    )
+
+
+def _of_the_model(manifest: Manifest) -> Iterator[str]:
+    """What the fit of the scenario model warned of, in one sentence."""
+    notes = [note.removeprefix(WARNING) for note in manifest.model_notes if note.startswith(WARNING)]
+    if notes:
+        yield f"Of the scenario model: {'; '.join(notes)}."
+
+
+def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield "study", f"{study.name} (content {manifest.study_hash})"
+    yield "scenario model", f"{manifest.model} (content {manifest.model_hash[:16]})"
+    yield "scenarios", f"{study.scenarios.left} left, {study.scenarios.right} right"
+    yield "seed", str(study.seed)
+    yield "designs", str(len(study.designs))
+    yield "windows of S", ", ".join(study.simulation.window)
+    yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
+    yield from simulation_settings(study.setup())
+    yield "plant", "ideal" if study.plant.ideal else "not ideal"
+    yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
+    units = {"C_af": "N/rad", "C_ar": "N/rad", "m": "kg", "I_z": "kg m^2"}
+    for field in dataclasses.fields(study.vehicle):
+        yield f"vehicle {field.name}", f"{getattr(study.vehicle, field.name):g} {units.get(field.name, 'm')}"
+    yield "deep departures, D_y", f"{study.report.D_y:g} m"
+    yield "bootstrap", f"{study.ranking.bootstrap} resamples, {100 * study.ranking.confidence:g} % intervals"
+    yield "baseline", study.ranking.baseline or "no control, where it is among the designs"
+    yield "requirements", ", ".join(study.ranking.require) or "none"
+    yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
+    yield "finalists on fresh scenarios", f"{study.ranking.finalists} at most"
+    yield "race", "yes" if study.race else "no"
+    yield "finished", manifest.finished or "not finished"
+    yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
+
+
+def _versions(manifest: Manifest) -> Iterator[tuple[str, str]]:
+    yield from manifest.versions.items()
+    yield "Python", manifest.python
+    machine = manifest.machine
+    yield "machine", f"{machine.system}, {machine.architecture}, {machine.processor}, {machine.cores} cores"

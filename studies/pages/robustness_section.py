@@ -1,0 +1,133 @@
+"""Other plants: what becomes of the designs on vehicles that are not the study's, and the margins of their loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from studies.pages.charts import Axis, Chart, Series, lines
+from studies.pages.context import Context, law_title, name_of
+from studies.pages.shell import Cell, Column, Line, Section, bullets, details, figure, paragraphs, table
+from studies.pages.text import number, percent, plural, signed
+from studies.robustness.robustness import Robustness
+
+MOST_LAWS: Final = 4
+"""Designs in the table; their margins too."""
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    found = context.report.robustness
+    if found is None:
+        body = paragraphs(
+            "Designs were not driven on other plants for this report: leave --no-robustness out to have them here."
+        )
+        return Section("robustness", "Other plants", body)
+    charts = tuple(_margins(context, found))
+    shown = [i for i, _ in _shown(context, found)]
+    body = paragraphs(*_sentences(context, found)) + _table(context, found, shown) + bullets(_left_out(found))
+    if charts:
+        body += details(
+            "Margins of the loop over speed",
+            figure(
+                charts, "On the study\u2019s plant, without its limits of rate and angle. A gap: the loop is unstable."
+            ),
+        )
+    return Section("robustness", "Other plants", body, charts)
+
+
+def _shown(context: Context, found: Robustness) -> Iterator[tuple[int, int]]:
+    """Position among the robustness designs and place in the ranking: the reference, then the best of each law."""
+    place_of = {design.id: i for i, design in enumerate(context.ranking.designs)}
+    laws: set[str] = set()
+    for i, id in enumerate(found.designs):
+        place = place_of.get(id)
+        if place is None or context.ranking.designs[place].is_baseline:
+            continue
+        law = context.ranking.designs[place].law
+        if law not in laws and len(laws) < MOST_LAWS:
+            laws.add(law)
+            yield i, place
+
+
+def _sentences(context: Context, found: Robustness) -> Iterator[str]:
+    """What happens to the reference, most serious first."""
+    place_of = {design.id: design for design in context.ranking.designs}
+    name = name_of(place_of[found.designs[0]]) if found.designs[0] in place_of else "The first design"
+    plants = range(1, len(found.plants))
+    yield (
+        f"{name} on {plural(len(found.plants) - 1, 'other plant')}, {found.n:,} of the study scenarios each "
+        f"({found.left:,} left, {found.right:,} right)."
+    )
+    lost = [found.titles[p] for p in plants if found.diverged[p, 0]]
+    if lost:
+        yield f"It diverges in some departures with: {', '.join(lost)}."
+    worse = [found.titles[p] for p in plants if found.excess_low[p, 0] > 0 or found.excess[p, 0] > 0]
+    if worse:
+        yield f"It is worse than no control with: {', '.join(worse)}."
+    changes = found.change[1:, 0]
+    if np.isfinite(changes).any():
+        p = 1 + int(np.nanargmax(changes))
+        ratio = found.S[p, 0] / found.S[0, 0] if found.S[0, 0] > 0 else math.nan
+        if changes[p - 1] > 0 and math.isfinite(ratio):
+            rise = f"{ratio:.2g} times" if ratio >= 2.0 else percent(ratio - 1.0, 0) + " more"
+            yield f"S rises most with {found.titles[p]} ({found.differences[p]}): {rise}."
+    behind = [found.titles[p] for p in plants if found.rival[p] >= 0 and found.lead_low[p] > 0]
+    if behind:
+        yield f"Another of the designs compared is better with: {', '.join(behind)}."
+
+
+def _table(context: Context, found: Robustness, shown: list[int]) -> Markup:
+    by_id = {design.id: design for design in context.ranking.designs}
+    columns = [Column("Plant", text=True), Column("Differs in", text=True)]
+    for i in shown:
+        title = law_title(by_id[found.designs[i]])
+        columns += [Column(f"{title}: S", "m\u00b7s"), Column("Change"), Column("Diverged")]
+    rows = []
+    for p, (title, what) in enumerate(zip(found.titles, found.differences, strict=True)):
+        cells: list[Cell | str] = [title, what]
+        for i in shown:
+            S, own = float(found.S[p, i]), float(found.S[0, i])
+            share = S / own - 1.0 if own > 0 else math.nan
+            worse = bool(found.excess[p, i] > 0)
+            change = "" if not p else "\u2013" if not math.isfinite(share) else f"{signed(100.0 * share, 0)}\u00a0%"
+            lost = int(found.diverged[p, i])
+            cells += [Cell(number(S), bad=worse), change, Cell(str(lost) if lost else "0", bad=bool(lost))]
+        rows.append(Line(tuple(cells)))
+    return table("Mean S on other plants; set off: worse than no control there, or diverged", columns, rows)
+
+
+def _left_out(found: Robustness) -> Iterator[str]:
+    yield from (f"{title} is left out: {reason}" for title, reason in found.left_out)
+    if found.slow:
+        yield f"Laws that take too long to be driven again: {', '.join(found.slow)}."
+    if found.unsafe:
+        yield f"Laws that ended or held up their process: {', '.join(found.unsafe)}."
+    for plant, design, reason in found.raised:
+        yield f"{found.titles[plant]}: design {found.designs[design]}: {reason}"
+
+
+def _margins(context: Context, found: Robustness) -> Iterator[Chart]:
+    """Gain and phase margin over speed."""
+    for name, title, factor, level in (
+        ("gain", "Gain margin [dB]", 1.0, 6.02),
+        ("phase", "Phase margin [\u00b0]", math.degrees(1.0), 30.0),
+    ):
+        series = []
+        for i, place in _shown(context, found):
+            one = found.margins[i]
+            values = factor * getattr(one, name)
+            if one.linear and np.isfinite(values).any():
+                known = np.where(np.isfinite(values), np.minimum(values, 60.0 if name == "gain" else 180.0), np.nan)
+                series.append(
+                    Series(law_title(context.ranking.designs[place]), found.v, known, context.style(place), points=True)
+                )
+        if series and found.v.size > 1:
+            y = Axis.around(title, *(one.y for one in series), [level], zero=True)
+            yield lines(
+                f"margin-{name}", title, series, Axis.around("Speed [m/s]", found.v), y, level=level, height=230
+            )

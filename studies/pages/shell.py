@@ -1,0 +1,292 @@
+"""The shell of every page: sections, tables, styles and script in one file that needs nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup, escape
+
+from ldctoolkit.errors import InputError
+from studies.pages.charts import COLORS, Chart
+from studies.pages.text import printable, symbols
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_PACKAGE: Final = "studies.pages"
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """One section of a page.
+
+    Attributes
+    ----------
+    id : str
+        Stays the same from version to version.
+    title : str
+        Its heading, and its entry in the list of sections.
+    body : Markup
+    charts : tuple of Chart
+        Those of the body that are written as files, too.
+    data : mapping, optional
+        What the script finds under the section's id: text, numbers, and `packed` arrays.
+    scripts : tuple of str
+        Files under ``templates``; each is put into the page once.
+    printed : bool
+        Whether it is printed.
+    """
+
+    id: str
+    title: str
+    body: Markup
+    charts: tuple[Chart, ...] = ()
+    data: Mapping[str, object] | None = None
+    scripts: tuple[str, ...] = ()
+    printed: bool = False
+
+
+# ------------------------------------------------------------------------------------------------ tables
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes
+    ----------
+    title : str
+    unit : str
+    key : str
+        What the search calls it: ``S``, ``y_s``; empty for a column that is not searched by value.
+    text : bool
+        Whether it holds text and not numbers.
+    about : str
+        What it means; shown when the pointer rests on the heading.
+    """
+
+    title: str
+    unit: str = ""
+    key: str = ""
+    text: bool = False
+    about: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """One cell; `value` is what it is sorted by, `bad` sets it off."""
+
+    text: str | Markup
+    value: float | None = None
+    bad: bool = False
+    good: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """One row; `kind` is a class of the style sheet, `later` hides it until all rows are asked for."""
+
+    cells: tuple[Cell | str, ...]
+    kind: str = ""
+    later: bool = False
+
+
+def table(
+    caption: str,
+    columns: Sequence[Column],
+    rows: Iterable[Line],
+    *,
+    id: str = "",
+    sortable: bool = False,
+    head: int = 0,
+) -> Markup:
+    """A table in a frame that scrolls sideways.
+
+    Parameters
+    ----------
+    caption : str
+    columns : sequence of Column
+    rows : iterable of Line
+    id : str
+        Of the table, for the script.
+    sortable : bool
+        Whether a click on a heading sorts it.
+    head : int
+        Column whose cells name their row.
+
+    Returns
+    -------
+    Markup
+    """
+    out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table']
+    out.append(f' id="{id}"' if id else "")
+    out.append(f"{' data-sortable' if sortable else ''}><caption>{symbols(caption)}</caption><thead><tr>")
+    for one in columns:
+        unit = f" <small>[{symbols(one.unit)}]</small>" if one.unit else ""
+        about = f' title="{escape(one.about)}"' if one.about else ""
+        key = f' data-key="{escape(one.key)}"' if one.key else ""
+        kind = "" if one.text else ' class="n"'
+        out.append(f'<th scope="col"{kind}{about}{key}>{symbols(one.title)}{unit}</th>')
+    out.append("</tr></thead><tbody>")
+    for row in rows:
+        kinds = " ".join(filter(None, (row.kind, "later" if row.later else "")))
+        out.append(f'<tr class="{kinds}">' if kinds else "<tr>")
+        for j, (column, given) in enumerate(zip(columns, row.cells, strict=True)):
+            cell = Cell(given) if isinstance(given, str) else given
+            shown = cell.text if isinstance(cell.text, Markup) else symbols(cell.text)
+            names = " ".join(
+                filter(None, ("" if column.text else "n", "bad" if cell.bad else "good" if cell.good else ""))
+            )
+            kind = f' class="{names}"' if names else ""
+            value = "" if cell.value is None or math.isnan(cell.value) else f' data-v="{cell.value:.9g}"'
+            tag = 'th scope="row"' if j == head else "td"
+            out.append(f"<{tag}{kind}{value}>{shown}</{tag[:2]}>")
+        out.append("</tr>")
+    out.append("</tbody></table></div>")
+    return Markup("".join(out))
+
+
+def paragraphs(*sentences: str) -> Markup:
+    """Plain sentences as paragraphs; empty ones are left out."""
+    return Markup("").join(Markup("<p>{}</p>").format(symbols(one)) for one in sentences if one)
+
+
+def bullets(sentences: Iterable[str], kind: str = "") -> Markup:
+    """Plain sentences as a list; nothing for none."""
+    items = Markup("").join(Markup("<li>{}</li>").format(symbols(one)) for one in sentences)
+    return Markup('<ul class="{}">{}</ul>').format(kind, items) if items else Markup()
+
+
+def figure(charts: Sequence[Chart], caption: str, key: Markup = Markup()) -> Markup:  # noqa: B008 - it is immutable
+    """Charts side by side, with their legend above and a caption below; nothing without a chart."""
+    if not charts:
+        return Markup()
+    panels = Markup("").join(Markup('<div class="panel">{}</div>').format(one.svg) for one in charts)
+    return Markup('<figure>{}<div class="panels">{}</div><figcaption>{}</figcaption></figure>').format(
+        key, panels, symbols(caption)
+    )
+
+
+def details(title: str, body: Markup) -> Markup:
+    """What is shown when asked for; it is not printed."""
+    return Markup("<details><summary>{}</summary>{}</details>").format(symbols(title), body)
+
+
+# ------------------------------------------------------------------------------------------------ the script's data
+
+
+def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
+    """An array as the script reads it: flattened, little-endian, base64.
+
+    Parameters
+    ----------
+    values : array_like
+    kind : {"f4", "i4", "i2", "u2", "i1", "u1"}
+
+    Raises
+    ------
+    InputError
+        If a whole number does not fit.
+
+    Examples
+    --------
+    >>> packed([1, 2, 3], "u1")
+    {'type': 'u1', 'data': 'AQID'}
+    """
+    import base64
+
+    array = np.asarray(values)
+    with np.errstate(over="ignore"):  # a float beyond 32 bits is shown as infinite
+        small = array.astype(f"<{kind}")
+    if kind != "f4" and not np.array_equal(small.astype(np.int64), array.astype(np.int64)):
+        raise InputError(f"packed: values from {array.min()} to {array.max()} do not fit {kind}")
+    return {"type": kind, "data": base64.b64encode(small.tobytes()).decode("ascii")}
+
+
+def script_json(data: Mapping[str, Any]) -> Markup:
+    r"""JSON that may stand inside a ``<script>`` element: no ``<`` in it, so nothing can end the element.
+
+    Raises
+    ------
+    InputError
+        For a float that is not finite: JSON has none.
+
+    Examples
+    --------
+    >>> print(script_json({"title": "</script>"}))
+    {"title":"\u003c/script>"}
+    """
+    try:
+        text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"report data: {error}") from None
+    return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
+
+
+# ------------------------------------------------------------------------------------------------ the page
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    made = Environment(
+        loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    made.filters |= {"symbols": symbols, "printable": printable}
+    return made
+
+
+def render(template: str, **values: object) -> Markup:
+    """A template under ``templates`` with its values; text is escaped."""
+    return Markup(_environment().get_template(template).render(**values))
+
+
+@cache
+def asset(name: str) -> Markup:
+    """A file under ``templates`` as it is."""
+    return Markup((resources.files(_PACKAGE) / "templates" / name).read_text(encoding="utf-8"))
+
+
+def make_page(
+    *, kind: str, title: str, heading: str, facts: Sequence[str], sections: Sequence[Section], footer: str
+) -> str:
+    """A page as one HTML document; the same input gives the same text.
+
+    Parameters
+    ----------
+    kind : str
+        What the page is, above its heading.
+    title : str
+        Of the window.
+    heading : str
+    facts : sequence of str
+        Under the heading, in one line.
+    sections : sequence of Section
+    footer : str
+    """
+    scripts = dict.fromkeys(name for section in sections for name in section.scripts)
+    data = {section.id: section.data for section in sections if section.data is not None}
+    return str(
+        render(
+            "page.html",
+            kind=kind,
+            title=title,
+            heading=heading,
+            facts=facts,
+            sections=sections,
+            footer=footer,
+            colors=COLORS,
+            style=asset("page.css"),
+            script=Markup("\n").join(asset(name) for name in ("page.js", *scripts)),
+            data=script_json(data),
+        )
+    )

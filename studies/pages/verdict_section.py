@@ -1,0 +1,144 @@
+"""The first screen: the verdict, four lights, and what the score costs in lateral acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from ldctoolkit.metrics import A_Y_LIMIT, METRICS
+from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
+from studies.pages.context import Context, gains_text, interval, law_title, metric_text, name_of
+from studies.pages.shell import Section, bullets, render
+from studies.pages.text import compact, number, percent
+from studies.ranking.pareto import pareto_front
+
+SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
+STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}
+MOST_POINTS: Final = 1500
+"""Designs in a chart of points; of more, those that rank first and an even share of the others."""
+
+
+def section(context: Context) -> Section:
+    """The section."""
+    chart = trade_off(context, "a_y_added_peak_p95", "S", "trade-off")
+    body = render(
+        "verdict.html",
+        verdict=context.verdict,
+        symbols_of=SYMBOLS,
+        states=STATES,
+        score=_score(context),
+        chart=chart.svg,
+        key=cloud_legend(context),
+        warnings=bullets(_warnings(context), "warnings"),
+        scenarios=context.scenario_text(),
+        fresh=context.ranking.fresh_scenarios,
+        model=context.model_sentence,
+    )
+    return Section("verdict", "Verdict", body, (chart,), printed=True)
+
+
+def _score(context: Context) -> str:
+    """S of the shown design with its interval, against no control."""
+    ranking, i = context.ranking, context.shown
+    level = percent(ranking.confidence, 0)
+    fresh = bool(np.isfinite(ranking.fresh_S[i]))
+    S, low, high = (
+        (ranking.fresh_S[i], ranking.fresh_low[i], ranking.fresh_high[i])
+        if fresh
+        else (ranking.S[i], ranking.S_low[i], ranking.S_high[i])
+    )
+    where = f"on {ranking.fresh_scenarios:,} fresh scenarios" if fresh else "on the study scenarios"
+    between = interval(float(low), float(high))
+    told = f" ({level} interval {between})" if between else ""
+    parts = [f"Mean S {number(float(S))} m\u00b7s {where}{told}"]
+    if not ranking.designs[i].is_baseline and np.isfinite(ranking.reduction[i]):
+        on = " on the study scenarios" if fresh else ""
+        parts.append(f"{reduction_text(float(ranking.reduction[i]))} than without control{on}")
+    return "; ".join(parts) + "."
+
+
+def reduction_text(reduction: float) -> str:
+    r"""A reduction as a comparison; a large increase as a multiple.
+
+    Examples
+    --------
+    >>> reduction_text(0.434), reduction_text(-11.0)
+    ('43.4\xa0% less', '12 times as much')
+    """
+    if reduction <= -1.0:
+        return f"{compact(float(f'{1.0 - reduction:.3g}'))} times as much"
+    return f"{percent(abs(reduction))} {'less' if reduction >= 0 else 'more'}"
+
+
+def _warnings(context: Context) -> Iterator[str]:
+    report = context.report
+    if report.synthetic:
+        yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."
+    elsewhere = {text for one in report.rankings[1:] for text in one.warnings}
+    every = dict.fromkeys((*report.warnings, *context.ranking.warnings))
+    yield from (text for text in every if text not in elsewhere or text in context.ranking.warnings)
+
+
+def trade_off(context: Context, across: str, up: str, name: str) -> Chart:
+    """Two metrics of all designs against each other."""
+    ranking = context.ranking
+    of_x, of_y = METRICS[across], METRICS[up]
+    x, y = of_x.scale * context.values(across), of_y.scale * context.values(up)
+    known = np.isfinite(x) & np.isfinite(y)
+    places = np.flatnonzero(known)
+    if places.size > MOST_POINTS:
+        first = places[: MOST_POINTS // 2]
+        rest = places[MOST_POINTS // 2 :]
+        places = np.concatenate([first, rest[:: max(1, rest.size // (MOST_POINTS // 2))]])
+    admissible = np.array([not missed for missed in ranking.missed])
+    laws = np.array([design.law for design in ranking.designs])
+    clouds = []
+    for law, style in context.styles.items():
+        own = places[laws[places] == law]
+        if own.size:
+            tips = tuple(
+                f"{name_of(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "
+                f"{of_x.title} {metric_text(across, x[i] / of_x.scale)}"
+                for i in own
+            )
+            clouds.append(Cloud(x[own], y[own], style, admissible[own], tips))
+    signs = np.array([1.0 if one.better == "less" else -1.0 for one in (of_x, of_y)])
+    contenders = np.flatnonzero(known & (admissible if (known & admissible).any() else known))
+    front = contenders[pareto_front(np.stack([x, y], axis=1)[contenders] * signs)]
+    front = front[np.argsort(x[front], kind="stable")]
+    limit = limit_of(context, across)
+    # far points would squeeze the rest: beyond the limit a logarithm
+    wide = known.any() and float(x[known].max()) > 8.0 * max(float(np.median(x[known])), 1e-12)
+    log = bool(wide and (x[known] > 0).all())
+    ends = x if limit is None else np.append(x, limit * of_x.scale)
+    axis = Axis.around(of_x.label, ends[np.isfinite(ends)], log=log, zero=not log)
+    i = context.shown
+    return scatter(
+        name, f"{of_y.title} against {of_x.title}, one point a design", clouds, axis,
+        Axis.around(of_y.label, y[known]), limit=None if limit is None else (limit * of_x.scale, "limit"),
+        front=(x[front], y[front]), ring=(float(x[i]), float(y[i])),
+    )  # fmt: skip
+
+
+def limit_of(context: Context, name: str) -> float | None:
+    """The upper limit of a metric among the requirements; of added acceleration always that of ISO 11270."""
+    for one in context.ranking.requirements:
+        if one.metric.name == name and one.operator in ("<=", "<"):
+            return one.limit
+    return A_Y_LIMIT if name == "a_y_added_peak_p95" else None
+
+
+def cloud_legend(context: Context) -> Markup:
+    """Laws of the points, what filling and ring mean."""
+    laws = {design.law: design for design in context.ranking.designs}
+    shown = [(law_title(design), context.styles[law]) for law, design in laws.items() if not design.is_baseline]
+    return legend(shown, points=True)
+
+
+def short_name(context: Context, place: int) -> str:
+    """Threshold and gains of a design, without its law."""
+    design = context.ranking.designs[place]
+    return ", ".join(filter(None, (f"y_s = {compact(design.y_s)} m", gains_text(design))))

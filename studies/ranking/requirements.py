@@ -1,0 +1,315 @@
+"""Metrics of a design by name or alias, requirements on them, ``"a_y_peak_p95 <= 3.0"``, and named sets of these."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, METRICS, Metric
+from ldctoolkit.plant_options import PlantOptions
+
+Operator = Literal["<=", "<", ">=", ">"]
+
+_ALIASES: Final = {
+    **{alias: one.name for one in METRICS.values() for alias in one.aliases},
+    **{one.column: one.name for one in METRICS.values()},
+}
+"""Other names of the same metrics; the columns of ``ranking.csv`` are among them."""
+
+
+def metric(name: str) -> Metric:
+    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``.
+
+    Raises
+    ------
+    UnknownNameError
+        Naming the nearest metric.
+
+    Examples
+    --------
+    >>> metric("ay_p95").name, metric("dtle_0p3_share").better
+    ('a_y_peak_p95', 'more')
+    """
+    known = _ALIASES.get(name, name)
+    if known not in METRICS:
+        # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
+        begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
+        raise UnknownNameError(f"metric {name!r}: no such metric; {nearest(begun, METRICS)}")
+    return METRICS[known]
+
+
+def metric_values(name: str, *sources: Any) -> FloatArray:
+    """Values of a metric, one a design.
+
+    Parameters
+    ----------
+    name : str
+        As `metric` takes it.
+    *sources : Mapping or object
+        Where to look, in this order: mappings by key, objects by attribute, then the attribute `release` of an object.
+        A `studies.Ranking` holds all metrics.
+
+    Returns
+    -------
+    (d,)
+        NaN where a design has none.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown name.
+    InputError
+        If no source has it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> metric_values("S", {"S": np.array([0.2, 0.1])})
+    array([0.2, 0.1])
+    """
+    wanted = metric(name).name
+    for source in sources:
+        values = _lookup(source, wanted)
+        if values is None:
+            values = _lookup(getattr(source, "release", None), wanted)
+        if values is not None:
+            return np.asarray(values, dtype=np.float64)
+    raise InputError(f"metric {wanted}: not among these results")
+
+
+def _lookup(source: Any, name: str) -> Any:
+    return source.get(name) if isinstance(source, Mapping) else getattr(source, name, None)
+
+
+_OPERATORS: Final[Mapping[Operator, Callable[[FloatArray, float], Any]]] = {
+    "<=": np.less_equal,
+    "<": np.less,
+    ">=": np.greater_equal,
+    ">": np.greater,
+}
+
+_TEXT: Final = re.compile(r"\s*(?P<name>[A-Za-z]\w*)\s*(?P<operator><=|>=|<|>)\s*(?P<limit>[-+.\w]+)\s*")
+
+
+SETS: Final[Mapping[str, tuple[str, ...]]] = {
+    "stable": ("diverged <= 0", "gain_margin >= 2", f"phase_margin >= {math.radians(30.0)!r}"),
+    "comfort": (f"a_y_added_peak_p95 <= {A_Y_LIMIT}", f"jerk_added_peak_p95 <= {JERK_LIMIT}"),
+    "lane-edge": ("within_dtle_gain >= 0",),
+    "physical": (),
+}
+"""Named sets of requirements. ``physical`` depends on the plant: `requirements_of` makes it."""
+
+G: Final = 9.81
+"""Acceleration of free fall [m/s^2]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Requirement:
+    """What a design must meet. Made with `parse_requirement` or `requirements_of`.
+
+    Attributes
+    ----------
+    metric : Metric
+    operator : {"<=", "<", ">=", ">"}
+    limit : float
+        In the metric's unit.
+    set : str
+        Name of the set that it belongs to; empty for one by itself.
+    """
+
+    metric: Metric
+    operator: Operator
+    limit: float
+    set: str = ""
+
+    def met(self, values: npt.ArrayLike) -> BoolArray:
+        """Where it is met, (d,).
+
+        A metric that a design does not have (NaN) never meets a requirement by itself. In a set it does: margins are
+        those of linear loops, comfort is that of interventions, and a design without either cannot break them.
+
+        Parameters
+        ----------
+        values : (d,)
+            Of the metric.
+
+        Examples
+        --------
+        >>> parse_requirement("S <= 0.5").met([0.4, 0.5, 0.6, float("nan")])
+        array([ True,  True, False, False])
+        """
+        array = np.asarray(values, dtype=np.float64)
+        result: BoolArray = np.asarray(_OPERATORS[self.operator](array, self.limit)) | (
+            np.isnan(array) & bool(self.set)
+        )
+        return result
+
+    def excess(self, values: npt.ArrayLike) -> FloatArray:
+        """How far values (d,) are beyond the limit, as a part of it, or in the metric's unit for a limit of 0.
+
+        At most 0 where `met` says so, above 0 elsewhere, infinite for a metric that a design does not have.
+
+        Examples
+        --------
+        >>> parse_requirement("S <= 0.5").excess([0.25, 1.0])
+        array([-0.5,  1. ])
+        """
+        array = np.asarray(values, dtype=np.float64)
+        sign = 1.0 if self.operator in ("<", "<=") else -1.0
+        with np.errstate(over="ignore"):  # infinitely far is an answer
+            beyond = sign * (array - self.limit) / (abs(self.limit) or 1.0)
+        beyond = np.where(np.isnan(beyond), np.inf, beyond)
+        return np.where(self.met(array), np.minimum(beyond, 0.0), np.maximum(beyond, _MISSED))
+
+    @property
+    def text(self) -> str:
+        """The requirement with the metric's own name: ``"a_y_peak_p95 <= 3"``."""
+        return f"{self.metric.name} {self.operator} {self.limit!r}".removesuffix(".0")
+
+
+_MISSED: Final = 1e-9
+"""Least excess of a requirement that is missed: ``"S < 0.5"`` at exactly 0.5."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Miss:
+    """A requirement that a design misses, and the value it has instead."""
+
+    requirement: Requirement
+    value: float
+
+    @property
+    def excess(self) -> float:
+        """By how much, as a part of the limit; see `Requirement.excess`."""
+        return float(self.requirement.excess([self.value])[0])
+
+    @property
+    def text(self) -> str:
+        """For a reader: ``"Peak added a_y, 95 % quantile 12.40 m/s², limit 3.00 m/s² (4.1 times)"``."""
+        of, limit = self.requirement.metric, self.requirement.limit
+        if math.isnan(self.value):
+            return f"{of.title} not known, limit {_shown(of, limit)}"
+        times = f" ({self.value / limit:.1f} times)" if limit > 0 and self.value > 1.05 * limit else ""
+        return f"{of.title} {_shown(of, self.value)}, limit {_shown(of, limit)}{times}"
+
+
+def _shown(of: Metric, value: float) -> str:
+    """A value with the metric's digits, in the unit of a page."""
+    return f"{of.scale * value:.{of.digits}f}{f' {of.shown_unit}' if of.shown_unit else ''}".replace("-", "\u2212")
+
+
+def missed_by(requirements: Sequence[Requirement], *sources: Any) -> tuple[tuple[Miss, ...], ...]:
+    """For every design the requirements that it does not meet.
+
+    Parameters
+    ----------
+    requirements : sequence of Requirement
+    *sources : Mapping or object
+        Of d designs, as for `metric_values`.
+
+    Returns
+    -------
+    tuple of d tuples of Miss
+        Empty for a design that meets all.
+    """
+    missed: list[list[Miss]] = [[] for _ in metric_values("S", *sources)]
+    for one in requirements:
+        values = metric_values(one.metric.name, *sources)
+        for i in np.flatnonzero(~one.met(values)).tolist():
+            missed[i].append(Miss(one, float(values[i])))
+    return tuple(tuple(some) for some in missed)
+
+
+def friction(options: PlantOptions) -> float:
+    """Largest lateral acceleration that tyres allow [m/s^2]: mu g of the plant, 1 g where its tyres are linear.
+
+    Examples
+    --------
+    >>> from ldctoolkit.plant_options import PlantOptions
+    >>> friction(PlantOptions())
+    9.81
+    """
+    return G if options.tyres.ideal else G * options.tyres.mu * options.mismatch.mu[1]
+
+
+def requirements_of(texts: Sequence[str], options: PlantOptions | None = None) -> tuple[Requirement, ...]:
+    """Requirements of a list that may hold names of sets; each once.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Names of `SETS`, and what `parse_requirement` takes.
+    options : PlantOptions, optional
+        The plant, whose friction the set ``physical`` needs; an ideal one by default.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown set or metric; the message names the nearest.
+    InputError
+        For anything else that is no requirement.
+
+    Examples
+    --------
+    >>> [one.text for one in requirements_of(["comfort", "S <= 0.5"])]
+    ['a_y_added_peak_p95 <= 3', 'jerk_added_peak_p95 <= 5', 'S <= 0.5']
+    """
+    found: dict[str, Requirement] = {}
+    for text in texts:
+        if text in SETS:
+            members = SETS[text]
+            if text == "physical":
+                members = (f"a_y_peak_max <= {friction(options or PlantOptions())!r}",)
+            some = [dataclasses.replace(parse_requirement(one), set=text) for one in members]
+        else:
+            some = [parse_requirement(text)]
+        for one in some:
+            found.setdefault(one.text, one)
+    return tuple(found.values())
+
+
+def parse_requirement(text: str) -> Requirement:
+    """Read a requirement: a metric, an operator and a number, in this order.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown metric; the message names the nearest.
+    InputError
+        For anything else that is no requirement; the message names the text and what is allowed.
+
+    Examples
+    --------
+    >>> parse_requirement("ay_p95 <= 3.0").text
+    'a_y_peak_p95 <= 3'
+    """
+    found = _TEXT.fullmatch(text) if isinstance(text, str) else None
+    if found is None and isinstance(text, str) and re.fullmatch(r"\s*[A-Za-z][-\w]*\s*", text):
+        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {nearest(text.strip(), SETS)}")
+    if found is None:
+        raise InputError(
+            f"requirement {text!r}: cannot be read; allowed: a metric, one of {', '.join(_OPERATORS)}, "
+            "and a number, as 'a_y_peak_p95 <= 3.0'"
+        )
+    try:
+        wanted = metric(found["name"])
+    except UnknownNameError as error:
+        raise UnknownNameError(f"requirement {text!r}: {error}") from None
+    try:
+        limit = float(found["limit"])
+    except ValueError:
+        limit = math.nan
+    lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
+    if not (math.isfinite(limit) and lower <= limit <= upper):
+        kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(wanted.unit, "a finite number")
+        raise InputError(f"requirement {text!r}: the limit is {found['limit']}; allowed: {kind}")
+    operator: Any = found["operator"]
+    return Requirement(wanted, operator, limit + 0.0)

@@ -1,0 +1,329 @@
+"""The verdict on a study: the best design that meets the limits, or that none does, and four lights."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from ldctoolkit import Setup, controller_class
+from ldctoolkit.gains import GainValue
+from ldctoolkit.metrics import METRICS
+from studies.design import Design
+from studies.ranking.ranking import Ranking
+from studies.ranking.requirements import G, Miss, friction, metric_values
+from studies.results import StudyResults
+
+if TYPE_CHECKING:
+    from studies.robustness.robustness import Robustness
+
+State = Literal["good", "warning", "bad", "unknown"]
+
+_NEAREST: Final = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """One of the four lights: what it is about, its state, and why."""
+
+    name: str
+    state: State
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What a study says, requirements first.
+
+    Attributes
+    ----------
+    title : str
+        One line.
+    sentences : tuple of str
+        Two at most: the score of the design named, and what it breaks or what is nearest.
+    lights : tuple of Light
+        Score, stable, limits, other plants; of the design named.
+    place : int
+        Of the design named, in the ranking.
+    nearest : tuple of int
+        Where none meets the requirements: places of the designs with the smallest largest excess.
+    try_next : tuple of str
+        Sentences on what to try then.
+    recorded : float
+        Share of departures whose recorded path alone needs more than the friction.
+    """
+
+    title: str
+    sentences: tuple[str, ...]
+    lights: tuple[Light, ...]
+    place: int
+    nearest: tuple[int, ...] = ()
+    try_next: tuple[str, ...] = ()
+    recorded: float = 0.0
+
+    @property
+    def usable(self) -> bool:
+        """Whether no light is red."""
+        return not any(light.state == "bad" for light in self.lights)
+
+
+def verdict(
+    ranking: Ranking, results: StudyResults, setup: Setup | None = None, robustness: Robustness | None = None
+) -> Verdict:
+    """Judge a ranking.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        The primary case.
+    results : StudyResults
+        What it ranks.
+    setup : Setup, optional
+        What the designs were driven with; an ideal plant by default.
+    robustness : Robustness, optional
+        Designs on other plants.
+
+    Returns
+    -------
+    Verdict
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from studies import Study, rank_study, run_study
+    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "none"}, {"law": "lqr"}]}
+    >>> study = Study.from_dict(content | {"ranking": {"require": ["S <= 0.001"]}})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = run_study(study, directory=folder, workers=1)
+    >>> verdict(rank_study(results, study)[0], results).title
+    'None of 2 designs meets the limits'
+    """
+    setup = setup or Setup()
+    nearest: tuple[int, ...] = ()
+    ahead: tuple[str, ...] = ()
+    recorded = _recorded(results, setup)
+    if ranking.ranked:
+        place = ranking.winner or 0
+        title = _of_winner(ranking, place)
+        sentences = [_score(ranking, place)]
+        broken = _broken(ranking, place)
+        if broken:
+            sentences.append(f"It is not usable as it is: {_list(broken)}.")
+    else:
+        nearest = _nearest(ranking)
+        place = nearest[0]
+        title = f"None of {len(ranking)} design{'' if len(ranking) == 1 else 's'} meets the limits"
+        misses = [miss.text for miss in ranking.missed[place]]
+        sentences = [f"Nearest: {design_name(ranking.designs[place])}; it misses {_list(misses)}."]
+        if recorded > 0:
+            sentences.append(f"In {100 * recorded:.1f} % of departures the recorded path alone is beyond friction.")
+        ahead = tuple(_try_next(ranking, place))
+    return Verdict(title, tuple(sentences), tuple(_lights(ranking, place, robustness)), place, nearest, ahead, recorded)
+
+
+def design_name(design: Design) -> str:
+    """A design in a sentence: law, threshold, gains that differ from their defaults."""
+    gains = "".join(f", {name} = {value_text(value)}" for name, value in design.changed)
+    return f"{controller_class(design.law).title}, y_s = {design.y_s:g} m{gains}"
+
+
+def value_text(value: GainValue) -> str:
+    """A gain in a sentence."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _list(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _of_winner(ranking: Ranking, place: int) -> str:
+    name = design_name(ranking.designs[place])
+    if ranking.survivors_only:
+        return f"No winner: this case was not raced; the best design may have been given up. First: {name}"
+    if ranking.winner is None:
+        return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
+    if ranking.requirements:
+        return f"Best design that meets the limits: {name}"
+    return f"{'Smallest S, but not usable' if _broken(ranking, place) else 'Smallest S'}: {name}"
+
+
+def _score(ranking: Ranking, i: int) -> str:
+    fresh = bool(np.isfinite(ranking.fresh_S[i]))
+    S, low, high = (
+        (ranking.fresh_S[i], ranking.fresh_low[i], ranking.fresh_high[i])
+        if fresh
+        else (ranking.S[i], ranking.S_low[i], ranking.S_high[i])
+    )
+    level = f"{100 * ranking.confidence:g} % interval"
+    where = f" on {ranking.fresh_scenarios:,} fresh scenarios" if fresh else ""
+    between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
+    saved = float(ranking.reduction[i])
+    if ranking.designs[i].is_baseline or not math.isfinite(saved):
+        change = ""
+    elif saved <= -1.0:
+        change = f", {1.0 - saved:.3g} times that without control"
+    else:
+        change = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
+    on = " on the study scenarios" if fresh and change else ""
+    added = [
+        f"{METRICS[name].title} {METRICS[name].scale * value:.{METRICS[name].digits}f} {METRICS[name].shown_unit}"
+        for name in ("a_y_added_peak_p95", "jerk_added_peak_p95")
+        if math.isfinite(value := float(metric_values(name, ranking)[i]))
+    ]
+    costs = f"; {', '.join(added)}" if added else ""
+    return f"Mean S {S:.3f} m s{where}{between}{change}{on}{costs}."
+
+
+def _broken(ranking: Ranking, place: int) -> list[str]:
+    """What a design breaks of what every design on a road must keep: it is stable, and tyres can do it."""
+    found = []
+    if lost := int(ranking.diverged[place]):
+        found.append(f"it diverges in {lost} departure{'' if lost == 1 else 's'}")
+    if float(metric_values("gain_margin", ranking)[place]) == 0.0:
+        found.append("its linear loop is unstable at some speed")
+    impossible = _impossible(ranking, place)
+    if impossible:
+        found.append(impossible)
+    return found
+
+
+def _impossible(ranking: Ranking, place: int) -> str:
+    """Lateral acceleration that no tyre gives."""
+    most = next((one.limit for one in ranking.limits if one.set == "physical"), G)
+    peak = float(metric_values("a_y_peak_max", ranking)[place])
+    if not peak > most:
+        return ""
+    return f"a lateral acceleration of {peak:.3g} m/s\u00b2 ({peak / G:.2g} g) is physically impossible"
+
+
+def _lights(ranking: Ranking, place: int, robustness: Robustness | None) -> Iterator[Light]:
+    yield _score_light(ranking, place)
+    yield _stable_light(ranking, place)
+    yield _limits_light(ranking, place)
+    yield _plants_light(ranking, place, robustness)
+
+
+def _score_light(ranking: Ranking, place: int) -> Light:
+    saved = float(ranking.reduction[place])
+    if not math.isfinite(saved):
+        return Light("Score", "unknown", "There is no score without control to compare with.")
+    if saved <= 0:
+        return Light("Score", "bad", "No better than without control.")
+    others = int(ranking.set_of_best.sum()) - 1
+    if not ranking.set_of_best[place] or others <= 0:
+        return Light("Score", "good", f"{100 * saved:.1f} % less S than without control.")
+    rest = f"{others} other design{'' if others == 1 else 's'} {'is' if others == 1 else 'are'} not separated from it"
+    return Light("Score", "good", f"{100 * saved:.1f} % less S than without control; {rest}.")
+
+
+def _stable_light(ranking: Ranking, place: int) -> Light:
+    lost = int(ranking.diverged[place])
+    gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
+    missed = [miss.text for miss in _missed_of(ranking, place, "stable")]
+    if lost:
+        return Light("Stable", "bad", f"It diverges in {lost} of {ranking.scenarios:,} departures.")
+    if gain == 0.0:
+        return Light("Stable", "bad", "Its linear loop is unstable at some speed from 10 to 40 m/s.")
+    if missed:
+        return Light("Stable", "bad", f"{_capital(_list(missed))}.")
+    if math.isnan(gain):
+        return Light("Stable", "warning", "It diverges in no departure; it has no linear loop whose margins are known.")
+    shown = "no limit" if math.isinf(gain) else f"{gain:.1f}"
+    return Light(
+        "Stable",
+        "good",
+        f"Diverges in no departure; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.",
+    )
+
+
+def _limits_light(ranking: Ranking, place: int) -> Light:
+    impossible = _impossible(ranking, place)
+    missed = [miss.text for miss in ranking.missed[place] if miss.requirement.set not in ("stable", "physical")]
+    others = [miss.text for miss in _missed_of(ranking, place, "comfort") if miss.text not in missed]
+    if impossible:
+        return Light("Limits", "bad", f"{_capital(impossible)}.")
+    if missed:
+        return Light("Limits", "bad", f"{_capital(_list(missed))}.")
+    if others:
+        return Light("Limits", "warning", f"Not required, but beyond comfort: {_list(others)}.")
+    sets = dict.fromkeys(one.set for one in ranking.requirements if one.set)
+    return Light(
+        "Limits", "good", f"Meets all that is required{f' ({_list(list(sets))})' if sets else ''}, and comfort."
+    )
+
+
+def _plants_light(ranking: Ranking, place: int, robustness: Robustness | None) -> Light:
+    name = "Other plants"
+    if robustness is None or ranking.designs[place].id not in robustness.designs:
+        return Light(name, "unknown", "Not tested on other plants.")
+    i = robustness.designs.index(ranking.designs[place].id)
+    others = range(1, len(robustness.plants))
+    lost = [robustness.titles[p] for p in others if robustness.diverged[p, i] > robustness.diverged[0, i]]
+    worse = [robustness.titles[p] for p in others if robustness.excess[p, i] > 0]
+    if lost:
+        return Light(name, "bad", f"It diverges with: {', '.join(lost)}.")
+    if worse:
+        return Light(name, "bad", f"Worse than no control with: {', '.join(worse)}.")
+    ratio = robustness.S[1:, i] / robustness.S[0, i] if robustness.S[0, i] > 0 else np.full(len(others), np.nan)
+    if not np.isfinite(ratio).any():
+        return Light(name, "unknown", "Its scores on other plants are not known.")
+    p, most = 1 + int(np.nanargmax(ratio)), float(np.nanmax(ratio))
+    rise = f"{most:.2g} times its S" if most >= 2 else f"{100 * (most - 1):.0f} % more S"
+    text = f"Worst on {robustness.titles[p]}: {rise}." if most > 1 else "S rises on none of them."
+    return Light(name, "warning" if most > 1.5 else "good", text)
+
+
+def _missed_of(ranking: Ranking, place: int, name: str) -> list[Miss]:
+    """What a design misses of a set, required or not."""
+    found = []
+    for one in ranking.limits:
+        value = float(metric_values(one.metric.name, ranking)[place])
+        if one.set == name and not one.met([value])[0]:
+            found.append(Miss(one, value))
+    return found
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _nearest(ranking: Ranking) -> tuple[int, ...]:
+    """Places of the designs with the smallest largest excess; those that intervene first."""
+    largest = [max(miss.excess for miss in some) if some else 0.0 for some in ranking.missed]
+    passive = [design.is_baseline for design in ranking.designs]
+    order = sorted(range(len(ranking)), key=lambda i: (passive[i], largest[i], i))
+    return tuple(order[:_NEAREST])
+
+
+def _try_next(ranking: Ranking, place: int) -> Iterator[str]:
+    """Where the nearest design stands in its sweep."""
+    design = ranking.designs[place]
+    own = [one for one in ranking.designs if one.law == design.law]
+    values = {"y_s": design.y_s, **dict(design.gains)}
+    ends = []
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        swept = sorted({float({"y_s": one.y_s, **dict(one.gains)}[name]) for one in own})
+        if len(swept) > 1 and value in (swept[0], swept[-1]):
+            ends.append(f"{name} {'below' if value == swept[0] else 'above'} {value:g}")
+    if ends:
+        yield f"The nearest design stands at an end of its sweep: try {_list(ends)}."
+    else:
+        yield f"{controller_class(design.law).title} comes closest; sweep its gains around the nearest design."
+
+
+def _recorded(results: StudyResults, setup: Setup) -> float:
+    """Share of departures whose recorded path alone is beyond the friction."""
+    some = results.drivable().scenarios
+    if not some.n:
+        return 0.0
+    t = np.linspace(0.0, 1.0, 33) * some.T[:, None]
+    from ldctoolkit.paths.uncorrected import UncorrectedPath
+
+    path = UncorrectedPath.of(some, setup.options.residuals, setup.seed)
+    a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
+    return float((np.abs(a_y).max(axis=1) > friction(setup.options)).mean())

@@ -1,1 +1,0 @@
-"""Data in the page for its script."""

@@ -1,1 +1,0 @@
-"""Figures of the report: plain functions of arrays that return a figure."""

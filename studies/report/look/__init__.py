@@ -1,1 +1,0 @@
-"""How the report looks: colours, lines, inline SVG."""

@@ -1,1 +1,0 @@
-"""Designs and cases as the report shows them."""

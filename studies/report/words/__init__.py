@@ -1,1 +1,0 @@
-"""The report in words: numbers, names, sentences."""
