@@ -48,7 +48,7 @@ def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), 
     from rich.text import Text
 
     table = Table(
-        title=Text(title, style="table.title"), title_justify="left", box=box.SIMPLE_HEAD if narrow else box.HEAVY_HEAD,
+        title=Text(title, style="table.title"), title_justify="left", box=None if narrow else box.HEAVY_HEAD,
         padding=(0, 1, 0, 0) if narrow else (0, 1), pad_edge=not narrow,
     )  # fmt: skip
     for i, heading in enumerate(headings):

@@ -114,9 +114,10 @@ def study_head(study: Study, manifest: Manifest) -> StudyHead:
 def ranking_table(ranking: Ranking, top: int = 10) -> Table:
     """The first `top` designs, the best of each law, the winner and the baseline."""
     columns = ranking_columns(ranking)
+    titles = [one.title.replace("needless", "need-\nless") for one in columns]
     table = new_table(
         f"{len(ranking)} designs by mean S, {ranking.case.label}",
-        [f"{one.title}\n[{one.unit}]" if one.unit else one.title for one in columns],
+        [f"{title}\n[{one.unit}]" if one.unit else title for title, one in zip(titles, columns, strict=True)],
         left=[i for i, one in enumerate(columns) if one.left],
         narrow=True,
     )

@@ -164,15 +164,15 @@ class Context:
 
     @property
     def shown(self) -> int:
-        """Place of the design that the page speaks of: the winner, else the first one."""
-        return self.ranking.winner or 0
+        """Place of the design that the page speaks of: the winner, else the one that the verdict names."""
+        return self.verdict.place
 
     @property
     def shown_name(self) -> str:
         """What it is called in a sentence."""
         if self.ranking.winner is not None:
             return "the winner"
-        return "the first of the ranking" if self.ranking.ranked else "the design with the smallest mean S"
+        return "the first of the ranking" if self.ranking.ranked else "the nearest design"
 
     @cached_property
     def best_of_each_law(self) -> tuple[int, ...]:

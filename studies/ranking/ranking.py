@@ -240,6 +240,9 @@ class Ranking(CaseFigures, Inference, FreshScores):
         if given_up and not raced:
             fresh = dataclasses.replace(fresh, winner=None)
             warnings.append(_not_raced(results, given_up))
+        acting = [i for i, design in enumerate(designs) if not design.is_baseline]
+        if requirements and acting and not any(i < ranked for i in acting):
+            fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
         warnings += warnings_of_sample(drivable.scenarios.side, inference)
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_figures and ranked:

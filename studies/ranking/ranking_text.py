@@ -47,19 +47,16 @@ class TextColumn:
 
 def ranking_columns(ranking: Ranking) -> tuple[TextColumn, ...]:
     """The columns of every text that shows a ranking, in their order."""
-    fresh = (TextColumn("fresh S", "m s"),) if ranking.fresh_scenarios else ()
     return (
         TextColumn("#"),
         TextColumn("law", left=True),
         TextColumn("y_s", "m"),
         TextColumn("gains", left=True),
-        TextColumn("S", "m s"),
-        TextColumn(f"{100 * ranking.confidence:g} %"),
+        TextColumn(f"S, {100 * ranking.confidence:g} %", "m s"),
         TextColumn("less", "%"),
         TextColumn("a_y", "m/s2"),
         TextColumn("jerk", "m/s3"),
-        TextColumn("need- less", "%"),
-        *fresh,
+        TextColumn("needless", "%"),
         TextColumn("verdict", left=True),
     )
 
@@ -75,20 +72,17 @@ COLUMNS_TEXT: Final = (
 def ranking_cells(ranking: Ranking, i: int) -> list[str]:
     """The cells of one design, in the order of `ranking_columns`."""
     design = ranking.designs[i]
-    fresh = [_number(float(ranking.fresh_S[i]), 3)] if ranking.fresh_scenarios else []
-    low, high = float(ranking.S_low[i]), float(ranking.S_high[i])
+    half = 0.5 * float(ranking.S_high[i] - ranking.S_low[i])
     return [
         str(ranking.rank[i]) if ranking.rank[i] else _DASH,
         controller_class(design.law).title,
         f"{design.y_s:g}",
-        ", ".join(f"{name}={value_text(value)}" for name, value in design.changed),
-        _number(float(ranking.S[i]), 3),
-        f"{low:.3f}..{high:.3f}" if math.isfinite(low + high) else _DASH,
+        ", ".join(f"{name} {value_text(value)}" for name, value in design.changed),
+        f"{ranking.S[i]:.3f}" + (f"\u00b1{half:.3f}" if math.isfinite(half) else ""),
         *(
             _number(METRICS[name].scale * float(metric_values(name, ranking)[i]), digits)
             for name, digits in _DIGITS.items()
         ),
-        *fresh,
         judged(ranking, i),
     ]  # fmt: skip
 
@@ -105,14 +99,14 @@ def judged(ranking: Ranking, place: int) -> str:
     if ranking.missed[place]:
         sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[place])
         most = max(miss.excess for miss in ranking.missed[place])
-        by = f" by {100 * most:.0f} %" if 0.005 <= most < 10 else ""
+        by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
         found.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
         found.append("meets all")
     failed = failures(ranking, place)
     if failed:
         found.append(f"failed in {failed:,}")
-    if not ranking.missed[place] and place != ranking.winner and ranking.set_of_best[place]:
+    if not ranking.missed[place] and place not in (ranking.winner, ranking.baseline) and ranking.set_of_best[place]:
         found.append("not separated")
     if ranking.pareto[place]:
         found.append("Pareto")
@@ -245,7 +239,7 @@ def _blocks(rankings: Sequence[Ranking], head: StudyHead, found: Verdict) -> Ite
     places = listed_places(first, MOST_ROWS)
     columns = ranking_columns(first)
     headings = [
-        markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}".replace("- ", "")) for one in columns
+        markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns
     ]
     rows = ([markdown_text(cell) for cell in ranking_cells(first, place)] for place in places)
     yield markdown_table(headings, [not one.left for one in columns], rows)
@@ -287,7 +281,7 @@ def ranking_html(ranking: Ranking, top: int = TOP) -> str:
     """A ranking as HTML without script; everything in it is escaped."""
     places = listed_places(ranking, top)
     head = "".join(
-        f'<th scope="col" style="{_LEFT if one.left else _RIGHT}">{html.escape(one.title.replace("- ", ""))}'
+        f'<th scope="col" style="{_LEFT if one.left else _RIGHT}">{html.escape(one.title)}'
         f"{f'<br>[{html.escape(one.unit)}]' if one.unit else ''}</th>"
         for one in ranking_columns(ranking)
     )

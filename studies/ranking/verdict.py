@@ -99,14 +99,16 @@ def verdict(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     results = run_study(study, directory=folder, workers=1)
     >>> verdict(rank_study(results, study)[0], results).title
-    'None of 2 designs meets the limits'
+    'None of 1 design meets the limits'
     """
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
     recorded = _recorded(results, setup)
-    if ranking.ranked:
-        place = ranking.winner or 0
+    acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
+    meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
+    if meeting or not acting:
+        place = meeting[0] if ranking.winner is None and meeting else ranking.winner or 0
         title = _of_winner(ranking, place)
         sentences = [_score(ranking, place)]
         broken = _broken(ranking, place)
@@ -115,7 +117,7 @@ def verdict(
     else:
         nearest = _nearest(ranking)
         place = nearest[0]
-        title = f"None of {len(ranking)} design{'' if len(ranking) == 1 else 's'} meets the limits"
+        title = f"None of {len(acting)} design{'' if len(acting) == 1 else 's'} meets the limits"
         misses = [miss.text for miss in ranking.missed[place]]
         sentences = [f"Nearest: {design_name(ranking.designs[place])}; it misses {_list(misses)}."]
         if recorded > 0:
