@@ -369,6 +369,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     *_of("delta_rate_peak", "max"),
     *_of("effort", "mean", alias="effort"),
     *_of("travel", "mean", alias="travel"),
+    _count("lost", "Departures that diverged though friction allows their recorded path"),
     Metric("gain_margin", "ratio", "more", "gain_margin", "Gain margin, least over speed", "loop", 2),
     Metric("phase_margin", "rad", "more", "phase_margin_rad", "Phase margin, least over speed", "loop", 1),
 )

@@ -9,13 +9,15 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import DTLE_LIMIT
+from ldctoolkit.paths.uncorrected import UncorrectedPath
 from studies.design import Design
 from studies.ranking.release import ReleaseFigures, release_metrics
+from studies.ranking.requirements import friction
 from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.tails import tail_figures
 from studies.results import CaseResults
@@ -127,7 +129,11 @@ Margins = Mapping[str, tuple[float, float]]
 
 
 def case_figures(
-    drivable: DrivableCase, designs: Sequence[Design], D_y: float, margins: Margins | None = None
+    drivable: DrivableCase,
+    designs: Sequence[Design],
+    D_y: float,
+    margins: Margins | None = None,
+    setup: Setup | None = None,
 ) -> CaseFigures:
     """Figures of the designs of a case, in its order.
 
@@ -140,6 +146,8 @@ def case_figures(
         Depth that counts as deep.
     margins : mapping, optional
         By identifier; NaN for a design that is not in it.
+    setup : Setup, optional
+        Whose tyres decide which recorded paths friction allows; without it, all.
     """
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
@@ -151,6 +159,8 @@ def case_figures(
     passive = [i for i, design in enumerate(designs) if design.is_baseline]
     kept = taken["within_dtle"][passive[0]] if passive else np.mean(-scenarios.d_y >= DTLE_LIMIT)
     taken["within_dtle_gain"] = taken["within_dtle"] - kept
+    allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
+    taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
     nothing = (np.nan, np.nan)
     loops = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64).reshape(-1, 2)
     taken["gain_margin"], taken["phase_margin"] = loops.T
@@ -180,6 +190,15 @@ def case_figures(
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
         release=ReleaseFigures(**taken),
     )
+
+
+def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
+    """Departures whose recorded path alone needs more than the tyres of a plant give, (n,)."""
+    path = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
+    t = np.linspace(0.0, 1.0, 33) * scenarios.T[:, None]
+    a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
+    result: BoolArray = np.abs(a_y).max(axis=1) > friction(setup.options)
+    return result
 
 
 def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:

@@ -192,7 +192,7 @@ class Ranking(CaseFigures, Inference, FreshScores):
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
         margins = {} if setup is None else _margins(results.designs, setup.under(case.case.convention))
-        figures = case_figures(drivable, results.designs, D_y, margins)
+        figures = case_figures(drivable, results.designs, D_y, margins, setup)
         missed = missed_by(requirements, figures)
         order = np.lexsort((figures.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
@@ -229,7 +229,7 @@ class Ranking(CaseFigures, Inference, FreshScores):
                 search,
                 [
                     tuple(miss.requirement.text for miss in some)
-                    for some in missed_by(requirements, case_figures(again, results.fresh.designs, D_y, margins))
+                    for some in missed_by(requirements, case_figures(again, results.fresh.designs, D_y, margins, setup))
                 ],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,

@@ -98,7 +98,7 @@ def judged(ranking: Ranking, place: int) -> str:
         found.append("baseline")
     if ranking.missed[place]:
         sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[place])
-        most = max(miss.excess for miss in ranking.missed[place])
+        most = max((miss.excess for miss in ranking.missed[place] if miss.requirement.limit), default=0.0)
         by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
         found.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
@@ -238,9 +238,7 @@ def _blocks(rankings: Sequence[Ranking], head: StudyHead, found: Verdict) -> Ite
         yield f"> **Warning:** {markdown_text(warning)}\n"
     places = listed_places(first, MOST_ROWS)
     columns = ranking_columns(first)
-    headings = [
-        markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns
-    ]
+    headings = [markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns]
     rows = ([markdown_text(cell) for cell in ranking_cells(first, place)] for place in places)
     yield markdown_table(headings, [not one.left for one in columns], rows)
     if len(places) < len(first):

@@ -100,7 +100,7 @@ _TEXT: Final = re.compile(r"\s*(?P<name>[A-Za-z]\w*)\s*(?P<operator><=|>=|<|>)\s
 
 
 SETS: Final[Mapping[str, tuple[str, ...]]] = {
-    "stable": ("diverged <= 0", "gain_margin >= 2", f"phase_margin >= {math.radians(30.0)!r}"),
+    "stable": ("lost <= 0", "gain_margin >= 2", f"phase_margin >= {math.radians(30.0)!r}"),
     "comfort": (f"a_y_added_peak_p95 <= {A_Y_LIMIT}", f"jerk_added_peak_p95 <= {JERK_LIMIT}"),
     "lane-edge": ("within_dtle_gain >= 0",),
     "physical": (),

@@ -13,8 +13,9 @@ from ldctoolkit import Setup, controller_class
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
 from studies.design import Design
+from studies.ranking.case_figures import beyond_friction
 from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import G, Miss, friction, metric_values
+from studies.ranking.requirements import G, Miss, metric_values
 from studies.results import StudyResults
 
 if TYPE_CHECKING:
@@ -104,7 +105,8 @@ def verdict(
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
-    recorded = _recorded(results, setup)
+    some = results.drivable().scenarios
+    recorded = float(beyond_friction(some, setup).mean()) if some.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
     if meeting or not acting:
@@ -182,7 +184,7 @@ def _score(ranking: Ranking, i: int) -> str:
 def _broken(ranking: Ranking, place: int) -> list[str]:
     """What a design breaks of what every design on a road must keep: it is stable, and tyres can do it."""
     found = []
-    if lost := int(ranking.diverged[place]):
+    if lost := int(metric_values("lost", ranking)[place]):
         found.append(f"it diverges in {lost} departure{'' if lost == 1 else 's'}")
     if float(metric_values("gain_margin", ranking)[place]) == 0.0:
         found.append("its linear loop is unstable at some speed")
@@ -222,7 +224,7 @@ def _score_light(ranking: Ranking, place: int) -> Light:
 
 
 def _stable_light(ranking: Ranking, place: int) -> Light:
-    lost = int(ranking.diverged[place])
+    lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.diverged[place])
     gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
     missed = [miss.text for miss in _missed_of(ranking, place, "stable")]
     if lost:
@@ -231,13 +233,18 @@ def _stable_light(ranking: Ranking, place: int) -> Light:
         return Light("Stable", "bad", "Its linear loop is unstable at some speed from 10 to 40 m/s.")
     if missed:
         return Light("Stable", "bad", f"{_capital(_list(missed))}.")
+    never = "Diverges in no departure"
+    if diverged:
+        never = (
+            f"Diverges only in {diverged} of {ranking.scenarios:,} departures, whose recorded path is beyond friction"
+        )
     if math.isnan(gain):
-        return Light("Stable", "warning", "It diverges in no departure; it has no linear loop whose margins are known.")
+        return Light("Stable", "warning", f"{never}; it has no linear loop whose margins are known.")
     shown = "no limit" if math.isinf(gain) else f"{gain:.1f}"
     return Light(
         "Stable",
         "good",
-        f"Diverges in no departure; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.",
+        f"{never}; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.",
     )
 
 
@@ -296,7 +303,8 @@ def _nearest(ranking: Ranking) -> tuple[int, ...]:
     """Places of the designs with the smallest largest excess; those that intervene first."""
     largest = [max(miss.excess for miss in some) if some else 0.0 for some in ranking.missed]
     passive = [design.is_baseline for design in ranking.designs]
-    order = sorted(range(len(ranking)), key=lambda i: (passive[i], largest[i], i))
+    total = [sum(miss.excess for miss in some) for some in ranking.missed]
+    order = sorted(range(len(ranking)), key=lambda i: (passive[i], largest[i], total[i], i))
     return tuple(order[:_NEAREST])
 
 
@@ -316,16 +324,3 @@ def _try_next(ranking: Ranking, place: int) -> Iterator[str]:
         yield f"The nearest design stands at an end of its sweep: try {_list(ends)}."
     else:
         yield f"{controller_class(design.law).title} comes closest; sweep its gains around the nearest design."
-
-
-def _recorded(results: StudyResults, setup: Setup) -> float:
-    """Share of departures whose recorded path alone is beyond the friction."""
-    some = results.drivable().scenarios
-    if not some.n:
-        return 0.0
-    t = np.linspace(0.0, 1.0, 33) * some.T[:, None]
-    from ldctoolkit.paths.uncorrected import UncorrectedPath
-
-    path = UncorrectedPath.of(some, setup.options.residuals, setup.seed)
-    a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
-    return float((np.abs(a_y).max(axis=1) > friction(setup.options)).mean())
