@@ -10,9 +10,8 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import A_Y_LIMIT, METRICS
 from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
-from studies.pages.context import Context, gains_text, interval, law_title, metric_text, name_of
+from studies.pages.context import Context, law_title, metric_text, name_of
 from studies.pages.shell import Section, bullets, render
-from studies.pages.text import compact, number, percent
 from studies.ranking.pareto import pareto_front
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
@@ -29,7 +28,6 @@ def section(context: Context) -> Section:
         verdict=context.verdict,
         symbols_of=SYMBOLS,
         states=STATES,
-        score=_score(context),
         chart=chart.svg,
         key=cloud_legend(context),
         warnings=bullets(_warnings(context), "warnings"),
@@ -38,39 +36,6 @@ def section(context: Context) -> Section:
         model=context.model_sentence,
     )
     return Section("verdict", "Verdict", body, (chart,), printed=True)
-
-
-def _score(context: Context) -> str:
-    """S of the shown design with its interval, against no control."""
-    ranking, i = context.ranking, context.shown
-    level = percent(ranking.confidence, 0)
-    fresh = bool(np.isfinite(ranking.fresh_S[i]))
-    S, low, high = (
-        (ranking.fresh_S[i], ranking.fresh_low[i], ranking.fresh_high[i])
-        if fresh
-        else (ranking.S[i], ranking.S_low[i], ranking.S_high[i])
-    )
-    where = f"on {ranking.fresh_scenarios:,} fresh scenarios" if fresh else "on the study scenarios"
-    between = interval(float(low), float(high))
-    told = f" ({level} interval {between})" if between else ""
-    parts = [f"Mean S {number(float(S))} m\u00b7s {where}{told}"]
-    if not ranking.designs[i].is_baseline and np.isfinite(ranking.reduction[i]):
-        on = " on the study scenarios" if fresh else ""
-        parts.append(f"{reduction_text(float(ranking.reduction[i]))} than without control{on}")
-    return "; ".join(parts) + "."
-
-
-def reduction_text(reduction: float) -> str:
-    r"""A reduction as a comparison; a large increase as a multiple.
-
-    Examples
-    --------
-    >>> reduction_text(0.434), reduction_text(-11.0)
-    ('43.4\xa0% less', '12 times as much')
-    """
-    if reduction <= -1.0:
-        return f"{compact(float(f'{1.0 - reduction:.3g}'))} times as much"
-    return f"{percent(abs(reduction))} {'less' if reduction >= 0 else 'more'}"
 
 
 def _warnings(context: Context) -> Iterator[str]:
@@ -136,9 +101,3 @@ def cloud_legend(context: Context) -> Markup:
     laws = {design.law: design for design in context.ranking.designs}
     shown = [(law_title(design), context.styles[law]) for law, design in laws.items() if not design.is_baseline]
     return legend(shown, points=True)
-
-
-def short_name(context: Context, place: int) -> str:
-    """Threshold and gains of a design, without its law."""
-    design = context.ranking.designs[place]
-    return ", ".join(filter(None, (f"y_s = {compact(design.y_s)} m", gains_text(design))))
