@@ -1,4 +1,4 @@
-"""Discrete-time LQR gains as smooth functions of speed, from python-control's Riccati solver.
+"""Discrete-time LQR gains as smooth functions of speed, from SciPy's Riccati solver.
 
 The Riccati equation is solved at a few dozen speeds and not once a scenario: `ldctoolkit.scheduled`. With weights many
 orders of magnitude apart the solver's answers scatter too much for that; Newton's method (G. Hewer, *An iterative
@@ -183,11 +183,13 @@ class _Riccati:
 
 def _dlqr(A: FloatArray, B: FloatArray, q: tuple[float, ...], r: float, where: str) -> tuple[FloatArray, FloatArray]:
     """Gain and cost of one plant with one input."""
-    import control
+    import scipy.linalg  # what control.dlqr calls: to import that takes two seconds
 
+    b = B[:, None]
     try:
-        K, P, _ = control.dlqr(A, B[:, None], np.diag(q), np.array([[r]]))
-    except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+        P = scipy.linalg.solve_discrete_are(A, b, np.diag(q), np.array([[r]]))
+        K = np.linalg.solve(b.T @ P @ b + r, b.T @ P @ A)
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise LdcError(f"no LQR {where}: {error}") from error
     return K[0], P
 

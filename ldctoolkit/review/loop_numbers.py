@@ -15,7 +15,7 @@ from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.conditioning import hessian_condition
 from ldctoolkit.review.law_model import LinearView, exact_view, first_answers
-from ldctoolkit.review.margins import bandwidth, least_margins, margins, poles
+from ldctoolkit.review.margins import bandwidth, margins, poles, quick_margins
 from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
@@ -195,37 +195,42 @@ def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
     return [Camera(held / plant.dt, plant.age / plant.dt, *both) for both in zip(gains, steps, strict=True)]
 
 
-def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.ArrayLike) -> list[tuple[float, float]]:
-    """Smallest gain and phase margin over speed of many designs on one plant.
+def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Gain and phase margin over speed of many designs on one plant.
 
     Parameters
     ----------
     controllers : sequence of Controller
+        d designs.
     setup : Setup
         Vehicle, plant options, clock, and what the designs know of the plant.
     v : (k,) [m/s]
 
     Returns
     -------
-    list of (float, float)
-        Factor by which the gain may grow, and phase margin [rad], as `least_margins` has them; NaN for a law that is
-        not linear, leaves the recorded path alone, or raises.
+    gain : (d, k)
+        Factor by which the gain may grow; 0 where the loop is unstable. NaN for a law that is not linear, leaves the
+        recorded path alone, or raises.
+    phase : (d, k) [rad]
+        The same.
+
+    Examples
+    --------
+    >>> from controllers import LQR
+    >>> from ldctoolkit import Setup
+    >>> gain, phase = design_margins([LQR(r_delta=1000.0)], Setup(), [20.0])
+    >>> gain.round(1), np.degrees(phase).round()
+    (array([[10.4]]), array([[59.]]))
     """
     plant, options = setup.plant(np.asarray(v, dtype=np.float64)), setup.options
-    vehicles = [
-        sampled_vehicle(*some, plant.dt, options.actuator) for some in zip(*plant.model.matrices(plant.v), strict=True)
-    ]
+    matrices = zip(*plant.model.matrices(plant.v), strict=True)
+    vehicles = [sampled_vehicle(A, B, E, plant.dt, options.actuator) for A, B, E in matrices]
     cameras = _cameras(plant, options)
-    found = []
-    for controller in controllers:
-        loops: list[Loop] = []
-        with contextlib.suppress(Exception):  # a controller may be anybody's code; running it says what is wrong
+    gain, phase = np.full((2, len(controllers), plant.n), np.nan)
+    for row, controller in enumerate(controllers):
+        with contextlib.suppress(Exception):  # a controller may be anybody's code; to run it shows what is wrong
             law = controller.prepare(plant)
             if isinstance(law, LinearLaw):
-                sides = (
-                    controller_side(model, camera)
-                    for model, camera in zip(exact_view(law, plant).models, cameras, strict=True)
-                )
-                loops = [Loop.of(vehicle, side) for vehicle, side in zip(vehicles, sides, strict=True)]
-        found.append(least_margins(loops, plant.dt) if loops else (math.nan, math.nan))
-    return found
+                sides = map(controller_side, exact_view(law, plant).models, cameras)
+                gain[row], phase[row] = quick_margins(list(map(Loop.of, vehicles, sides)), plant.dt)
+    return gain, phase

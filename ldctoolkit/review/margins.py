@@ -183,56 +183,56 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
 
 
 _GRID: Final = 300
-"""Frequencies of `least_margins`: its margins are those of `margins` to one per cent."""
+"""Frequencies of `quick_margins`: its margins are those of `margins` to one per cent."""
 
 
-def least_margins(loops: Sequence[Loop], dt: float) -> tuple[float, float]:
-    """Smallest gain margin and phase margin of loops of one size, as `margins` has them, in a hundredth of the time.
+def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatArray]:
+    """Gain and phase margin of loops of one size, as `margins` has them, in a hundredth of the time.
 
     Parameters
     ----------
     loops : sequence of Loop
-        The loop of one design at several speeds.
+        The loop of one design at k speeds.
     dt : float [s]
 
     Returns
     -------
-    gain : float
-        Factor by which the gain may grow; 0 where a loop is unstable, infinite where no gain makes one so.
-    phase : float [rad]
+    gain : (k,)
+        Factor by which the gain may grow; 0 where the loop is unstable, infinite where no gain makes it so.
+    phase : (k,) [rad]
         The same of the phase.
     """
     closed = np.stack([loop.closed_A for loop in loops])
-    if not np.isfinite(closed).all() or np.abs(np.linalg.eigvals(closed)).max() > _STABLE:
-        return 0.0, 0.0
+    stable = np.asarray(np.isfinite(closed).all(axis=(1, 2)))
+    stable[stable] = np.abs(np.linalg.eigvals(closed[stable])).max(axis=1) <= _STABLE
+    gain, phase = np.zeros(len(loops)), np.zeros(len(loops))
+    if not stable.any():
+        return gain, phase
     nyquist = math.pi / dt
     omega = np.geomspace(1e-3 * nyquist, nyquist, _GRID)
-    A = np.stack([loop.open.A for loop in loops])
-    B, C = (np.stack([getattr(loop.open, name) for loop in loops]) for name in ("B", "C"))
-    z = np.exp(1j * omega * dt)
-    inside = z[None, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
-    states = np.linalg.solve(
-        inside, np.broadcast_to(B[:, None].astype(np.complex128), (*inside.shape[:2], *B.shape[1:]))
-    )
+    A, B, C = (np.stack([getattr(loop.open, name) for loop in loops])[stable] for name in ("A", "B", "C"))
+    inside = np.exp(1j * omega * dt)[None, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
+    states = np.linalg.solve(inside, np.broadcast_to(B[:, None] + 0j, (*inside.shape[:2], *B.shape[1:])))
     L = (C[:, None] @ states)[..., 0, 0]
-    return _least_gain(L), _least_phase(L)
+    gain[stable], phase[stable] = _gain_margin(L), _phase_margin(L)
+    return gain, phase
 
 
-def _least_gain(L: npt.NDArray[np.complex128]) -> float:
+def _gain_margin(L: npt.NDArray[np.complex128]) -> FloatArray:
     """Where L (s, m) crosses the negative real axis."""
     im, re = L.imag, L.real
     crossing = (im[:, :-1] * im[:, 1:] < 0) & (re[:, :-1] + re[:, 1:] < 0)
     part = np.divide(im[:, :-1], im[:, :-1] - im[:, 1:], out=np.zeros_like(im[:, 1:]), where=crossing)
-    at = np.where(crossing, -(re[:, :-1] + part * (re[:, 1:] - re[:, :-1])), np.nan)
-    at = np.append(at[np.isfinite(at)], -re[:, -1])  # L is real at the Nyquist frequency
-    factors = 1.0 / at[at > 0]
-    return float(factors[factors > 1.0].min(initial=math.inf))
+    at = np.where(crossing, -(re[:, :-1] + part * (re[:, 1:] - re[:, :-1])), 0.0)
+    at = np.column_stack([at, -re[:, -1:]])  # L is real at the Nyquist frequency
+    factors = np.divide(1.0, at, out=np.full_like(at, np.inf), where=at > 0)
+    return np.asarray(np.where(factors > 1.0, factors, np.inf).min(axis=1))
 
 
-def _least_phase(L: npt.NDArray[np.complex128]) -> float:
+def _phase_margin(L: npt.NDArray[np.complex128]) -> FloatArray:
     """Where the gain of L (s, m) is 1."""
-    size, angle = np.log(np.abs(L)), np.unwrap(np.angle(-L), axis=1)
+    size, angle = np.log(np.maximum(np.abs(L), 1e-300)), np.unwrap(np.angle(-L), axis=1)
     crossing = size[:, :-1] * size[:, 1:] < 0
     part = np.divide(size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing)
-    at = (angle[:, :-1] + part * (angle[:, 1:] - angle[:, :-1]))[crossing]
-    return float(np.abs(np.angle(np.exp(1j * at))).min(initial=math.inf))
+    at = np.abs(np.angle(np.exp(1j * (angle[:, :-1] + part * (angle[:, 1:] - angle[:, :-1])))))
+    return np.asarray(np.where(crossing, at, np.inf).min(axis=1))

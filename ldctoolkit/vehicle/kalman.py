@@ -47,7 +47,7 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     Notes
     -----
     Over one frame the prediction has the transition A^p and the noise sum of A^j Q A^j' for j < p, where A is one
-    sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). `control.dlqe` gives P.
+    sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). `scipy.linalg.solve_discrete_are` gives P.
 
     Examples
     --------
@@ -81,7 +81,7 @@ class _FilterGain:
     frame_samples: int
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        import control
+        import scipy.linalg  # what control.dlqe calls: to import that takes two seconds
 
         C = np.eye(4)[list(_MEASURED)]
         R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
@@ -89,8 +89,8 @@ class _FilterGain:
         for A in self.model.discretize(v, self.dt).A:
             A_p, Q_p = self._over_one_frame(A)
             try:
-                _, P, _ = control.dlqe(A_p, np.eye(4), C, Q_p, R)
-            except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+                P = scipy.linalg.solve_discrete_are(A_p.T, C.T, Q_p, R)
+            except (np.linalg.LinAlgError, ValueError) as error:
                 speed = v[len(rows)]
                 raise LdcError(f"no Kalman filter at {speed:.3g} m/s, {self.kalman}: {error}") from error
             rows.append(

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.design import Design
 from studies.racing.race import race_round
 from studies.ranking.baseline import find_baseline
-from studies.results import Dropped, Race
+from studies.ranking.ranking import Ranking
+from studies.ranking.requirements import metric_values, requirements_of
+from studies.results import Dropped, Race, StudyResults
 from studies.running.campaign import Campaign
 from studies.storage.folder_tables import write_race
+from studies.study_file.spec import Study
 
 
 def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
@@ -32,8 +38,10 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
         )
         case = results.cases[0]
         drivable = case.drivable
+        counted = case.counted[:, drivable]
+        raced = _raced(study, results, counted.mean(axis=1))
         decision = race_round(
-            case.counted[:, drivable],
+            counted[raced],
             results.scenarios.side[drivable],
             round=i,
             rounds=len(rounds),
@@ -43,11 +51,11 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
             started=len(study.designs),
         )
         reference = find_baseline(study.ranking.baseline, results)
-        for k, design in enumerate(results.designs):
+        for k, place in enumerate(raced.tolist()):
             # the baseline is in no race: all others are compared with it at the end
-            if not decision.keep[k] and k != reference:
-                figures = (float(values[k]) for values in (decision.mean, decision.difference, decision.low))
-                dropped.append(Dropped(design, i, size, *figures))
+            if not decision.keep[k] and place != reference:
+                numbers = (float(values[k]) for values in (decision.mean, decision.difference, decision.low))
+                dropped.append(Dropped(results.designs[place], i, size, *numbers))
         failed += [one.design for one in results.failed]
         gone = {design.id for design in (*(one.design for one in dropped), *failed)}
         alive = [design for design in alive if design.id not in gone]
@@ -58,3 +66,28 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
     write_race(store.folder, race, study.ranked_as)
     left = {design.id for design in (*alive, *failed)}
     return [design for design in study.designs if design.id in left], race
+
+
+_SPARE = 0.1
+"""Part of every limit by which the design that others are compared with stays below it: more scenarios may cost that."""
+
+
+def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
+    """Designs that a round may give up: those no better than the best one that clearly meets the requirements.
+
+    A better one that misses a requirement now may meet it on more scenarios; one that is worse can only lose. Without
+    requirements these are all; where none meets them, it is none but the best by S.
+    """
+    if not study.ranking.require:
+        return np.arange(len(mean))
+    figures = Ranking.of(results, results.cases[0], bootstrap=100, setup=study.setup(), D_y=study.report.D_y)
+    worst = np.full(len(mean), -np.inf)
+    for one in requirements_of(study.ranking.require, study.plant):
+        excess = one.excess(metric_values(one.metric.name, figures))
+        # a count of none, and a margin that no more scenarios change, have nothing to spare
+        spare = 0.0 if not one.limit or one.metric.group == "loop" else _SPARE
+        worst[figures.index] = np.maximum(worst[figures.index], np.where(np.isneginf(excess), -1.0, excess) + spare)
+    acting = np.array([not design.is_baseline for design in results.designs])
+    clear = np.flatnonzero((worst <= 0.0) & acting)
+    best = mean.argmin() if not clear.size else clear[mean[clear].argmin()]
+    return np.flatnonzero(mean >= mean[best]) if clear.size else np.array([best])

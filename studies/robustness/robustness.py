@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,13 +12,13 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT
+from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.simulation import Takeover
 from studies.ranking.row_blocks import row_means
 from studies.results import FAILED_STATUSES, Case, status_among
 from studies.robustness.chosen_designs import ChosenDesigns, chosen_designs
 from studies.robustness.content_key import content_key
 from studies.robustness.drives import Drives, drive_on_plants, first_of_each_side
-from studies.robustness.loop_margins import LoopMargins, loop_margins, trigger_speeds
 from studies.robustness.paired_interval import SAME, paired_means
 from studies.robustness.plants import OtherPlant, impossible, other_plants
 
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 PER_SIDE: Final = 50
 """Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
+
+POINTS: Final = 7
+"""Speeds of the margins."""
 
 CONFIDENCE: Final = 0.95
 """Of every interval by itself."""
@@ -78,8 +82,10 @@ class Robustness:
         By position: laws that raised.
     v : (k,) [m/s]
         Speeds of the margins.
-    margins : tuple of LoopMargins
-        One a design, on the study's plant.
+    gain : (d, k)
+        Gain margin on the study's plant, a factor: 0 where the loop is unstable, NaN for a law that is not linear.
+    phase : (d, k) [rad]
+        Phase margin, the same.
     """
 
     key: str
@@ -111,7 +117,8 @@ class Robustness:
     lead_high: FloatArray
     raised: tuple[tuple[int, int, str], ...]
     v: FloatArray
-    margins: tuple[LoopMargins, ...]
+    gain: FloatArray
+    phase: FloatArray
 
     @property
     def n(self) -> int:
@@ -195,8 +202,8 @@ def work_out(task: RobustnessTask) -> Robustness:
     drives = Drives(drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows], drives.raised)
     side = task.scenarios.side[rows]
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in _thresholds(chosen)]
-    v = trigger_speeds(takeovers)
-    margins = tuple(loop_margins(design.controller(setup.convention), setup, v) for design in chosen.designs)
+    v = _trigger_speeds(takeovers)
+    gain, phase = design_margins([design.controller(setup.convention) for design in chosen.designs], setup, v)
     contends = np.array(chosen.contends, dtype=np.bool_)
     S = _means(drives.S)
     failed = status_among(drives.status, FAILED_STATUSES)
@@ -233,8 +240,18 @@ def work_out(task: RobustnessTask) -> Robustness:
         lead_high=lead_high,
         raised=drives.raised,
         v=v,
-        margins=margins,
+        gain=gain,
+        phase=phase,
     )
+
+
+def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
+    """Speeds from the slowest to the fastest trigger, (k,) [m/s]; the review's own range where nothing triggers."""
+    v = [takeover.plant.v for takeover in takeovers if takeover.m]
+    if not v:
+        return np.linspace(SPEEDS[0], SPEEDS[-1], POINTS)
+    low, high = min(float(one.min()) for one in v), max(float(one.max()) for one in v)
+    return np.linspace(low, high, POINTS if high > low else 1)
 
 
 def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from studies.robustness.loop_margins import LoopMargins
 from studies.robustness.robustness import Robustness, RobustnessTask, work_out
 from studies.storage.files import write_text
 
@@ -21,13 +20,13 @@ _WORDS: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 _KINDS: Final = {
     "rank": np.int64, "failures": np.int64, "diverged": np.int64, "rival": np.int64,
-    "contends": np.bool_, "stable": np.bool_,
+    "contends": np.bool_,
 }  # fmt: skip
 """What is no array of float64."""
 
 _NO_ARRAYS: Final = (
     "key", "designs", "slow", "unsafe", "more", "plants", "titles", "differences", "left_out", "left", "right",
-    "raised", "linear", "notes",
+    "raised",
 )  # fmt: skip
 """Text, numbers, and tuples of them."""
 
@@ -97,8 +96,7 @@ def read(path: Path) -> Robustness | None:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        margins = tuple(LoopMargins(**_fields(one)) for one in content.pop("margins"))
-        return Robustness(**_fields(content), margins=margins)
+        return Robustness(**_fields(content))
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None  # it only saves time: what cannot be read is worked out again
 

@@ -188,9 +188,6 @@ class Study(Part):
         size = 0 if self.search else sum(block.size for block in self.design)
         if self.race and self.search is not None:
             raise fail("race", "true with [search]; allowed: one of the two")
-        if self.race and self.ranking.require:
-            # a race knows mean S alone: the best design that meets the requirements could be given up
-            raise fail("race", "true with ranking.require; allowed: one of the two")
         if size > MOST_DESIGNS:
             raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
         return self
