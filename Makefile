@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long test-slow test-browser rewrite ruff lint bench format clean
+.PHONY: help study test test-all test-long test-slow test-browser ruff lint bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -17,6 +17,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else "ldctoolkit needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
+	@echo "compiling the closed loops, once" && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m studies.compile_loops
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
@@ -44,14 +45,9 @@ lint: ruff  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 test: ruff  ## ruff, and the tests that a change should pass, in minutes
-	@$(MAKE) --no-print-directory -j2 compile-linear compile-others rewrite
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m studies.compile_loops  # before two workers would do so each for itself
+	-@$(BIN)/pytest --collect-only -qq > /dev/null  # their assertions are rewritten once, not by each worker
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
-
-compile-%: $(VENV)/.dev  # the closed loops, once, before two test workers would do so each for itself
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/helpers/compile_loops.py $*
-
-rewrite: $(VENV)/.dev  # the assertions of the tests, once, for the same reason
-	-@$(BIN)/pytest --collect-only -qq > /dev/null  # what fails here is reported by the tests themselves
 
 test-all: test test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 

@@ -69,7 +69,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
 
 
 _SPARE = 0.1
-"""Part of every limit by which the design that others are compared with stays below it: more scenarios may cost that."""
+"""Part of every limit that the design compared with keeps in reserve: more scenarios may cost it."""
 
 
 def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
