@@ -45,7 +45,7 @@ LEVELS = (
     ("controllers",),
     ("studies.design", "studies.paper_design", "studies.results"),
     # the names that a study file's requirements are checked against
-    ("studies.ranking.figures",),
+    ("studies.ranking.requirements",),
     ("studies.study_file", "studies.design_space"),
     ("studies.storage",),
     ("studies.running",),

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from studies.pages.context import Context
 from studies.pages.explorer import failures
 from studies.pages.shell import Section, bullets, details
-from studies.pages.text import plural, symbols
+from studies.pages.text import plural, printable, symbols
 
 MOST_FAILED = 50
 
@@ -33,9 +33,9 @@ def section(context: Context) -> Section:
     facts = [*report.settings, *report.versions]
     body += details("All settings, versions and the machine", pairs(facts))
     if report.command:
-        body += Markup("<p>The study again: <code>{}</code></p>").format(report.command)
+        body += Markup("<p>The study again: <code>{}</code></p>").format(printable(report.command))
     if report.study_file:
-        body += details("The study file with every default", Markup("<pre>{}</pre>").format(report.study_file))
+        body += details("The study file with every default", Markup("<pre>{}</pre>").format(printable(report.study_file)))
     return Section("settings", "Failures and settings", body)
 
 

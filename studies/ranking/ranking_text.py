@@ -72,7 +72,7 @@ COLUMNS_TEXT: Final = (
 def ranking_cells(ranking: Ranking, i: int) -> list[str]:
     """The cells of one design, in the order of `ranking_columns`."""
     design = ranking.designs[i]
-    half = 0.5 * float(ranking.S_high[i] - ranking.S_low[i])
+    half = 0.5 * (float(ranking.S_high[i]) - float(ranking.S_low[i]))
     return [
         str(ranking.rank[i]) if ranking.rank[i] else _DASH,
         controller_class(design.law).title,

@@ -163,7 +163,7 @@ def _score(ranking: Ranking, i: int) -> str:
     )
     level = f"{100 * ranking.confidence:g} % interval"
     where = f" on {ranking.fresh_scenarios:,} fresh scenarios" if fresh else ""
-    between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
+    between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(float(low) + float(high)) else ""
     saved = float(ranking.reduction[i])
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
         change = ""

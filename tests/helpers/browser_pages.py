@@ -10,7 +10,6 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
-from unittest import mock
 
 import numpy as np
 
@@ -20,9 +19,9 @@ from helpers.reports import PRIMARY, grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from studies.cli import main
 from studies.design import Design
-from studies.fit_page import write_fit_page
+from studies.pages.fit_page import write_fit_page
 from studies.ranking.ranking import Ranking
-from studies.report import write_report
+from studies.pages.report import write_report
 from studies.results import per_scenario
 
 ORDINARY = """
@@ -165,9 +164,8 @@ class Made:
         folder.mkdir()
         file = folder.with_suffix(".toml")
         file.write_text(text, encoding="utf-8")
-        # files of figures take longer than all the rest and are not looked at here
-        with contextlib.redirect_stdout(io.StringIO()), mock.patch("studies.report.figure_files.write_figures"):
-            assert main(["run", str(file), "-o", str(folder), "--workers", "1", "--quiet"]) == 0
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(["run", str(file), "-o", str(folder), "--workers", "1", "--quiet", "--no-figures"]) == 0
         return folder / "report.html"
 
     def _written(self, folder: Path, results: Any, **changes: Any) -> Path:

@@ -6,22 +6,19 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import numpy.typing as npt
-from markupsafe import Markup
 
 from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import Page, whole
-from ldctoolkit import BicycleModel, Scenarios, VehicleParameters, simulate
+from ldctoolkit import BicycleModel, Scenarios, Setup, VehicleParameters, simulate
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies.design import Design
 from studies.ranking.ranking import Ranking
-from studies.report import ReportInput
-from studies.report.context import Context
-from studies.report.page import make_page
-from studies.report.section import Section
+from studies.pages.context import Context, ReportInput
+from studies.pages.report import report_page
+from studies.pages.shell import Section
 from studies.results import Case, CaseResults, StudyResults, per_scenario
 
 
@@ -63,7 +60,9 @@ def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], 
 
 
 def report_input(results: StudyResults, **changes: object) -> ReportInput:
-    rankings = tuple(Ranking.of(results, case, bootstrap=200) for case in results.cases)
+    require = changes.pop("require", ())
+    setup: Any = changes.get("setup", Setup())
+    rankings = tuple(Ranking.of(results, case, bootstrap=200, require=require, setup=setup) for case in results.cases)  # type: ignore[arg-type]
     given = {
         "title": "Trigger threshold and gains",
         "study_name": "trigger-and-gains",
@@ -89,27 +88,26 @@ def grid() -> list[Design]:
 PRIMARY = Case("departure", "consistent")
 
 
-def drawn_page(report: ReportInput) -> Page:
+SECTIONS = (
+    "verdict", "ranking", "limits", "trade-offs", "landscape", "departures", "robustness", "confidence", "model", "settings",
+)  # fmt: skip
+"""Identifiers of the sections of a report, in their order."""
+
+
+def page_of(report: ReportInput) -> Page:
     """The page of a report, after what must hold for every page."""
-    made = make_page(report)
-    page = Page(made.html)
+    html, _ = report_page(report)
+    page = Page(html)
     whole(page)
-    assert {section.id for section in made.sections} <= set(page.ids)
-    assert all(page.words(section.id) for section in made.sections)
+    assert set(SECTIONS) <= set(page.ids)
+    assert all(page.words(name) for name in SECTIONS)
     assert page.counts["script"] == 2
     return page
 
 
-def page_of(report: ReportInput) -> Page:
-    """`drawn_page` without its drawings, which take most of the time."""
-    with mock.patch("studies.report.section.Drawing.svg", Markup("<svg></svg>")):
-        return drawn_page(report)
-
-
 def section_of(make: Callable[[Context], Section], given: ReportInput | Context) -> tuple[Section, Page]:
-    """One section by itself, without its drawings; its text is `Page.words()`."""
-    with mock.patch("studies.report.section.Drawing.svg", Markup("<svg></svg>")):
-        made = make(given if isinstance(given, Context) else Context.of(given))
+    """One section by itself; its text is `Page.words()`."""
+    made = make(given if isinstance(given, Context) else Context.of(given))
     return made, Page(str(made.body))
 
 

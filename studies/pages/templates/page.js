@@ -2,6 +2,7 @@
 const LDC = {
   data: JSON.parse(document.getElementById("data").textContent),
   types: {f4: Float32Array, i4: Int32Array, i2: Int16Array, u2: Uint16Array, i1: Int8Array, u1: Uint8Array},
+  svg: (document.querySelector("svg") || document.body).namespaceURI,
   numbers(one) {
     const raw = atob(one.data), bytes = new Uint8Array(raw.length);
     for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
@@ -9,7 +10,7 @@ const LDC = {
   },
   element(name, attributes, text) {
     const svg = ["svg", "path", "text", "circle", "g", "title"].includes(name);
-    const made = svg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
+    const made = svg ? document.createElementNS(LDC.svg, name) : document.createElement(name);
     for (const [key, value] of Object.entries(attributes || {})) made.setAttribute(key, value);
     if (text !== undefined) made.textContent = text;
     return made;

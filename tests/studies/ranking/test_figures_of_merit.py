@@ -17,7 +17,7 @@ from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
 from studies import rank_study, read_manifest, read_results
 from studies.ranking.case_figures import mean_reduction
-from studies.ranking.figures import figure, figure_values, parse_requirement
+from studies.ranking.requirements import metric, metric_values, parse_requirement
 from studies.ranking.ranking_csv import write_csv
 
 NAN = math.nan
@@ -25,38 +25,38 @@ NAN = math.nan
 
 def test_every_metric_answers_to_its_column() -> None:
     for name, one in METRICS.items():
-        assert figure(one.column) is figure(name) is one
+        assert metric(one.column) is metric(name) is one
     assert len({one.column for one in METRICS.values()}) == len(METRICS)
 
 
 def test_names_of_a_ranking_csv_row_are_all_aliases() -> None:
-    assert figure("S_m_s").name == "S"
-    assert figure("a_y_peak_p95_m_s2").name == figure("ay_p95").name == "a_y_peak_p95"
-    assert figure("ay_added_max").name == "a_y_added_peak_max"
+    assert metric("S_m_s").name == "S"
+    assert metric("a_y_peak_p95_m_s2").name == metric("ay_p95").name == "a_y_peak_p95"
+    assert metric("ay_added_max").name == "a_y_added_peak_max"
     # what earlier versions called it
-    assert figure("overshoot_max").name == figure("overshoot_max_m").name == "opposite_crossing_max"
-    assert figure("overshoot_share").name == "opposite_crossed_share"
-    assert figure("dtle_0p3_share").name == figure("within_dtle_share").name == "within_dtle"
-    assert figure("deeper_than_D_y_share").name == "deeper"
+    assert metric("overshoot_max").name == metric("overshoot_max_m").name == "opposite_crossing_max"
+    assert metric("overshoot_share").name == "opposite_crossed_share"
+    assert metric("dtle_0p3_share").name == metric("within_dtle_share").name == "within_dtle"
+    assert metric("deeper_than_D_y_share").name == "deeper"
 
 
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:
-    with pytest.raises(UnknownNameError, match=r"figure 't_back_medain'.*did you mean 't_back_median'\?"):
-        figure("t_back_medain")
+    with pytest.raises(UnknownNameError, match=r"metric 't_back_medain'.*did you mean 't_back_median'\?"):
+        metric("t_back_medain")
     with pytest.raises(UnknownNameError, match="did you mean 'S_left'"):
-        figure("S_lef")
+        metric("S_lef")
 
 
 def test_values_come_from_mappings_objects_and_their_release() -> None:
     release = types.SimpleNamespace(a_y_peak_p95=np.array([2.0, 3.0]))
     ranking = types.SimpleNamespace(S=np.array([0.1, 0.2]), crashed=np.array([0, 4]), release=release)
-    assert figure_values("ay_p95", ranking).tolist() == [2.0, 3.0]
-    assert figure_values("crashed", ranking).tolist() == [0.0, 4.0]
-    assert figure_values("crashed", ranking).dtype == np.float64
-    assert figure_values("S", {"S": ranking.S}, release).tolist() == [0.1, 0.2]
-    assert figure_values("a_y_peak_p95", {"S": ranking.S}, release).tolist() == [2.0, 3.0]
-    with pytest.raises(InputError, match="figure effort_mean: not among these results"):
-        figure_values("effort", ranking)
+    assert metric_values("ay_p95", ranking).tolist() == [2.0, 3.0]
+    assert metric_values("crashed", ranking).tolist() == [0.0, 4.0]
+    assert metric_values("crashed", ranking).dtype == np.float64
+    assert metric_values("S", {"S": ranking.S}, release).tolist() == [0.1, 0.2]
+    assert metric_values("a_y_peak_p95", {"S": ranking.S}, release).tolist() == [2.0, 3.0]
+    with pytest.raises(InputError, match="metric effort_mean: not among these results"):
+        metric_values("effort", ranking)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_ranking_and_its_table_hold_every_figure(small_run: Path, tmp_path: Pa
     write_csv([ranking], tmp_path / "ranking.csv")
     header = (tmp_path / "ranking.csv").read_text().partition("\n")[0].split(",")
     for name, one in METRICS.items():
-        assert figure_values(name, ranking).shape == (len(ranking),)
+        assert metric_values(name, ranking).shape == (len(ranking),)
         assert one.column in header
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from helpers.pages import Page
-from helpers.reports import PRIMARY, drawn_page, grid, invented_scenarios, report_input, run
+from helpers.reports import PRIMARY, grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
-from studies.report import ReportInput
+from studies.pages.context import ReportInput
 from studies.results import Case, StudyResults
 
 
@@ -26,8 +26,8 @@ def report(results: StudyResults) -> ReportInput:
 
 @pytest.fixture(scope="session")
 def page(report: ReportInput) -> Page:
-    """The whole page, with its drawings."""
-    return drawn_page(report)
+    """The whole page."""
+    return page_of(report)
 
 
 @pytest.fixture(scope="session")

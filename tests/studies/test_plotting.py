@@ -24,7 +24,7 @@ from studies import (
     rank_study,
     run_study,
 )
-from studies.report.look.style import law_styles
+from studies.plotting import law_styles
 
 matplotlib.use("agg")
 

@@ -12,7 +12,7 @@ from helpers.reports import invented_scenarios
 from ldctoolkit import Controller, Setup
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.simulation import Takeover, drive
-from studies.report.replay.paths import path_acceleration
+from studies.pages.replay import path_acceleration
 
 PLANTS = {
     "ideal": PlantOptions(),
@@ -42,22 +42,24 @@ def driven(controller: Controller, options: PlantOptions, convention: str = "con
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("controller", [LQR(), LinearMPC()], ids=["linear", "steps"])
 def test_the_largest_is_the_stored_peak(plant: str, controller: Controller) -> None:
-    over, run, (t, _, _), (left, right) = driven(controller, PLANTS[plant])
+    over, run, (t, _, _), a_y = driven(controller, PLANTS[plant])
     assert over.m > 8
     # T between two samples is no sample of the closed loop: its peak leaves it out, so ours may only be larger there
     since = (t - t[:, :1]) / over.setup.dt
     last = t == np.nanmax(t, axis=1, keepdims=True)
     sample = (np.abs(since - np.rint(since)) < 1e-7) | last
-    both = np.fmax(np.abs(left), np.abs(right))
-    peak = np.nanmax(np.where(sample, both, np.nan), axis=1)
-    # the loop's own numbers, up to the rounding of another order of operations
-    assert peak == pytest.approx(run.companions.a_y_peak, rel=1e-9, abs=1e-9)
-    assert np.array_equal(np.isnan(left), np.isnan(t))
+    peak = np.nanmax(np.where(sample, np.abs(a_y), np.nan), axis=1)
+    stored = run.companions.a_y_peak
+    # up to the rounding of another order of operations; where the wheel jumps at a sample, the loop sees both sides of it
+    assert (peak <= stored * (1 + 1e-9) + 1e-9).all()
+    if plant in ("lag", "part of a delay"):
+        assert peak == pytest.approx(stored, rel=1e-9, abs=1e-9)
+    assert np.array_equal(np.isnan(a_y), np.isnan(t))
 
 
 @pytest.mark.parametrize("convention", ["consistent", "as_printed"])
 def test_it_is_that_of_the_linear_model(convention: str) -> None:
-    over, _, (t, x, delta), (left, right) = driven(PreviewProportional(), PlantOptions(), convention)
+    over, _, (t, x, delta), a_y = driven(PreviewProportional(), PlantOptions(), convention)
     v = over.plant.v
     lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
     A, B, E = over.setup.model.matrices(v)
@@ -65,7 +67,5 @@ def test_it_is_that_of_the_linear_model(convention: str) -> None:
     free = np.sum(A[:, None, 1] * np.nan_to_num(x), axis=-1) + (E[:, 1] + v)[:, None] * lane
     wheel = np.column_stack([delta[:, 0], delta])
     held = np.where(np.isnan(delta), wheel[:, :-1], delta)
-    before, after = free + B[:, 1:2] * wheel[:, :-1], free + B[:, 1:2] * held
     known = np.isfinite(t)
-    assert left[known] == pytest.approx(before[known], abs=1e-9)
-    assert right[known] == pytest.approx(after[known], abs=1e-9)
+    assert a_y[known] == pytest.approx((free + B[:, 1:2] * held)[known], abs=1e-9)

@@ -1,0 +1,381 @@
+"""The report as a reader's browser parses it: the verdict first, complete, correct, escaped, the same each time."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controllers import LQR, NoControl, PreviewProportional
+from helpers.browser_pages import HOSTILE, ORDINARY, Made
+from helpers.pages import EVIL, Page
+from helpers.reports import (
+    PRIMARY,
+    SECTIONS,
+    grid,
+    invented_scenarios,
+    only,
+    page_of,
+    report_input,
+    run,
+    said_in,
+    scored,
+)
+from ldctoolkit import EventStatus
+from ldctoolkit.errors import InputError
+from ldctoolkit.metrics import METRICS
+from studies.design import Design
+from studies.pages import (
+    confidence_section,
+    landscape_section,
+    ranking_section,
+    robustness_section,
+    settings_section,
+    trade_offs_section,
+    verdict_section,
+)
+from studies.pages.context import Context, ReportInput
+from studies.pages.report import report_page, write_report
+from studies.results import FailedDesign, StudyResults
+
+LIMITS = ("stable", "comfort", "physical")
+
+
+def lights(page: Page) -> dict[str, str]:
+    """State of each light by its name, as a screen reader has it."""
+    items = re.findall(r'<li class="(\w+)"><span class="light \w+" role="img" aria-label="([^"]+)">.*?<b>([^<]+)</b>', page.html)
+    return {name: state for state, _, name in items}
+
+
+# ------------------------------------------------------------------------------------------------ the verdict
+
+
+def test_the_verdict_stands_first(page: Page, report: ReportInput) -> None:
+    words = page.words("verdict")
+    assert words.startswith("Verdict Smallest S")
+    assert list(lights(page)) == ["Score", "Stable", "Limits", "Other plants"]
+    assert page.html.index('id="verdict"') < page.html.index('id="ranking"')
+    S = report.rankings[0].S[0]
+    assert f"Mean S {S:.3f} m·s" in words
+    assert "how well the model represents traffic" in words or "not for other traffic" in words
+
+
+def test_none_meets_the_limits_is_the_first_answer(results: StudyResults) -> None:
+    """What a study of the ideal plant must say, and not the name of a winner."""
+    made = page_of(report_input(results, require=["comfort"]))
+    acting = sum(not design.is_baseline for design in results.designs)
+    words = made.words("verdict")
+    assert words.startswith(f"Verdict None of {acting} designs meets the limits Nearest: ")
+    assert "limit 5.00 m/s³" in words
+    assert "What to try:" in words
+    assert lights(made)["Limits"] == "bad"
+    (table,) = made.headed("Rank", "Law", "Verdict")
+    assert not any("winner" in row[-1] for row in table)
+
+
+def test_an_unstable_design_has_a_red_light(results: StudyResults) -> None:
+    (case, *others) = results.cases
+    status = case.status.copy()
+    best = int(case.S.mean(axis=1).argmin())
+    status[best, :2] = EventStatus.DIVERGED
+    changed = dataclasses.replace(results, cases=(dataclasses.replace(case, status=status), *others))
+    made = page_of(report_input(changed))
+    assert lights(made)["Stable"] == "bad"
+    words = made.words("verdict")
+    assert "It diverges in 2 of 100 departures." in words
+    assert "Smallest S, but not usable" in words
+
+
+def test_acceleration_beyond_friction_is_named(results: StudyResults) -> None:
+    (case, *others) = results.cases
+    peak = case.companions.a_y_peak.copy()
+    best = int(case.S.mean(axis=1).argmin())
+    peak[best, 0] = 85.0
+    companions = dataclasses.replace(case.companions, a_y_peak=peak)
+    changed = dataclasses.replace(results, cases=(dataclasses.replace(case, companions=companions), *others))
+    made = page_of(report_input(changed))
+    assert "85 m/s² (8.7 g) is physically impossible" in made.words("verdict")
+    assert lights(made)["Limits"] == "bad"
+
+
+def test_the_best_that_meets_the_limits_is_filled_and_ringed(results: StudyResults) -> None:
+    made = report_input(results, require=["a_y_added_peak_p95 <= 8"])
+    page = page_of(made)
+    ranking = made.rankings[0]
+    assert ranking.ranked not in (0, len(ranking))
+    assert page.words("verdict").startswith("Verdict Best design that meets the limits: ")
+    chart = page.html[page.html.index('<figure><svg class="chart"') :].split("</svg>")[0]
+    acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
+    assert len(re.findall(r'class="mark c\d open"', chart)) == sum(bool(ranking.missed[i]) for i in acting)
+    assert len(re.findall(r'class="mark c\d"', chart)) == sum(not ranking.missed[i] for i in acting)
+    assert chart.count('class="ring"') == 1
+    assert chart.count('class="shade"') == 1
+
+
+def test_a_large_increase_is_a_multiple() -> None:
+    """S rises twelvefold, and not by 1059.1 % of its S."""
+    S = np.random.default_rng(0).gamma(2.0, 0.3, 40)
+    words = page_of(report_input(scored([11.59 * S], S, [Design.of(LQR(), 0.1)]))).words("verdict")
+    assert "11.6 times that without control" in words
+    assert "%" not in words.split("times that")[1].split(";")[0]
+
+
+def test_warnings_come_once(results: StudyResults) -> None:
+    made = report_input(results)
+    words = page_of(made).words("verdict")
+    assert words.count("Speed looks like km/h.") == 1
+    assert words.count("fitted to invented driving") == 1
+
+
+# ------------------------------------------------------------------------------------------------ numbers
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    root = tmp_path_factory.mktemp("pages")
+    return Made(root)
+
+
+def test_each_number_is_that_of_ranking_csv(made: Made) -> None:
+    one = made("ordinary")
+    page, rows = Page(one.path.read_text(encoding="utf-8")), one.rows()
+    (table,) = page.headed("Rank", "Law", "Verdict")
+    head, *cells = table
+    assert len(cells) == len(rows)
+    columns = {
+        "Mean S [m·s]": ("S_m_s", 1.0, 3), "Reduction [%]": ("reduction", 100.0, 1),
+        "ay p95 [m/s²]": ("a_y_added_peak_p95_m_s2", 1.0, 2), "Jerk p95 [m/s³]": ("jerk_added_peak_p95_m_s3", 1.0, 2),
+        "Needless [%]": ("needless_share", 100.0, 1), "Fresh S [m·s]": ("fresh_S_m_s", 1.0, 3),
+    }  # fmt: skip
+    for row, given in zip(cells, rows, strict=True):
+        assert row[0] == (given["rank"] or "–")
+        for title, (column, factor, digits) in columns.items():
+            shown = row[head.index(title)]
+            wanted = f"{factor * float(given[column]):.{digits}f}".replace("-", "−") if given[column] else "–"
+            assert shown == wanted.replace("−0.0", "0.0"), (title, given["design"])
+        low, high = (f"{float(given[f'S_{end}_m_s']):.3f}" for end in ("low", "high"))
+        assert row[5] == f"{low} to {high}"
+        assert bool(given["unmet"]) == ("breaks" in row[-1])
+        assert ("winner" in row[-1]) == (given["winner"] == "true")
+
+
+def test_the_same_number_is_the_same_text_everywhere(page: Page, report: ReportInput) -> None:
+    """4.25 was 4.2 in one place and 4.3 in another."""
+    ranking = report.rankings[0]
+    value = float(ranking.release.a_y_added_peak_p95[0])
+    text = f"{value:.2f}"
+    assert text in page.words("verdict")
+    assert text in page.words("limits")
+    (table,) = page.headed("Rank", "Law", "Verdict")
+    assert text in table[1]
+
+
+def test_limits_say_how_many_designs_meet_them(results: StudyResults) -> None:
+    made = report_input(results, require=["comfort", "S <= 0.6"])
+    ranking = made.rankings[0]
+    rows = {row[0]: row for row in page_of(made).captioned("Limits")[1:]}
+    met = int((ranking.S <= 0.6).sum())
+    assert rows["Mean S"][1:3] == ["≤ 0.6 m·s", "own"]
+    assert rows["Mean S"][5] == str(met)
+    assert rows["Peak added jerk, 95 % quantile"][1:3] == ["≤ 5 m/s³", "comfort"]
+    assert rows["Departures that diverged though friction allows their recorded path"][2] == "stable (not required)"
+    assert rows["Peak ay, largest"][1] == "≤ 9.81 m/s²"
+
+
+def test_all_metrics_are_there(report: ReportInput) -> None:
+    table = page_of(report).captioned("All metrics")
+    titles = [row[0] for row in table[1:]]
+    assert {"Mean S", "Both limits of ISO 11270 kept", "Gain margin, least over speed"} <= set(titles)
+    assert len(titles) > 40
+    i = report.rankings[0].winner
+    row = table[1 + titles.index("Steering effort, mean [°²·s]" if "Steering effort, mean [°²·s]" in titles else "Steering effort, mean")]
+    assert i is not None
+    assert row[1] == f"{METRICS['effort_mean'].scale * report.rankings[0].release.effort_mean[i]:.3f} °²·s"
+
+
+# ------------------------------------------------------------------------------------------------ sections
+
+
+def test_what_is_printed(page: Page) -> None:
+    """The first screen, the ranking and the limits; the rest says so by its class."""
+    printed = [name for name in SECTIONS if f'<section id="{name}" class="screen"' not in page.html]
+    assert printed == ["verdict", "ranking", "limits"]
+
+
+def test_the_printed_rows_are_the_first_twenty_and_the_baseline(made: Made) -> None:
+    html = made("thousand").path.read_text(encoding="utf-8")
+    body = html[html.index('<table id="designs"') :].split("</table>")[0]
+    rows = re.findall(r"<tr(?: class=\"([^\"]*)\")?><td", body)
+    near = [kinds for kinds in rows if "far" not in kinds.split()]
+    assert len(rows) >= 1000
+    assert sum("baseline" in kinds for kinds in near) == 1
+    assert 20 <= len(near) <= 22
+
+
+def test_the_front_has_one_number(page: Page, report: ReportInput) -> None:
+    """11 designs in one place and 52 in another."""
+    words = page.words("trade-offs")
+    count = int(report.rankings[0].pareto.sum())
+    if report.rankings[0].pareto_figures:
+        assert f"{count} design" in words
+    assert "front of these two metrics alone" in words
+
+
+def test_trade_offs_list_the_front(results: StudyResults) -> None:
+    from studies.ranking.ranking import Ranking
+
+    rankings = tuple(Ranking.of(results, case, bootstrap=200, pareto=["S", "effort_mean"]) for case in results.cases)
+    made = dataclasses.replace(report_input(results), rankings=rankings)
+    words = said_in(trade_offs_section.section, made)
+    count = int(rankings[0].pareto.sum())
+    assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
+
+
+def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None:
+    one = landscape_section.section(Context.of(report))
+    ranking = report.rankings[0]
+    (chart,) = [chart for chart in one.charts if chart.name == "landscape-lqr"]
+    shown = {float(text) for text in re.findall(r"<title>([\d.]+)</title>", chart.body)}
+    own = [float(f"{S:.3f}") for S, design in zip(ranking.S, ranking.designs, strict=True) if design.law == "lqr"]
+    assert shown == set(own)
+    assert min(own) in shown
+
+
+def test_a_law_without_a_sweep_has_no_landscape() -> None:
+    words = said_in(landscape_section.section, only(Design.of(LQR(), 0.1), Design.of(NoControl(), 0.1)))
+    assert "there is no landscape to show" in words
+
+
+def test_confidence_tells_the_second_and_what_intervals_leave_out(report: ReportInput) -> None:
+    words = said_in(confidence_section.section, report)
+    ranking = report.rankings[0]
+    assert f"{ranking.difference[1]:+.4f} m·s to the first" in words
+    assert ("do not separate the two" in words) == bool(ranking.set_of_best[1])
+
+
+def test_two_equal_designs_are_not_separated() -> None:
+    S = np.random.default_rng(0).gamma(2.0, 0.3, 40)
+    noise = 0.05 * np.random.default_rng(1).normal(size=40)
+    designs = [Design.of(LQR(), 0.1), Design.of(LQR(), 0.2)]
+    words = said_in(confidence_section.section, report_input(scored([S, S + noise], 2 * S, designs)))
+    assert "the scenarios do not separate the two" in words
+    assert "scenarios separate them with even chances" in words
+
+
+def test_without_robustness_the_page_says_how_to_get_it(report: ReportInput) -> None:
+    assert "leave --no-robustness out" in said_in(robustness_section.section, report)
+
+
+def test_failed_designs_are_listed(results: StudyResults) -> None:
+    failed = FailedDesign(Design.of(LQR(r_delta=77.0), 0.1), f"ValueError: {EVIL}")
+    words = said_in(settings_section.section, report_input(dataclasses.replace(results, failed=(failed,))))
+    assert "1 design failed and is not ranked:" in words
+    assert "r_δ=77" in words or "rδ=77" in words
+
+
+def test_other_cases_stand_below_the_ranking(page: Page) -> None:
+    assert "control window, consistent: " in page.words("ranking")
+    assert "S over the control window starts at the trigger" in page.words("ranking")
+
+
+# ------------------------------------------------------------------------------------------------ odd studies
+
+
+ODD = {
+    "one design": lambda: only(Design.of(PreviewProportional(), 0.2)),
+    "only no control": lambda: only(Design.of(NoControl(), 0.2)),
+    "nothing triggered": lambda: only(Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0)),
+    "left only": lambda: only(*grid()[:6], scenarios=invented_scenarios(14, 0)),
+    "right only": lambda: only(*grid()[:6], scenarios=invented_scenarios(0, 14)),
+    "one scenario": lambda: only(*grid()[:4], scenarios=invented_scenarios(1, 0)),
+    "nothing ranked": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9), [PRIMARY]), require=["S <= 0"]),
+    "every limit": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9), [PRIMARY]), require=list(LIMITS)),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_studies_have_a_whole_page(name: str) -> None:
+    page = page_of(ODD[name]())
+    assert list(lights(page)) == ["Score", "Stable", "Limits", "Other plants"]
+
+
+def test_all_departures_failed(with_failures: StudyResults) -> None:
+    page = page_of(report_input(with_failures))
+    assert lights(page)["Stable"] == "bad"
+    assert "diverged in 50 departures" in page.words("settings")
+
+
+def test_users_text_stays_text(made: Made) -> None:
+    assert HOSTILE
+    assert ORDINARY
+    page = Page(made("hostile").path.read_text(encoding="utf-8"))
+    assert "<script>alert(1)" not in page.html
+    assert page.counts["script"] == 2
+    assert "alert(1)" in page.all_words
+    assert "\u202e" not in page.html
+
+
+def test_a_thousand_designs_are_light(made: Made) -> None:
+    one = made("thousand")
+    page = Page(one.path.read_text(encoding="utf-8"))
+    (table,) = page.headed("Rank", "Law", "Verdict")
+    assert len(table) - 1 >= 1000
+    assert one.path.stat().st_size < 3_000_000
+
+
+def test_the_same_input_gives_the_same_page(report: ReportInput) -> None:
+    assert report_page(report) == report_page(report)
+
+
+def test_nothing_to_report_on_is_refused(results: StudyResults, report: ReportInput) -> None:
+    with pytest.raises(InputError, match="no designs, no cases or no scenarios"):
+        report_page(dataclasses.replace(report, results=dataclasses.replace(results, designs=())))
+    with pytest.raises(InputError, match="1 rankings for 2 cases; allowed: one per case"):
+        report_page(dataclasses.replace(report, rankings=report.rankings[:1]))
+
+
+def test_files_of_charts_stand_alone(report: ReportInput, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "old.svg").write_text("<svg/>")
+    write_report(report, tmp_path / "report.html", figures=tmp_path / "figures")
+    files = sorted(path.name for path in (tmp_path / "figures").iterdir())
+    assert {"trade-off.svg", "intervals.svg", "landscape-lqr.svg"} <= set(files)
+    assert "old.svg" not in files
+    for path in (tmp_path / "figures").iterdir():
+        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+
+
+def test_no_word_of_an_earlier_page(page: Page) -> None:
+    for never in (" told", " said ", "nobody", "minds", "where designs were chosen", "companions", "figure of merit"):
+        assert never not in page.all_words
+
+
+def test_a_skip_link_leads_to_the_content(page: Page) -> None:
+    assert page.links[0] == "#main"
+
+
+def test_a_legend_has_no_entry_without_a_point(report: ReportInput) -> None:
+    made = verdict_section.cloud_legend(Context.of(report))
+    chart = verdict_section.trade_off(Context.of(report), "a_y_added_peak_p95", "S", "x")
+    drawn = set(re.findall(r'class="mark (c\d|recorded)', chart.body))
+    assert set(re.findall(r'class="mark (c\d|recorded)', str(made))) == drawn
+
+
+def test_rows_beyond_a_thousand_are_in_the_csv_only(report: ReportInput, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranking_section, "MOST_ROWS", 5)
+    words = said_in(ranking_section.section, report)
+    assert f"of {len(report.rankings[0])} designs; all of them are in ranking.csv" in words
+
+
+def test_csv_of_the_ordinary_study_has_margins(made: Made) -> None:
+    with (made("ordinary").folder / "ranking.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row in rows:
+        assert bool(row["gain_margin"]) == (row["law"] in ("lqr", "preview_proportional"))
