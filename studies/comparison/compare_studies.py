@@ -1,4 +1,4 @@
-"""Two studies compared on the scenarios that they share: what got better, worse, or cannot be told."""
+"""Two studies compared on the scenarios that they share: what got better, worse, or is not separated."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Verdict(enum.StrEnum):
 
     BETTER = "better"
     WORSE = "worse"
-    UNTOLD = "cannot be told"
+    UNTOLD = "not separated"
     SAME = "same"
 
 
@@ -111,7 +111,7 @@ def paired_differences(
 
     A row is *the same* where no scenario changed by more than 1e-6 m s, or its interval lies within that of 0; *better*
     or *worse* where the interval lies beyond it. Where only m scenarios changed, even equal signs come about by chance
-    with 2^(1 - m); rows where that is above (1 - confidence) / k have no interval and *cannot be told*.
+    with 2^(1 - m); rows where that is above (1 - confidence) / k have no interval and *not separated*.
 
     Examples
     --------

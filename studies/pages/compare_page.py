@@ -29,7 +29,7 @@ from studies.pages.shell import (
     render,
     table,
 )
-from studies.pages.text import difference_text, number, percent, plural, signed
+from studies.pages.text import difference_text, number, percent, plural, signed, symbols
 from studies.storage.files import write_text
 
 THRESHOLD: Final = 0.01
@@ -140,7 +140,7 @@ def winners_sentence(winners: Winners) -> str:
 def _verdict(comparison: Comparison) -> Section:
     first = comparison.cases[0]
     lead = winners_sentence(first.winners) if first.winners else no_winners_sentence(first)
-    body = Markup('<p class="verdict">{}</p>').format(lead)
+    body = Markup('<p class="verdict">{}</p>').format(symbols(lead))
     rows = []
     for case in comparison.cases:
         winners = case.winners

@@ -24,7 +24,17 @@ from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Series, Style, bars, legend, lines
 from studies.pages.settings_section import pairs
 from studies.pages.shell import Column, Line, Section, bullets, details, figure, make_page, paragraphs, table
-from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten
+from studies.pages.text import (
+    PARAMETER_MEANINGS,
+    compact,
+    number,
+    parameter_label,
+    percent,
+    plural,
+    printable,
+    shorten,
+    symbols,
+)
 from studies.storage.files import write_text
 
 if TYPE_CHECKING:
@@ -263,7 +273,7 @@ def extraction_verdict(left: int, right: int) -> str:
 
 
 def _verdict(extraction: Extraction, whole: Row | None) -> Section:
-    body = Markup('<p class="verdict">{}</p>').format(extraction_verdict(*side_counts(extraction)))
+    body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*side_counts(extraction))))
     if whole is not None:
         account = whole.account
         share = f" ({percent(account.hours_valid / account.hours_read, 0)})" if account.hours_read > 0 else ""

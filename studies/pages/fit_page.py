@@ -31,7 +31,7 @@ from studies.pages.shell import (
     paragraphs,
     table,
 )
-from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, signed
+from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, signed, symbols
 from studies.storage.files import write_text
 from studies.storage.stored_model import WARNING, model_notes
 
@@ -173,7 +173,7 @@ def side_verdict(side: Side) -> str:
 
 def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> Section:
     warnings = fit_warnings(model, sides, drawn=drawn)
-    body = Markup("").join(Markup('<p class="verdict">{}</p>').format(side_verdict(side)) for side in sides)
+    body = Markup("").join(Markup('<p class="verdict">{}</p>').format(symbols(side_verdict(side))) for side in sides)
     body += bullets(warnings, "warnings") or paragraphs("No warnings: no check of this page found anything.")
     body += paragraphs(
         "Unless a warning says otherwise the model is checked against the departures that it was fitted to: a "

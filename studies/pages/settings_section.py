@@ -35,7 +35,9 @@ def section(context: Context) -> Section:
     if report.command:
         body += Markup("<p>The study again: <code>{}</code></p>").format(printable(report.command))
     if report.study_file:
-        body += details("The study file with every default", Markup("<pre>{}</pre>").format(printable(report.study_file)))
+        body += details(
+            "The study file with every default", Markup("<pre>{}</pre>").format(printable(report.study_file))
+        )
     return Section("settings", "Failures and settings", body)
 
 

@@ -45,7 +45,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def has_solver(design: Design, convention: Convention) -> bool:
-    """Whether the design's law declares a solver, by a `solver_calls` of its own; true where that cannot be told."""
+    """Whether the design's law declares a solver, by a `solver_calls` of its own; true where that is not known."""
     try:
         controller = design.controller(convention)
         kind = get_type_hints(type(controller).prepare).get("return")

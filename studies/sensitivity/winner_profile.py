@@ -85,7 +85,7 @@ class Profile:
     def beyond(self) -> GainValue | None:
         """The end of the declared range where mean S is smallest, if something better may lie beyond it.
 
-        None where S is smallest elsewhere, where nothing beyond is allowed, and where S at the end cannot be told from
+        None where S is smallest elsewhere, where nothing beyond is allowed, and where S at the end is not separated from
         S at the design, or, if the design itself is at the end, from S next to it: chance or nothing moves it there.
         """
         best = self.best

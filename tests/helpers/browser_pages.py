@@ -20,8 +20,8 @@ from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from studies.cli import main
 from studies.design import Design
 from studies.pages.fit_page import write_fit_page
-from studies.ranking.ranking import Ranking
 from studies.pages.report import write_report
+from studies.ranking.ranking import Ranking
 from studies.results import per_scenario
 
 ORDINARY = """

@@ -15,10 +15,10 @@ from helpers.pages import Page, whole
 from ldctoolkit import BicycleModel, Scenarios, Setup, VehicleParameters, simulate
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
 from studies.design import Design
-from studies.ranking.ranking import Ranking
 from studies.pages.context import Context, ReportInput
 from studies.pages.report import report_page
 from studies.pages.shell import Section
+from studies.ranking.ranking import Ranking
 from studies.results import Case, CaseResults, StudyResults, per_scenario
 
 

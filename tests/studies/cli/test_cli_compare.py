@@ -87,7 +87,7 @@ def test_a_copy_is_the_same(folders: Path, tmp_path: Path) -> None:
     shutil.copytree(folders / "old", tmp_path / "copy")
     out = good("compare", "old", "copy", "--fail-if-worse", cwd=folders)
     assert "The inputs are the same" in out
-    assert "0 better, 0 worse, 0 cannot be told, 4 the same" in out
+    assert "0 better, 0 worse, 0 not separated, 4 the same" in out
 
 
 def test_refusals(folders: Path) -> None:

@@ -134,7 +134,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     new = scores + noise + np.array([0.05, -0.05, 0.0, 0.0])[:, None]
     new[3] = scores[3] + 5e-7  # the tolerance of a solver
     comparison = compare(finished(scores, source="old"), finished(new))
-    assert verdicts(comparison) == ["worse", "better", "cannot be told", "same"]
+    assert verdicts(comparison) == ["worse", "better", "not separated", "same"]
     S = comparison.cases[0].S
     np.testing.assert_allclose(S.difference[:3], [0.05, -0.05, 0.0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(S.S_new - S.S_old, S.difference, rtol=0, atol=1e-12)
@@ -146,7 +146,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     assert comparison.any_worse
     assert comparison.cases[0].order[0] == 0
     assert comparison.cases[0].order[-1] == 3
-    assert "1 better, 1 worse, 1 cannot be told, 1 the same" in comparison.summary
+    assert "1 better, 1 worse, 1 not separated, 1 the same" in comparison.summary
 
 
 def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
@@ -240,7 +240,7 @@ def test_one_scenario_of_a_side_tells_nothing(scores: np.ndarray) -> None:
     new = scores + 0.1 + 0.01 * np.random.default_rng(3).normal(size=scores.shape)
     one_left = scenarios_of(400, left=1)
     comparison = compare(finished(scores, scenarios=one_left), finished(new, scenarios=one_left))
-    assert verdicts(comparison) == ["cannot be told"] * 4
+    assert verdicts(comparison) == ["not separated"] * 4
     assert np.isinf(comparison.cases[0].S.high).all()
     json.dumps(comparison_content(comparison), allow_nan=False)
 

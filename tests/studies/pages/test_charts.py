@@ -10,7 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from studies.pages import charts
-from studies.pages.charts import Axis, Cloud, Dot, Series, Style, bars, dots, ecdf, heat_map, law_styles, lines, nice_step, scatter
+from studies.pages.charts import (
+    Axis,
+    Cloud,
+    Dot,
+    Series,
+    Style,
+    bars,
+    dots,
+    ecdf,
+    heat_map,
+    law_styles,
+    lines,
+    nice_step,
+    scatter,
+)
 from studies.pages.shell import Cell, Column, Line, details, packed, script_json, table
 from studies.pages.text import number, symbols
 
@@ -67,7 +81,9 @@ def test_a_missing_number_is_no_point() -> None:
 def test_curves_bands_limits_and_rings() -> None:
     x = np.linspace(0.0, 1.0, 5)
     one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, points=True)
-    body = lines("l", "t", [one], Axis("x", 0, 1), Axis("y", 0, 1), limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0)).body
+    body = lines(
+        "l", "t", [one], Axis("x", 0, 1), Axis("y", 0, 1), limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0)
+    ).body
     assert body.count('class="band c0"') == 1
     assert "a &lt;b&gt;" in body
     assert body.count('class="limit"') == body.count('class="ring"') == 1
@@ -91,7 +107,9 @@ def test_intervals_without_ends_have_none() -> None:
 
 def test_bars_and_outlines() -> None:
     edges = np.array([0.0, 1.0, 2.0])
-    body = bars("b", "t", edges, [("a", np.array([1.0, 2.0]), BLUE)], "x", "y", outlines=[("m", np.array([2.0, 1.0]), BLUE)]).body
+    body = bars(
+        "b", "t", edges, [("a", np.array([1.0, 2.0]), BLUE)], "x", "y", outlines=[("m", np.array([2.0, 1.0]), BLUE)]
+    ).body
     assert body.count('class="bar c0"') == 1
     assert body.count('class="curve c0"') == 1
 

@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows true minus signs and dashes
 """The departures explorer: which departures and designs, what the script reads, what a user asks for."""
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ def test_designs_are_the_shown_one_the_best_of_each_law_and_table_1(report: Repo
     assert {"lqr", "preview_proportional"} <= set(laws)
     assert "none" not in laws
     assert "Table I of the paper" in [one.why for one in chosen] or any(
-        one.why == "best of its law" and context.ranking.designs[one.place].law == "preview_proportional" for one in chosen
+        one.why == "best of its law" and context.ranking.designs[one.place].law == "preview_proportional"
+        for one in chosen
     )
 
 
@@ -65,8 +67,8 @@ def test_asked_for_but_not_there(results: StudyResults) -> None:
         rows_of_numbers(results.scenarios, [100])
     with pytest.raises(InputError, match=r"design: 'zz'; no design begins like this, the nearest is \w+; allowed"):
         designs_of_ids(results.designs, ["zz"])
+    same = [dataclasses.replace(results.designs[0]), results.designs[0]]
     with pytest.raises(InputError, match=r"allowed: more digits"):
-        same = [dataclasses.replace(results.designs[0]), results.designs[0]]
         designs_of_ids(same, [same[0].id[:6]])
 
 

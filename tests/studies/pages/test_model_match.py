@@ -52,7 +52,9 @@ def test_a_departures_table_is_compared_exactly(model: ScenarioModel, generated:
 def test_the_same_driving_is_within_chance(model: ScenarioModel, generated: Scenarios) -> None:
     for side in match(generated, model):
         assert (side.source, side.reason) == (30_000, "")
-        assert not any(one.to_model.beyond or one.to_source.beyond for one in side.parameters if one.to_model and one.to_source)
+        assert not any(
+            one.to_model.beyond or one.to_source.beyond for one in side.parameters if one.to_model and one.to_source
+        )
 
 
 def test_other_driving_is_beyond_chance(model: ScenarioModel, generated: Scenarios) -> None:

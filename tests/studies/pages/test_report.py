@@ -1,3 +1,4 @@
+# ruff: noqa: RUF001 - the page shows true minus signs and dashes
 """The report as a reader's browser parses it: the verdict first, complete, correct, escaped, the same each time."""
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ LIMITS = ("stable", "comfort", "physical")
 
 def lights(page: Page) -> dict[str, str]:
     """State of each light by its name, as a screen reader has it."""
-    items = re.findall(r'<li class="(\w+)"><span class="light \w+" role="img" aria-label="([^"]+)">.*?<b>([^<]+)</b>', page.html)
+    items = re.findall(
+        r'<li class="(\w+)"><span class="light \w+" role="img" aria-label="([^"]+)">.*?<b>([^<]+)</b>', page.html
+    )
     return {name: state for state, _, name in items}
 
 
@@ -192,7 +195,12 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
     assert {"Mean S", "Both limits of ISO 11270 kept", "Gain margin, least over speed"} <= set(titles)
     assert len(titles) > 40
     i = report.rankings[0].winner
-    row = table[1 + titles.index("Steering effort, mean [°²·s]" if "Steering effort, mean [°²·s]" in titles else "Steering effort, mean")]
+    row = table[
+        1
+        + titles.index(
+            "Steering effort, mean [°²·s]" if "Steering effort, mean [°²·s]" in titles else "Steering effort, mean"
+        )
+    ]
     assert i is not None
     assert row[1] == f"{METRICS['effort_mean'].scale * report.rankings[0].release.effort_mean[i]:.3f} °²·s"
 

@@ -34,7 +34,7 @@ def results_of(S: np.ndarray, designs: tuple[int, ...], cases: tuple[Case, ...] 
 
 @pytest.fixture
 def scores() -> np.ndarray:
-    """Four designs: 1 and 2 cannot be told apart, 3 is the one without control."""
+    """Four designs: 1 and 2 are not separated, 3 is the one without control."""
     generator = np.random.default_rng(5)
     common = generator.gamma(2.0, 1.0, 400)
     return np.stack([common + shift + 0.1 * generator.normal(size=400) for shift in (0.5, 0.0, 0.004, 2.0)])
