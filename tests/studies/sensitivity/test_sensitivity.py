@@ -381,9 +381,11 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
         third = sum((part.shape[1] / (part.shape[1] - 1)) ** 1.5 * ((part.T - part.mean(axis=1)) ** 3).sum(axis=0)
                     for part in strata) / paired.shape[1] ** 3  # fmt: skip
         for i in np.flatnonzero(error > 0):
-            g, ends = third[i] / error[i] ** 3, np.array([profile.low[i], profile.high[i]]) - profile.difference[i]
-            critical.append(scipy.optimize.brentq(lambda c, g=g: reach(c, g) - ends[1] / error[i], 0.5, 50.0))
-            np.testing.assert_allclose(-ends[0] / error[i], reach(critical[-1], -g), rtol=1e-8)
+            g = third[i] / error[i] ** 3
+            above = (profile.high[i] - profile.difference[i]) / error[i]
+            critical.append(scipy.optimize.brentq(lambda c, g=g, above=above: reach(c, g) - above, 0.5, 50.0))
+            below = (profile.difference[i] - profile.low[i]) / error[i]
+            np.testing.assert_allclose(below, reach(critical[-1], -g), rtol=1e-8)
         assert profile.low[profile.at] == profile.high[profile.at] == 0.0
         assert {design.law for design in profile.designs} == {"waves"}
     np.testing.assert_allclose(critical, critical[0], rtol=1e-8)
