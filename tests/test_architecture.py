@@ -51,9 +51,10 @@ LEVELS = (
     ("studies.running",),
     ("studies.ranking",),
     ("studies.racing", "studies.search"),
-    ("studies.runner",),
+    ("studies.runner", "studies.compile_loops"),
     ("studies.comparison", "studies.extraction", "studies.robustness", "studies.sensitivity"),
-    ("studies.compare_page", "studies.extraction_page", "studies.fit_page", "studies.plotting", "studies.report"),
+    ("studies.pages",),
+    ("studies.plotting",),
     ("studies.cli",),
     ("studies",),
 )

@@ -40,7 +40,7 @@ def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference
     elif side.size < FEW or counts.min() < FEW_OF_A_SIDE:
         yield (
             f"Intervals are too short with so few scenarios ({numbers}): below {FEW}, or {FEW_OF_A_SIDE} of a side, "
-            "they hold less often than they say."
+            "they hold less often than they say. None of them counts the sampling error of the scenario model itself."
         )
     if inference.references < inference.may_be_best:
         yield (

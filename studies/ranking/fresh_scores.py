@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.ranking.case_figures import DrivableCase, mean_reduction
 from studies.ranking.resampled import Interval, Resampled, critical_value, simultaneous_interval
-from studies.ranking.standard_error import half_widths
+from studies.ranking.standard_error import skewed_widths
 from studies.ranking.winner import choose_winner
 from studies.results import Case, StudyResults
 
@@ -231,8 +231,9 @@ def lost(before: Resampled, after: Resampled, confidence: float, reference: int 
         if reference is None
         else (before.differences(reference), after.differences(reference))
     )
-    centre, width = means[1] - means[0], half_widths(critical, errors)
-    return Interval(centre, errors, centre - width, centre + width, critical)
+    centre = means[1] - means[0]
+    below, above = skewed_widths(critical, errors, after.cubes(reference) - before.cubes(reference))
+    return Interval(centre, errors, centre - below, centre + above, critical)
 
 
 def fresh_case(fresh: StudyResults, case: Case) -> DrivableCase:

@@ -9,131 +9,39 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray, IntArray
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.review import design_margins
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
-from studies.ranking.case_figures import CaseFigures, DrivableCase, Margins, case_figures, in_order
+from studies.ranking.case_figures import DrivableCase, Margins, case_figures, in_order
 from studies.ranking.failed_commands import warnings_of
 from studies.ranking.few_scenarios import warnings_of_sample
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
 from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
-from studies.ranking.requirements import SETS, Miss, Requirement, metric, missed_by, requirements_of
-from studies.results import Case, CaseResults, FailedDesign, StudyResults
+from studies.ranking.ranked_designs import RankedDesigns
+from studies.ranking.ranking_text import ranking_html
+from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
+from studies.results import CaseResults, StudyResults
 from studies.study_file.spec import Study
 
 if TYPE_CHECKING:
     from ldctoolkit import Setup
-
-SCORE: Final = (
-    "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"
-)
-"""What every score means; no full stop, the window may follow."""
 
 MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))
 """Speeds [m/s] that the margins of a design are the smallest of."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Ranking(CaseFigures, Inference, FreshScores):
-    """Designs of one case, best first; every array has one entry a design in that order.
+class Ranking(RankedDesigns):
+    """Designs of one case, best first; every array has one entry a design in that order. Made with `Ranking.of`.
 
-    Beside the fields below it has those of `CaseFigures` (means, tails, reductions, shares, counts and `release`), of
-    `Inference` (intervals, set of best) and of `FreshScores` (the finalists and the winner).
-
-    Attributes
-    ----------
-    case : Case
-        Window and convention.
-    designs : tuple of Design
-        d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
-        others in the same way.
-    index : (d,) int
-        Position of each in `StudyResults.designs`.
-    rank : (d,) int
-        1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is not
-        ranked.
-    missed : tuple of tuple of Miss
-        For each design, the requirements that it misses, and its values.
-    requirements : tuple of Requirement
-    limits : tuple of Requirement
-        The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``.
-    baseline : int or None
-        Position of the design behind `baseline_difference`.
-    pareto : (d,) bool
-        Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
-        another.
-    pareto_figures : tuple of str
-    scenarios : int
-        Study scenarios that could be driven under every design.
-    D_y : float [m]
-    bootstrap : int
-        Resamples.
-    confidence : float
-        Of every family of intervals, and of the set of best.
-    warnings : tuple of str
-        What a reader must know before comparing designs.
-    failed : tuple of FailedDesign
-        Designs whose law failed: they have no rank and no figures.
-    given_up : int
-        Designs that a race gave up before: they have no rank and no figures either.
-    raced : bool
-        Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
-        of another race only, and there is no winner.
+    Its attributes are those of `RankedDesigns`.
     """
-
-    case: Case
-    designs: tuple[Design, ...]
-    index: IntArray
-    rank: IntArray
-    missed: tuple[tuple[Miss, ...], ...]
-    requirements: tuple[Requirement, ...]
-    limits: tuple[Requirement, ...]
-    baseline: int | None
-    pareto: BoolArray
-    pareto_figures: tuple[str, ...]
-    scenarios: int
-    D_y: float
-    bootstrap: int
-    confidence: float
-    warnings: tuple[str, ...]
-    failed: tuple[FailedDesign, ...] = ()
-    given_up: int = 0
-    raced: bool = True
-
-    def __len__(self) -> int:
-        return len(self.designs)
-
-    def __repr__(self) -> str:
-        best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s" if self.ranked else "none is ranked"
-        return f"<Ranking of {len(self)} designs, {self.case.label}: {best}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        from studies.ranking.ranking_text import ranking_html  # it is made from rankings
-
         return ranking_html(self)
-
-    @property
-    def ranked(self) -> int:
-        """Number of designs that have a rank; they are the first ones."""
-        return int((self.rank > 0).sum())
-
-    @property
-    def require(self) -> tuple[str, ...]:
-        """The requirements as text."""
-        return tuple(one.text for one in self.requirements)
-
-    @property
-    def unmet(self) -> tuple[tuple[str, ...], ...]:
-        """For each design, the requirements that it misses, as text."""
-        return tuple(tuple(miss.requirement.text for miss in some) for some in self.missed)
-
-    @property
-    def survivors_only(self) -> bool:
-        """Whether designs were given up by S of another case, which may have been the best of this one."""
-        return self.given_up > 0 and not self.raced
 
     @classmethod
     def of(
@@ -274,13 +182,6 @@ class Ranking(CaseFigures, Inference, FreshScores):
             given_up=given_up,
             raced=raced,
         )
-
-    def best_of_each_law(self) -> tuple[int, ...]:
-        """Positions of the best design of every law, best law first."""
-        first: dict[str, int] = {}
-        for i, design in enumerate(self.designs):
-            first.setdefault(design.law, i)
-        return tuple(first.values())
 
 
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:

@@ -16,7 +16,7 @@ from ldctoolkit import controller_class
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
 from studies.ranking.markdown_text import markdown_table, markdown_text
-from studies.ranking.ranking import SCORE, Ranking
+from studies.ranking.ranked_designs import SCORE, RankedDesigns
 from studies.ranking.requirements import metric_values
 from studies.ranking.verdict import Verdict, design_name, value_text
 from studies.storage.files import write_text
@@ -45,7 +45,7 @@ class TextColumn:
     left: bool = False
 
 
-def ranking_columns(ranking: Ranking) -> tuple[TextColumn, ...]:
+def ranking_columns(ranking: RankedDesigns) -> tuple[TextColumn, ...]:
     """The columns of every text that shows a ranking, in their order."""
     return (
         TextColumn("#"),
@@ -69,7 +69,7 @@ COLUMNS_TEXT: Final = (
 """What the short headings mean."""
 
 
-def ranking_cells(ranking: Ranking, i: int) -> list[str]:
+def ranking_cells(ranking: RankedDesigns, i: int) -> list[str]:
     """The cells of one design, in the order of `ranking_columns`."""
     design = ranking.designs[i]
     half = 0.5 * (float(ranking.S_high[i]) - float(ranking.S_low[i]))
@@ -91,7 +91,7 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else _DASH
 
 
-def judged(ranking: Ranking, place: int) -> str:
+def judged(ranking: RankedDesigns, place: int) -> str:
     """What a design is called in one phrase: winner, what it breaks, failures, baseline."""
     found = ["winner"] if place == ranking.winner else []
     if place == ranking.baseline:
@@ -113,13 +113,13 @@ def judged(ranking: Ranking, place: int) -> str:
     return ", ".join(found)
 
 
-def failures(ranking: Ranking, place: int) -> int:
+def failures(ranking: RankedDesigns, place: int) -> int:
     """Scenarios of a design in which its law did not do its work."""
     counts = (ranking.solver_failed, ranking.diverged, ranking.timed_out, ranking.crashed)
     return sum(int(count[place]) for count in counts)
 
 
-def listed_places(ranking: Ranking, most: int) -> list[int]:
+def listed_places(ranking: RankedDesigns, most: int) -> list[int]:
     """Places of the first designs, the winner, the baseline and the best of each law."""
     named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
     return sorted({*range(min(most, len(ranking))), *named, *ranking.best_of_each_law()[:most]})
@@ -131,7 +131,7 @@ def verdict_lines(found: Verdict) -> list[str]:
     return [f"{found.title}.", *found.sentences, *lights, *found.try_next]
 
 
-def more_lines(ranking: Ranking) -> Iterator[str]:
+def more_lines(ranking: RankedDesigns) -> Iterator[str]:
     """What else a reader should know: the set of best, fresh scenarios, failures, a race."""
     size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
     if ranking.ranked and not ranking.survivors_only and size > 1:
@@ -203,12 +203,12 @@ class StudyHead:
     seed: int
 
 
-def write_markdown(rankings: Sequence[Ranking], path: str | Path, head: StudyHead, found: Verdict) -> None:
+def write_markdown(rankings: Sequence[RankedDesigns], path: str | Path, head: StudyHead, found: Verdict) -> None:
     """Write rankings as one Markdown file, whole or not at all.
 
     Parameters
     ----------
-    rankings : sequence of Ranking
+    rankings : sequence of RankedDesigns
         The primary case first: its table is written, of the others a line.
     path : path
     head : StudyHead
@@ -223,12 +223,12 @@ def write_markdown(rankings: Sequence[Ranking], path: str | Path, head: StudyHea
     write_text(Path(path), ranking_markdown(rankings, head, found))
 
 
-def ranking_markdown(rankings: Sequence[Ranking], head: StudyHead, found: Verdict) -> str:
+def ranking_markdown(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) -> str:
     """The text of ``ranking.md``; the same rankings give the same text."""
     return "\n".join(_blocks(rankings, head, found))
 
 
-def _blocks(rankings: Sequence[Ranking], head: StudyHead, found: Verdict) -> Iterator[str]:
+def _blocks(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) -> Iterator[str]:
     first = rankings[0]
     yield f"# {markdown_text(head.title)}\n"
     title, *others = verdict_lines(found)
@@ -264,7 +264,7 @@ def _blocks(rankings: Sequence[Ranking], head: StudyHead, found: Verdict) -> Ite
         yield "".join(f"- {markdown_text(other_case(one))}\n" for one in rankings[1:])
 
 
-def other_case(ranking: Ranking) -> str:
+def other_case(ranking: RankedDesigns) -> str:
     """A case that is not the primary one, in a line."""
     if ranking.winner is None:
         return f"{ranking.case.label}: no winner."
@@ -275,7 +275,7 @@ def other_case(ranking: Ranking) -> str:
 # ------------------------------------------------------------------------------------------------ notebooks
 
 
-def ranking_html(ranking: Ranking, top: int = TOP) -> str:
+def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:
     """A ranking as HTML without script; everything in it is escaped."""
     places = listed_places(ranking, top)
     head = "".join(
@@ -300,7 +300,7 @@ def ranking_html(ranking: Ranking, top: int = TOP) -> str:
     )
 
 
-def _html_row(ranking: Ranking, place: int) -> str:
+def _html_row(ranking: RankedDesigns, place: int) -> str:
     bold = ";font-weight:bold" if place == ranking.winner else ""
     cells = zip(ranking_columns(ranking), ranking_cells(ranking, place), strict=True)
     return (

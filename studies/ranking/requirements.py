@@ -292,11 +292,12 @@ def parse_requirement(text: str) -> Requirement:
     'a_y_peak_p95 <= 3'
     """
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
-    if found is None and isinstance(text, str) and re.fullmatch(r"\s*[A-Za-z][-\w]*\s*", text):
-        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {nearest(text.strip(), SETS)}")
+    if found is None and isinstance(text, str) and re.fullmatch(r"[a-z-]{3,}", text) and text not in _ALIASES:
+        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {nearest(text, SETS)}")
     if found is None:
         raise InputError(
-            f"requirement {text!r}: cannot be read; allowed: a metric, one of {', '.join(_OPERATORS)}, "
+            f"requirement {text!r}: cannot be read; allowed: a set ({', '.join(SETS)}), or a metric, one of "
+            f"{', '.join(_OPERATORS)}, "
             "and a number, as 'a_y_peak_p95 <= 3.0'"
         )
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from studies.ranking.row_blocks import row_blocks, row_means
 from studies.ranking.standard_error import (
     degrees_of_freedom,
     error_parts,
-    half_widths,
+    paired_cubes,
     paired_errors,
+    skewed_widths,
     spread_is_known,
     with_tails_of_t,
 )
@@ -140,12 +142,25 @@ class Resampled:
             largest = max((_largest(block) for _, block in row_blocks(self.table, self.rows)), default=0.0)
         else:
             other, largest = self._parts_of(reference), _largest(self.scores(reference))
-        if self.parts is not None:
-            return paired_errors(self.parts, other, largest)
         result = np.empty(self.mean.size)
-        for places, block in row_blocks(self.table, self.rows):
-            result[places] = paired_errors(error_parts(block, self.side), other, largest)
+        for places, parts in self._part_blocks():
+            result[places] = paired_errors(parts, other, largest)
         return result
+
+    def cubes(self, reference: int | None = None) -> FloatArray:
+        """Third moment of every mean, or of its paired difference to one design, (d,) [m s^3]."""
+        result = np.zeros(self.mean.size)
+        other = np.zeros(self.side.size) if reference is None else self._parts_of(reference)
+        for places, parts in self._part_blocks():
+            result[places] = paired_cubes(parts, other)
+        return result
+
+    def _part_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
+        if self.parts is not None:
+            yield slice(None), self.parts
+            return
+        for places, block in row_blocks(self.table, self.rows):
+            yield places, error_parts(block, self.side)
 
     def _parts_of(self, design: int) -> FloatArray:
         parts = error_parts(self.scores(design)[None], self.side) if self.parts is None else self.parts[[design]]
@@ -217,8 +232,9 @@ class Interval:
     Attributes
     ----------
     centre, error, low, high : (d,) [m s]
-        Mean, its standard error, and both ends: centre -/+ critical * error.
+        Mean, its standard error, and both ends: `studies.ranking.standard_error.skewed_widths` from the centre.
     critical : float
+        Standard errors to both sides for scores without skewness.
     """
 
     centre: FloatArray
@@ -232,7 +248,7 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     """Intervals of all means, or of all paired differences to one design that was named beforehand: max-t.
 
     All of them hold at once with the confidence. The critical value is the quantile of the largest absolute deviation,
-    each divided by its own standard error, over the resamples.
+    each divided by its own standard error, over the resamples; skewed scores have wider intervals.
 
     Parameters
     ----------
@@ -264,5 +280,5 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     errors = resampled.errors(reference)
     critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.df)
     centre = resampled.mean if reference is None else resampled.differences(reference)
-    width = half_widths(critical, errors)
-    return Interval(centre, errors, centre - width, centre + width, critical)
+    below, above = skewed_widths(critical, errors, resampled.cubes(reference))
+    return Interval(centre, errors, centre - below, centre + above, critical)

@@ -9,7 +9,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.ranking.bootstrap import check_confidence
 from studies.ranking.resampled import Resampled, critical_value
-from studies.ranking.standard_error import half_widths
+from studies.ranking.standard_error import half_widths, skewed_widths
 
 SAME = 1e-6
 """Differences of mean S [m s] up to this are a solver's tolerance, not design."""
@@ -42,7 +42,7 @@ class Separation:
     low_of_all, high_of_all : (k,) [m s]
         Interval of the difference to the design `best`; all k hold at once, whichever design came out best.
     critical, critical_of_all : float
-        Standard errors behind `low`, and behind the interval.
+        Standard errors behind `low`, and behind the interval where scores have no skewness.
     references, may_be_best : int
         Designs that critical values were worked out for, and those that they stand for.
     """
@@ -104,7 +104,8 @@ def separable(
     are skewed, and resampled means are skewed the other way than studentised ones.
 
     The interval of the difference to the design that came out best needs more: its critical value is the quantile of
-    the largest difference over all these r at once.
+    the largest difference over all these r at once. Of skewed scores it is wider, see
+    `studies.ranking.standard_error.skewed_widths`; `low` is not, for the test of one design is conservative.
 
     Examples
     --------
@@ -162,7 +163,7 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     for r, row in zip(may.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
         np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
-    width = half_widths(of_all, error)
+    below, above = skewed_widths(of_all, error, resampled.cubes(best))
     low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
     return Separation(
         mean=resampled.mean,
@@ -170,8 +171,8 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
         difference=difference,
         error=error,
         low=low,
-        low_of_all=difference - width,
-        high_of_all=difference + width,
+        low_of_all=difference - below,
+        high_of_all=difference + above,
         critical=critical,
         critical_of_all=of_all,
         references=int(may.size),

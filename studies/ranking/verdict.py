@@ -14,7 +14,7 @@ from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
 from studies.design import Design
 from studies.ranking.case_figures import beyond_friction
-from studies.ranking.ranking import Ranking
+from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.requirements import G, Miss, metric_values
 from studies.results import StudyResults
 
@@ -72,13 +72,13 @@ class Verdict:
 
 
 def verdict(
-    ranking: Ranking, results: StudyResults, setup: Setup | None = None, robustness: Robustness | None = None
+    ranking: RankedDesigns, results: StudyResults, setup: Setup | None = None, robustness: Robustness | None = None
 ) -> Verdict:
     """Judge a ranking.
 
     Parameters
     ----------
-    ranking : Ranking
+    ranking : RankedDesigns
         The primary case.
     results : StudyResults
         What it ranks.
@@ -143,7 +143,7 @@ def _list(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def _of_winner(ranking: Ranking, place: int) -> str:
+def _of_winner(ranking: RankedDesigns, place: int) -> str:
     name = design_name(ranking.designs[place])
     if ranking.survivors_only:
         return f"No winner: this case was not raced; the best design may have been given up. First: {name}"
@@ -154,7 +154,7 @@ def _of_winner(ranking: Ranking, place: int) -> str:
     return f"{'Smallest S, but not usable' if _broken(ranking, place) else 'Smallest S'}: {name}"
 
 
-def _score(ranking: Ranking, i: int) -> str:
+def _score(ranking: RankedDesigns, i: int) -> str:
     fresh = bool(np.isfinite(ranking.fresh_S[i]))
     S, low, high = (
         (ranking.fresh_S[i], ranking.fresh_low[i], ranking.fresh_high[i])
@@ -181,7 +181,7 @@ def _score(ranking: Ranking, i: int) -> str:
     return f"Mean S {S:.3f} m s{where}{between}{change}{on}{costs}."
 
 
-def _broken(ranking: Ranking, place: int) -> list[str]:
+def _broken(ranking: RankedDesigns, place: int) -> list[str]:
     """What a design breaks of what every design on a road must keep: it is stable, and tyres can do it."""
     found = []
     if lost := int(metric_values("lost", ranking)[place]):
@@ -194,7 +194,7 @@ def _broken(ranking: Ranking, place: int) -> list[str]:
     return found
 
 
-def _impossible(ranking: Ranking, place: int) -> str:
+def _impossible(ranking: RankedDesigns, place: int) -> str:
     """Lateral acceleration that no tyre gives."""
     most = next((one.limit for one in ranking.limits if one.set == "physical"), G)
     peak = float(metric_values("a_y_peak_max", ranking)[place])
@@ -203,14 +203,14 @@ def _impossible(ranking: Ranking, place: int) -> str:
     return f"a lateral acceleration of {peak:.3g} m/s\u00b2 ({peak / G:.2g} g) is physically impossible"
 
 
-def _lights(ranking: Ranking, place: int, robustness: Robustness | None) -> Iterator[Light]:
+def _lights(ranking: RankedDesigns, place: int, robustness: Robustness | None) -> Iterator[Light]:
     yield _score_light(ranking, place)
     yield _stable_light(ranking, place)
     yield _limits_light(ranking, place)
     yield _plants_light(ranking, place, robustness)
 
 
-def _score_light(ranking: Ranking, place: int) -> Light:
+def _score_light(ranking: RankedDesigns, place: int) -> Light:
     saved = float(ranking.reduction[place])
     if not math.isfinite(saved):
         return Light("Score", "unknown", "There is no score without control to compare with.")
@@ -223,7 +223,7 @@ def _score_light(ranking: Ranking, place: int) -> Light:
     return Light("Score", "good", f"{100 * saved:.1f} % less S than without control; {rest}.")
 
 
-def _stable_light(ranking: Ranking, place: int) -> Light:
+def _stable_light(ranking: RankedDesigns, place: int) -> Light:
     lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.diverged[place])
     gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
     missed = [miss.text for miss in _missed_of(ranking, place, "stable")]
@@ -248,7 +248,7 @@ def _stable_light(ranking: Ranking, place: int) -> Light:
     )
 
 
-def _limits_light(ranking: Ranking, place: int) -> Light:
+def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     impossible = _impossible(ranking, place)
     missed = [miss.text for miss in ranking.missed[place] if miss.requirement.set not in ("stable", "physical")]
     others = [miss.text for miss in _missed_of(ranking, place, "comfort") if miss.text not in missed]
@@ -264,7 +264,7 @@ def _limits_light(ranking: Ranking, place: int) -> Light:
     )
 
 
-def _plants_light(ranking: Ranking, place: int, robustness: Robustness | None) -> Light:
+def _plants_light(ranking: RankedDesigns, place: int, robustness: Robustness | None) -> Light:
     name = "Other plants"
     if robustness is None or ranking.designs[place].id not in robustness.designs:
         return Light(name, "unknown", "Not tested on other plants.")
@@ -285,7 +285,7 @@ def _plants_light(ranking: Ranking, place: int, robustness: Robustness | None) -
     return Light(name, "warning" if most > 1.5 else "good", text)
 
 
-def _missed_of(ranking: Ranking, place: int, name: str) -> list[Miss]:
+def _missed_of(ranking: RankedDesigns, place: int, name: str) -> list[Miss]:
     """What a design misses of a set, required or not."""
     found = []
     for one in ranking.limits:
@@ -299,7 +299,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _nearest(ranking: Ranking) -> tuple[int, ...]:
+def _nearest(ranking: RankedDesigns) -> tuple[int, ...]:
     """Places of the designs with the smallest largest excess; those that intervene first."""
     largest = [max(miss.excess for miss in some) if some else 0.0 for some in ranking.missed]
     passive = [design.is_baseline for design in ranking.designs]
@@ -308,7 +308,7 @@ def _nearest(ranking: Ranking) -> tuple[int, ...]:
     return tuple(order[:_NEAREST])
 
 
-def _try_next(ranking: Ranking, place: int) -> Iterator[str]:
+def _try_next(ranking: RankedDesigns, place: int) -> Iterator[str]:
     """Where the nearest design stands in its sweep."""
     design = ranking.designs[place]
     own = [one for one in ranking.designs if one.law == design.law]

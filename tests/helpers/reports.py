@@ -89,7 +89,8 @@ PRIMARY = Case("departure", "consistent")
 
 
 SECTIONS = (
-    "verdict", "ranking", "limits", "trade-offs", "landscape", "departures", "robustness", "confidence", "model", "settings",
+    "verdict", "ranking", "limits", "trade-offs", "landscape", "departures", "robustness", "confidence", "model",
+    "settings",
 )  # fmt: skip
 """Identifiers of the sections of a report, in their order."""
 

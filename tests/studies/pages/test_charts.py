@@ -128,8 +128,9 @@ def test_law_styles_differ() -> None:
 
 
 def test_tables_escape_and_sort_by_numbers() -> None:
-    made = str(table("c", [Column("A", text=True), Column("S", "m", key="S")],
-                     [Line(("<b>", Cell("0.5", 0.5, bad=True)), "winner", later=True)], id="t", sortable=True))  # fmt: skip
+    columns = [Column("A", text=True), Column("S", "m", key="S")]
+    rows = [Line(("<b>", Cell("0.5", 0.5, bad=True)), "winner", later=True)]
+    made = str(table("c", columns, rows, id="t", sortable=True))
     assert "&lt;b&gt;" in made
     assert '<tr class="winner later">' in made
     assert 'data-v="0.5"' in made

@@ -32,6 +32,8 @@ def test_small_samples_are_told(inference: Inference, left: int, right: int, wor
     found = list(warnings_of_sample(np.repeat([1, -1], [left, right]), inference))
     assert len(found) == bool(words)
     assert all(words in text for text in found)
+    if "too short" in words:
+        assert found[0].endswith("None of them counts the sampling error of the scenario model itself.")
 
 
 def test_left_out_references_are_told(inference: Inference) -> None:
