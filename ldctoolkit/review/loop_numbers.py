@@ -220,7 +220,7 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
     >>> from ldctoolkit import Setup
     >>> gain, phase = design_margins([LQR(r_delta=1000.0)], Setup(), [20.0])
     >>> gain.round(1), np.degrees(phase).round()
-    (array([[10.4]]), array([[59.]]))
+    (array([[14.3]]), array([[61.]]))
     """
     plant, options = setup.plant(np.asarray(v, dtype=np.float64)), setup.options
     matrices = zip(*plant.model.matrices(plant.v), strict=True)

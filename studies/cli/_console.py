@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ldctoolkit.gains import GainValue
 
 
-_WIDTH = 120
+_WIDTH = 160
 """Columns where stdout is no terminal: a file or a log has no width of its own."""
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
 from ldctoolkit import Setup, controller_class
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
 from studies.design import Design
@@ -18,12 +19,37 @@ from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.requirements import G, Miss, metric_values
 from studies.results import StudyResults
 
-if TYPE_CHECKING:
-    from studies.robustness.robustness import Robustness
-
 State = Literal["good", "warning", "bad", "unknown"]
 
 _NEAREST: Final = 3
+
+
+class OtherPlants(Protocol):
+    """What a verdict takes from `studies.robustness.robustness.Robustness`: d designs on p plants, their own first."""
+
+    @property
+    def designs(self) -> tuple[str, ...]:
+        """Identifiers."""
+
+    @property
+    def plants(self) -> tuple[str, ...]:
+        """Names."""
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """The same for people."""
+
+    @property
+    def diverged(self) -> IntArray:
+        """Departures that diverged, (p, d)."""
+
+    @property
+    def excess(self) -> FloatArray:
+        """Mean S minus that without control, (p, d) [m s]."""
+
+    @property
+    def S(self) -> FloatArray:
+        """Mean S, (p, d) [m s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +98,7 @@ class Verdict:
 
 
 def verdict(
-    ranking: RankedDesigns, results: StudyResults, setup: Setup | None = None, robustness: Robustness | None = None
+    ranking: RankedDesigns, results: StudyResults, setup: Setup | None = None, robustness: OtherPlants | None = None
 ) -> Verdict:
     """Judge a ranking.
 
@@ -203,7 +229,7 @@ def _impossible(ranking: RankedDesigns, place: int) -> str:
     return f"a lateral acceleration of {peak:.3g} m/s\u00b2 ({peak / G:.2g} g) is physically impossible"
 
 
-def _lights(ranking: RankedDesigns, place: int, robustness: Robustness | None) -> Iterator[Light]:
+def _lights(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Iterator[Light]:
     yield _score_light(ranking, place)
     yield _stable_light(ranking, place)
     yield _limits_light(ranking, place)
@@ -264,7 +290,7 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     )
 
 
-def _plants_light(ranking: RankedDesigns, place: int, robustness: Robustness | None) -> Light:
+def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:
     name = "Other plants"
     if robustness is None or ranking.designs[place].id not in robustness.designs:
         return Light(name, "unknown", "Not tested on other plants.")

@@ -86,7 +86,8 @@ class Profile:
         """The end of the declared range where mean S is smallest, if something better may lie beyond it.
 
         None where S is smallest elsewhere, where nothing beyond is allowed, and where S at the end is not separated
-        from S at the design, or, if the design itself is at the end, from S next to it: chance or nothing moves it there.
+        from S at the design, or, if the design itself is at the end, from S next to it: chance or nothing moves it
+        there.
         """
         best = self.best
         if len(self.values) < 2 or self.values[best] not in self.open_ends:

@@ -109,9 +109,10 @@ def test_each_warning_about_components_and_the_fit() -> None:
     said = "\n".join(diagnose(model, x, n_model=5000, summary=told).warnings)
     assert "stopped before it had converged" in said
     assert "K = 3 is the largest that was tried" in said
-    assert "component 1 is the tail of a normal that lies outside the bounds (P = 10^-15, mean 8.0" in said
-    assert "component 2 rests on" in said
-    assert "component 2 is nearly flat" in said
+    assert "tails of normals that lie outside the bounds" in said
+    assert "component 1 (P = 10^-15, mean 8.0" in said
+    assert "component 2 rests on fewer effective events" in said
+    assert "nearly flat, by the condition number of the correlation matrix: component 2 (" in said
     assert "3 events had T exactly on a bound, moved just inside" in said
 
 

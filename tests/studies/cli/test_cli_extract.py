@@ -263,7 +263,7 @@ def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction_page.page.make_page", stopped)
+        patch.setattr("studies.pages.extraction_page.extraction_page", stopped)
         code, out, err = ldc(*words)
     assert (code, out) == (130, "")
     assert "what was finished is kept in d.parquet.parts; the same command goes on" in err
@@ -289,7 +289,7 @@ def test_a_page_that_cannot_be_written_is_told(folder: Path, ldc: Ldc, monkeypat
         raise StoreError("r.html: cannot be written: No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.storage.files.write_text", full)
+        patch.setattr("studies.pages.extraction_page.write_text", full)
         code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
     assert (code, out) == (2, "")
     assert err == (

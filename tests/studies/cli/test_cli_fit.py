@@ -168,7 +168,6 @@ def test_a_page_lies_beside_the_model(folder: Path) -> None:
         (["--components", "0"], "argument --components: '0'; allowed: K or FIRST:LAST, from 1 to 100"),
         (["--components", "3:2"], "argument --components: '3:2'; allowed: K or FIRST:LAST, from 1 to 100"),
         (["--components", "1:101"], "argument --components: '1:101'; allowed: K or FIRST:LAST, from 1 to 100"),
-        (["--png", "--no-page"], "--png: given beside --no-page; allowed: one of them, the picture is of the page"),
         (["--components", "40:50"], "components: 40 and more; allowed: a range that begins at"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

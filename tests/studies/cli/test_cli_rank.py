@@ -7,13 +7,14 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from helpers.cli import bad, ldc, printed_rows
+from helpers.cli import bad, ldc
 from studies import Study, read_results, run_study
 from studies.cli._results import print_race
 from studies.design import Design
@@ -72,7 +73,7 @@ Rank = Callable[..., subprocess.CompletedProcess[str]]
 def test_the_studys_own_ranking(folder: Path, rank: Rank) -> None:
     done = rank("plain", "--top", 1)
     assert "4 designs" in done.stdout
-    assert "fresh S" in done.stdout
+    assert "fresh scenarios" in done.stdout
     assert done.stdout.splitlines()[-1] == f"ranking: {Path('plain') / 'ranking.csv'}"
     assert column(rows_of(folder / "plain" / "ranking.csv"), "rank") == ["1", "2", "3", "4"]
     assert rank("plain", "--quiet").stdout == f"ranking: {Path('plain') / 'ranking.csv'}\n"
@@ -82,34 +83,47 @@ def test_the_studys_own_ranking(folder: Path, rank: Rank) -> None:
 
 
 def test_the_table_shows_what_the_file_holds(folder: Path, rank: Rank) -> None:
-    """Which column is which: every cell to the digits that are printed."""
-    above, below, *lines = printed_rows(rank("plain", "--top", 4).stdout)
-    headings = [f"{a} {b}".strip() for a, b in zip(above, below, strict=True)]
-    columns = {
-        "mean S [m s]": "S_m_s",
-        "to the best [m s]": "difference_to_best_m_s",
-        "reduction": "reduction",
-        "left": "reduction_left",
-        "right": "reduction_right",
-        "deeper 0.5 m": "deeper_than_D_y_share",
-        "fresh S [m s]": "fresh_S_m_s",
-    }
+    """Every cell to the digits that are printed."""
+    lines = rank("plain", "--top", 4).stdout.splitlines()
     rows = rows_of(folder / "plain" / "ranking.csv")
-    assert len(rows) == len(lines) == 4
-    for line, row in zip(lines, rows, strict=True):
-        cells = dict(zip(headings, line, strict=True))
-        assert cells["#"] == row["rank"]
-        assert float(cells["y_s [m]"]) == float(row["y_s_m"])
-        low, high = (float(end) for end in cells["95% interval"].split(" .. "))
-        assert (low, high) == pytest.approx((float(row["S_low_m_s"]), float(row["S_high_m_s"])), abs=6e-4)
-        for heading, name in columns.items():
-            shown = cells[heading].removesuffix(" =")
-            if shown == "-":
-                assert row[name] == ""
-            elif shown.endswith(" %"):
-                assert float(shown[:-2]) == pytest.approx(100 * float(row[name]), abs=0.06)
-            else:
-                assert float(shown) == pytest.approx(float(row[name]), abs=6e-5)
+    shown = [line for line in lines if re.match(r"\d .*±", line)]
+    assert len(rows) == len(shown) == 4
+    for line, row in zip(shown, rows, strict=True):
+        cell = "([-\\d.\u2013]+) +"
+        found = re.match(rf"(\d) (.+?) +{cell}.*?([\d.]+)±([\d.]+) +{3 * cell}(\d+) (.*)$", line)
+        assert found is not None, line
+        rank_, _, y_s, S, half, saved, a_y, jerk, needless, verdict = found.groups()
+        assert (rank_, float(y_s)) == (row["rank"], float(row["y_s_m"]))
+        assert float(S) == pytest.approx(float(row["S_m_s"]), abs=6e-4)
+        assert float(half) == pytest.approx(0.5 * (float(row["S_high_m_s"]) - float(row["S_low_m_s"])), abs=6e-4)
+        assert float(saved) == pytest.approx(100 * float(row["reduction"]), abs=0.06)
+        assert float(needless) == pytest.approx(100 * float(row["needless_share"]), abs=0.6)
+        for cell, name in ((a_y, "a_y_added_peak_p95_m_s2"), (jerk, "jerk_added_peak_p95_m_s3")):
+            assert (cell == "–") == (row[name] == "")  # noqa: RUF001
+            assert row[name] == "" or float(cell) == pytest.approx(float(row[name]), abs=6e-3)
+        assert ("winner" in verdict) == (row["winner"] == "true")
+
+
+def test_the_table_is_readable_at_80_columns(folder: Path) -> None:
+    """Nothing is cut with an ellipsis, no line is longer than the terminal."""
+    command = f"stty cols 80; {sys.executable} -m ldctoolkit rank plain"
+    done = subprocess.run(
+        ["script", "-qec", command, "/dev/null"], cwd=folder, capture_output=True, text=True, check=True
+    )
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).rstrip() for line in done.stdout.splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert "…" not in done.stdout
+    text = " ".join(" ".join(lines).split())
+    for heading in ("a_y", "jerk", "less", "verdict", "gains"):
+        assert heading in text
+    assert "Smallest S" in text
+
+
+def test_an_inadmissible_design_is_never_first_without_a_word(folder: Path, rank: Rank) -> None:
+    done = rank("plain", "--require", "comfort", "--require", "S <= 1e-3")
+    assert "None of 3 designs meets the limits." in done.stdout
+    assert "Nearest: " in done.stdout
+    assert all(line.startswith("–") for line in done.stdout.splitlines() if "breaks" in line and "±" in line)  # noqa: RUF001
 
 
 def test_other_requirements_rank_others_and_change_no_file(folder: Path, rank: Rank, tmp_path: Path) -> None:
@@ -125,7 +139,7 @@ def test_other_requirements_rank_others_and_change_no_file(folder: Path, rank: R
     assert (rows[0]["design"], rows[0]["rank"]) == (second, "1")
     assert (rows[-1]["design"], rows[-1]["rank"], rows[-1]["unmet"] != "") == (best, "", True)
     # who the finalists are was decided without the requirement
-    assert "fresh S" not in done.stdout
+    assert "fresh scenarios" not in done.stdout
     assert set(column(rows, "fresh_S_m_s")) == {""}
     assert re.fullmatch(r"ldc: warning: fresh scores are those of [^\n]+\n", done.stderr)
     assert done.stdout.splitlines()[-1] == f"ranking: {target}"
@@ -135,7 +149,6 @@ def test_another_baseline_and_front_keep_the_fresh_scores(folder: Path, rank: Ra
     target = tmp_path / "r.csv"
     done = rank("plain", "--baseline", "lqr", "--pareto", "S", "--pareto", "effort", "-o", target)
     assert done.stderr == ""
-    assert "fresh S" in done.stdout
     assert "Pareto front over S, effort_mean" in done.stdout
     rows = rows_of(target)
     compared = [row for row in rows if row["law"] == "lqr" and row["y_s_m"] == "0.05"]
@@ -146,7 +159,7 @@ def test_another_baseline_and_front_keep_the_fresh_scores(folder: Path, rank: Ra
 def test_more_confidence_makes_wider_intervals(folder: Path, rank: Rank, tmp_path: Path) -> None:
     rank("plain", "--quiet")
     done = rank("plain", "--confidence", 0.99, "-o", tmp_path / "r.csv")
-    assert "99%" in done.stdout
+    assert "99 %" in done.stdout
     own, wide = rows_of(folder / "plain" / "ranking.csv"), rows_of(tmp_path / "r.csv")
     assert column(own, "S_m_s") == column(wide, "S_m_s")
     assert all(float(b["S_low_m_s"]) < float(a["S_low_m_s"]) for a, b in zip(own, wide, strict=True))
@@ -211,13 +224,16 @@ def test_other_settings_of_a_raced_study(rank: Rank) -> None:
     ("arguments", "message"),
     [
         (["plain", "--require", "ay_p59 <= 3"], "did you mean 'a_y_peak_p95'"),
-        (["plain", "--require", "S"], "allowed: a figure, one of"),
+        (
+            ["plain", "--require", "S"],
+            "allowed: a set (stable, comfort, lane-edge, physical), or a metric",
+        ),
         (["plain", "--pareto", "effrt"], "did you mean 'effort"),
         (["plain", "--baseline", "lqq"], "did you mean 'lqr'"),
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
         (["plain", "--confidence", "high"], "allowed: a number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
-        (["raced", "--require", "S <= 1"], "race: true with ranking.require"),
+        (["plain", "--require", "comfrt"], "no such set of requirements; did you mean 'comfort'?"),
         (["raced", "--baseline", "DROPPED"], "was given up in a race"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

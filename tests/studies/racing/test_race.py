@@ -294,9 +294,9 @@ def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
 # ---- the catalog's own race
 
 
-def test_the_sweep_of_the_catalog_is_a_race_of_more_than_500_designs() -> None:
+def test_the_sweep_of_the_catalog_is_a_race_of_more_than_250_designs() -> None:
     study = load_study("zoo-sweep")
     assert study.race
-    assert len(study.designs) >= 500
-    assert sum(design.law in LINEAR for design in study.designs) >= 500
+    assert len(study.designs) >= 250
+    assert sum(design.law in LINEAR for design in study.designs) >= 200
     assert len({design.law for design in study.designs}) >= 10

@@ -80,12 +80,12 @@ def test_requirements_are_read(text: str, canonical: str) -> None:
     "text", ["", "S", "S <=", "<= 3", "3 >= S", "S == 3", "S <= 3 m s", "S <= 3, S <= 4", "S =< 3"]
 )
 def test_what_is_no_requirement_is_named(text: str) -> None:
-    with pytest.raises(InputError, match=r"requirement '.*': cannot be read; allowed: a figure"):
+    with pytest.raises(InputError, match=r"requirement '.*': cannot be read; allowed: a set \(stable"):
         parse_requirement(text)
 
 
 def test_an_unknown_figure_of_a_requirement_is_named_with_its_text() -> None:
-    with pytest.raises(UnknownNameError, match=r"requirement 'ay_p59 <= 3': figure 'ay_p59'.*allowed: S"):
+    with pytest.raises(UnknownNameError, match=r"requirement 'ay_p59 <= 3': metric 'ay_p59'.*allowed: S"):
         parse_requirement("ay_p59 <= 3")
     with pytest.raises(UnknownNameError, match=r"requirement 'comfortble >= 0.5'.*did you mean 'comfortable'"):
         parse_requirement("comfortble >= 0.5")
@@ -157,7 +157,7 @@ def test_the_page_lists_every_metric_with_unit_and_direction() -> None:
 
 
 def test_a_time_is_no_metric() -> None:
-    with pytest.raises(UnknownNameError, match="requirement 'law_time <= 5': figure 'law_time': no such figure;"):
+    with pytest.raises(UnknownNameError, match="requirement 'law_time <= 5': metric 'law_time': no such metric;"):
         parse_requirement("law_time <= 5")
 
 

@@ -1,0 +1,154 @@
+"""ranking.md as a Markdown reader understands it: cells, numbers, escaped text, what is listed."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
+
+from helpers.results import results_of
+from studies.design import Design
+from studies.pages.text import printable
+from studies.ranking.markdown_text import markdown_text
+from studies.ranking.ranking import Ranking
+from studies.ranking.ranking_text import MOST_ROWS, StudyHead, listed_places, ranking_markdown, write_markdown
+from studies.ranking.verdict import Verdict, verdict
+from studies.results import Case, FailedDesign
+
+EVIL = "<script>alert(1)</script>"
+HEAD = StudyHead("A | B", "a-b", f"m {EVIL}", synthetic=True, left=30, right=20, seed=7)
+
+
+def ranked(S: np.ndarray, *, failed: tuple[FailedDesign, ...] = (), **settings: Any) -> tuple[Ranking, Verdict]:
+    """Designs with given scores, 3/5 of the scenarios to the left."""
+    designs = [Design.from_gains("lqr", 0.1 + 0.001 * i, {}) for i in range(len(S))]
+    results = results_of(S, designs, left=3 * S.shape[1] // 5, parts={"failed": failed})
+    ranking = Ranking.of(results, results.cases[0], bootstrap=200, **settings)
+    return ranking, verdict(ranking, results)
+
+
+def scores(d: int, n: int = 50) -> np.ndarray:
+    generator = np.random.default_rng(4)
+    return generator.gamma(2.0, 0.2, n) + np.linspace(0.0, 1.0, d)[:, None] + 0.01 * generator.random((d, n))
+
+
+def table(text: str) -> list[list[str]]:
+    """Cells of the only table, as a Markdown parser has them."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(text)
+    rows: list[list[str]] = []
+    for before, token in itertools.pairwise(tokens):
+        if before.type == "tr_open":
+            rows.append([])
+        if before.type in ("td_open", "th_open"):
+            rows[-1].append("".join(child.content for child in token.children or ()))
+    return rows
+
+
+def test_the_table_holds_the_numbers_of_the_ranking() -> None:
+    ranking, found = ranked(scores(4))
+    head, *rows = table(ranking_markdown([ranking], HEAD, found))
+    assert head[:5] == ["#", "law", "y_s [m]", "gains", "S, 95 % [m s]"]
+    assert head[5:] == ["less [%]", "a_y [m/s2]", "jerk [m/s3]", "needless [%]", "verdict"]
+    assert len(rows) == 4
+    for i, row in enumerate(rows):
+        assert row[:3] == [str(ranking.rank[i]), "LQR", f"{ranking.designs[i].y_s:g}"]
+        value, half = map(float, row[4].split("\u00b1"))
+        assert value == pytest.approx(ranking.S[i], abs=6e-4)
+        assert half == pytest.approx(0.5 * (ranking.S_high[i] - ranking.S_low[i]), abs=6e-4)
+        assert float(row[5]) == pytest.approx(100 * ranking.reduction[i], abs=0.06)
+    assert "winner" in rows[0][-1]
+
+
+def test_the_verdict_stands_above_the_table() -> None:
+    ranking, found = ranked(scores(3))
+    text = ranking_markdown([ranking], HEAD, found)
+    html = MarkdownIt("commonmark").enable("table").render(text)
+    assert "<h1>A | B</h1>" in html
+    assert "50 (30 left, 20 right), seed 7" in html
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in html
+    assert "<script" not in html
+    assert "<strong>Smallest S: LQR, y_s = 0.1 m.</strong>" in html
+    assert text.index("Smallest S") < text.index("| \\# ") if "| \\# " in text else True
+    assert "synthetic" in html
+    assert "S is the integral over time of |e_y|, the distance of the vehicle's centre" in html
+    assert "Here it is taken over the whole departure." in html
+
+
+def test_the_first_designs_and_those_named_are_listed() -> None:
+    d = MOST_ROWS + 30
+    ranking, found = ranked(scores(d), baseline="")
+    assert listed_places(ranking, MOST_ROWS) == list(range(MOST_ROWS))
+    last = dataclasses.replace(ranking, baseline=d - 1)
+    assert listed_places(last, MOST_ROWS) == [*range(MOST_ROWS), d - 1]
+    text = ranking_markdown([last], HEAD, found)
+    assert f"{MOST_ROWS + 1} of {d} designs" in text
+    assert table(text)[-1][-1].startswith("baseline")
+
+
+def test_nothing_ranked() -> None:
+    ranking, found = ranked(scores(3), require=["S <= 0"])
+    text = ranking_markdown([ranking], HEAD, found)
+    assert "None of 3 designs meets the limits" in text
+    rows = table(text)[1:]
+    assert [row[0] for row in rows] == ["–"] * 3  # noqa: RUF001
+    assert all(row[-1] == "breaks S <= 0" for row in rows)
+
+
+def test_one_design_and_failed_ones_with_their_reasons() -> None:
+    failed = FailedDesign(Design.from_gains("lqr", 0.5, {}), f"ValueError: {EVIL}\n# no | heading")
+    ranking, found = ranked(scores(1), failed=(failed,))
+    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown([ranking], HEAD, found))
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; # no | heading" in html
+    assert html.count("<h1") == 1
+    assert "1 design failed, without metrics." in html
+
+
+def test_warnings_are_text() -> None:
+    ranking, found = ranked(scores(2))
+    ranking = dataclasses.replace(ranking, warnings=(f"*look* {EVIL} `x` [a](b) www.example.org",))
+    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown([ranking], HEAD, found))
+    assert "*look* &lt;script&gt;alert(1)&lt;/script&gt; `x` [a](b) www.example.org" in html
+
+
+def test_other_cases_have_a_line_each_and_the_text_is_the_same_each_time(tmp_path: Path) -> None:
+    ranking, found = ranked(scores(3))
+    other = dataclasses.replace(ranking, case=Case("control", "as_printed"))
+    write_markdown([ranking, other], tmp_path / "r.md", HEAD, found)
+    text = (tmp_path / "r.md").read_text(encoding="utf-8")
+    assert "control window, as printed" in text.split("Other cases")[1]
+    assert text == ranking_markdown([ranked(scores(3))[0], other], HEAD, found)
+    assert len(table(text)) == 4
+
+
+@pytest.mark.parametrize("turn", "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+def test_no_text_turns_what_follows(turn: str) -> None:
+    assert markdown_text(f"a{turn}b") == "a\ufffdb"
+    assert printable(f"a{turn}b") == "a\ufffdb"
+    assert printable("\u05d0\u200f\u2029") == "\u05d0\u200f\u2029"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=40))
+def test_any_text_stays_what_it_is(text: str) -> None:
+    """A Markdown parser gives the text back, in a cell as in a line of a list."""
+    shown = markdown_text(text)
+    assert "\n" not in shown
+    parser = MarkdownIt("commonmark").enable("table")
+    text = re.sub("[\u202a-\u202e\u2066-\u2069]", "\ufffd", text)
+    expected = " ".join(text.replace("\u2028", " ").replace("\u2029", " ").split(" ")).strip()
+    for block in (f"| a |\n| --- |\n| {shown} |\n", f"- {shown}\n"):
+        inline = [token for token in parser.parse(block) if token.type == "inline"]
+        children = inline[-1].children or [] if inline else []
+        assert {child.type for child in children} <= {"text", "html_inline", "text_special"}
+        assert all(child.content == "<!-- -->" for child in children if child.type == "html_inline")
+        got = "".join(child.content for child in children if child.type != "html_inline")
+        if block.startswith("|") and not shown:
+            continue
+        assert re.sub(r"\s+", " ", got).strip() == re.sub(r"\s+", " ", expected).strip()

@@ -1,0 +1,227 @@
+"""Named sets of requirements, margins as metrics, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from helpers.results import case_of, scenarios_of
+from ldctoolkit import Scenarios, Setup
+from ldctoolkit.errors import UnknownNameError
+from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
+from ldctoolkit.review import design_margins, review
+from studies import Study, rank_study, run_study
+from studies.design import Design
+from studies.ranking.ranking import Ranking
+from studies.ranking.ranking_text import judged, verdict_lines
+from studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
+from studies.ranking.verdict import Verdict, verdict
+from studies.results import StudyResults
+
+NAN = math.nan
+DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
+
+
+def results_of(S: list[float], status: Any = 0, **metrics: Any) -> StudyResults:
+    """No control and three LQR, 20 departures each, with given means and metrics."""
+    spread = np.linspace(0.9, 1.1, 20)
+    columns = {name: np.asarray(value, dtype=float)[:, None] for name, value in metrics.items()}
+    case = case_of(np.outer(S, spread), status=status, metrics=columns)
+    return StudyResults(tuple(DESIGNS), scenarios_of(20), (case,))
+
+
+def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> tuple[Ranking, Verdict]:
+    ranking = Ranking.of(results, results.cases[0], bootstrap=100, require=require, setup=setup)
+    return ranking, verdict(ranking, results, setup)
+
+
+def light(found: Verdict, name: str) -> tuple[str, str]:
+    (one,) = [light for light in found.lights if light.name == name]
+    return one.state, one.text
+
+
+# ------------------------------------------------------------------------------------------------ sets
+
+
+def test_the_sets_ask_what_the_standards_ask() -> None:
+    assert [one.text for one in requirements_of(["comfort"])] == ["a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5"]
+    lost, gain, phase = requirements_of(["stable"])
+    assert (lost.text, gain.text) == ("lost <= 0", "gain_margin >= 2")
+    assert math.degrees(phase.limit) == pytest.approx(30.0)
+    assert [one.text for one in requirements_of(["lane-edge"])] == ["within_dtle_gain >= 0"]
+    assert [one.set for one in requirements_of(["comfort", "S <= 1"])] == ["comfort", "comfort", ""]
+
+
+def test_physical_is_the_friction_of_the_plant() -> None:
+    assert friction(PlantOptions()) == 9.81
+    slippery = PlantOptions(tyres=Tyres(model="magic_formula", mu=0.4), mismatch=Mismatch(mu=(0.5, 0.9)))
+    assert friction(slippery) == pytest.approx(0.4 * 0.9 * 9.81)
+    assert requirements_of(["physical"], slippery)[0].limit == pytest.approx(3.5316)
+
+
+def test_a_set_that_is_none_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="'comfrot': no such set of requirements; did you mean 'comfort'"):
+        requirements_of(["comfrot"])
+
+
+def test_what_a_design_does_not_have_breaks_no_set() -> None:
+    """Margins without a linear loop, comfort without an intervention; a requirement by itself is missed."""
+    (gain,) = [one for one in requirements_of(["stable"]) if one.metric.name == "gain_margin"]
+    assert gain.met([NAN, 1.0, 2.0, math.inf]).tolist() == [True, False, True, True]
+    assert parse_requirement("gain_margin >= 2").met([NAN]).tolist() == [False]
+
+
+def test_misses_are_told_with_their_size() -> None:
+    (_, jerk) = requirements_of(["comfort"])
+    miss = Miss(jerk, 12.4)
+    assert miss.excess == pytest.approx(1.48)
+    assert miss.text == "Peak added jerk, 95 % quantile 12.40 m/s³, limit 5.00 m/s³ (2.5 times)"
+    assert Miss(parse_requirement("reduction >= 0.5"), 0.25).excess == pytest.approx(0.5)
+    assert Miss(parse_requirement("crashed <= 0"), 3.0).excess == 3.0
+
+
+def test_designs_that_meet_all_come_first_by_S() -> None:
+    results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 4.0, 2.0, 1.0], jerk_added_peak=[0, 9.0, 4.0, 2.0])
+    ranking, found = ranked(results, "comfort")
+    assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 3, 0, 1)]
+    assert ranking.rank.tolist() == [1, 2, 3, 0]
+    assert [len(some) for some in ranking.missed] == [0, 0, 0, 2]
+    assert (
+        found.title
+        == f"Best design that meets the limits: LQR, y_s = 0.1 m{', r_delta = 1000' if LQR().r_delta != 1000 else ''}"
+    )
+    assert judged(ranking, 3) == "breaks comfort +80%"
+
+
+def test_studies_take_sets_by_name(tmp_path: Path) -> None:
+    content = {"name": "s", "scenarios": {"left": 20, "right": 20}, "ranking": {"require": ["comfort", "S <= 5"]}}
+    study = Study.from_dict(content | {"design": [{"law": "none"}, {"law": "lqr"}]})
+    assert study.ranking.require == ("comfort", "S <= 5")
+    results = run_study(study, directory=tmp_path / "s", workers=1, progress=False)
+    (ranking,) = rank_study(results, study)
+    assert ranking.require == ("a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5", "S <= 5")
+
+
+# ------------------------------------------------------------------------------------------------ margins
+
+
+SETUPS = {
+    "ideal": Setup(),
+    "lag and delay": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.1))),
+}
+
+
+@pytest.mark.parametrize("name", SETUPS)
+@pytest.mark.parametrize("controller", [LQR(), LQR(r_delta=1e4), PreviewProportional(), PreviewProportional(K_y=-0.08)])
+def test_margins_are_those_of_the_review(name: str, controller: Any) -> None:
+    """python-control's stability margins, on a finer grid of frequencies."""
+    setup = SETUPS[name]
+    v = np.array([10.0, 25.0, 40.0])
+    gain, phase = design_margins([controller], setup, v)
+    loop = review(controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v).loop
+    assert loop is not None
+    assert (gain[0] > 0).tolist() == loop.stable.tolist()
+    for i in np.flatnonzero(loop.stable):
+        assert 20 * math.log10(gain[0, i]) == pytest.approx(loop.gain_margin[i], abs=0.1)
+        assert phase[0, i] == pytest.approx(loop.phase_margin[i], rel=0.01)
+
+
+def test_laws_without_a_linear_loop_have_none() -> None:
+    gain, phase = design_margins([NoControl(), LinearMPC()], Setup(), [20.0])
+    assert np.isnan(gain).all()
+    assert np.isnan(phase).all()
+
+
+def test_margins_rank_designs(tmp_path: Path) -> None:
+    content = {
+        "name": "s",
+        "scenarios": {"left": 20, "right": 20},
+        "ranking": {"require": ["gain_margin >= 6", "phase_margin > 0"]},
+    }
+    design = {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [10.0, 100_000.0]}}
+    study = Study.from_dict(content | {"design": [design]})
+    (ranking,) = rank_study(run_study(study, directory=tmp_path / "s", workers=1, progress=False), study)
+    assert dict(ranking.designs[0].gains)["r_delta"] == 100_000.0
+    assert ranking.missed[1][0].requirement.metric.name == "gain_margin"
+
+
+# ------------------------------------------------------------------------------------------------ the verdict
+
+
+def test_no_control_alone_is_no_winner() -> None:
+    results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 9.0, 8.0, 7.0])
+    ranking, found = ranked(results, "comfort")
+    assert ranking.winner is None
+    assert found.title == "None of 3 designs meets the limits"
+    assert found.nearest[0] == 3
+    assert "misses Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times)." in found.sentences[0]
+    assert found.try_next == ("The nearest design stands at an end of its sweep: try r_delta above 10000.",)
+    assert not found.usable
+
+
+def test_the_nearest_is_the_one_with_the_smallest_largest_excess() -> None:
+    results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 6.0, 5.5, 50.0], a_y_added_peak=[0, 3.3, 6.0, 1.0])
+    ranking, found = ranked(results, "comfort")
+    assert ranking.designs[found.place].label == DESIGNS[1].label
+
+
+def test_divergence_is_red_and_never_silent() -> None:
+    status = np.zeros((4, 20), dtype=int)
+    status[1, 3] = 3  # diverged
+    from ldctoolkit import EventStatus
+
+    status[1, 3] = int(EventStatus.DIVERGED)
+    _, found = ranked(results_of([9.0, 1.0, 2.0, 3.0], status=status))
+    assert found.title.startswith("Smallest S, but not usable: LQR")
+    assert found.sentences[1] == "It is not usable as it is: it diverges in 1 departure."
+    assert light(found, "Stable") == ("bad", "It diverges in 1 of 20 departures.")
+    assert any("diverges in 1" in line for line in verdict_lines(found))
+
+
+def test_divergence_where_no_tyre_could_follow_is_no_fault_of_the_design() -> None:
+    """One departure asks for 15 m/s^2 by itself; a design is not judged by it."""
+    from ldctoolkit import EventStatus
+
+    status = np.zeros((4, 20), dtype=int)
+    status[:, 0] = int(EventStatus.DIVERGED)
+    results = results_of([9.0, 1.0, 2.0, 3.0], status=status)
+    T, d_y = np.full(20, 2.0), np.full(20, 0.3)
+    T[0], d_y[0] = 0.7, 0.9
+    hard = Scenarios.from_arrays(T=T, d_y=d_y, v_mean=29.0, side=results.scenarios.side)
+    results = dataclasses.replace(results, scenarios=hard)
+    ranking, found = ranked(results, "stable", setup=Setup())
+    assert ranking.winner is not None
+    assert found.recorded == pytest.approx(0.05)
+    assert "Diverges only in 1 of 20 departures, whose recorded path is beyond friction" in light(found, "Stable")[1]
+
+
+def test_physics_is_a_limit_even_where_nothing_is_required() -> None:
+    _, found = ranked(results_of([9.0, 1.0, 2.0, 3.0], a_y_peak=[1.0, 85.0, 3.0, 3.0]))
+    assert light(found, "Limits") == ("bad", "A lateral acceleration of 85 m/s² (8.7 g) is physically impossible.")
+    assert "8.7 g" in found.sentences[1]
+
+
+def test_lights_of_a_good_design() -> None:
+    results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 1.0, 1.0, 1.0])
+    _, found = ranked(results, "stable", "comfort", setup=Setup())
+    assert [one.state for one in found.lights] == ["good", "good", "good", "unknown"]
+    assert light(found, "Limits")[1] == "Meets all that is required (stable and comfort), and comfort."
+    assert light(found, "Other plants")[1] == "Not tested on other plants."
+
+
+def test_a_design_no_better_than_none_is_red() -> None:
+    _, found = ranked(results_of([9.0, 9.5, 10.0, 11.0]))
+    assert light(found, "Score")[0] == "bad"
+
+
+def test_nothing_but_no_control() -> None:
+    case = case_of(np.ones((1, 20)))
+    results = StudyResults((DESIGNS[0],), scenarios_of(20), (case,))
+    _, found = ranked(results)
+    assert found.title == "Smallest S: No control, y_s = 0.2 m"
