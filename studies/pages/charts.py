@@ -191,9 +191,13 @@ def nice_step(span: float, most: int) -> float:
 class _Frame:
     """The area of a chart that the axes span, and the elements drawn into it."""
 
-    def __init__(self, x: Axis, y: Axis, height: float, *, left: float = _LEFT, top: float = _TOP) -> None:
+    def __init__(self, x: Axis, y: Axis, height: float, *, left: float | None = None, top: float = _TOP) -> None:
+        self.depth = height - top - _BOTTOM
+        if left is None:
+            longest = max((len(text) for _, text in y.ticks(1.4 * self.depth)), default=0)
+            left = max(_LEFT, 28.0 + _CHARACTER * longest)
         self.x, self.y, self.left, self.top = x, y, left, top
-        self.width, self.depth, self.height = WIDTH - left - _RIGHT, height - top - _BOTTOM, height
+        self.width, self.height = WIDTH - left - _RIGHT, height
         self.parts: list[str] = []
 
     def px(self, values: npt.ArrayLike) -> FloatArray:
@@ -207,10 +211,13 @@ class _Frame:
         lines, end = "", -math.inf
         for value, text in self.x.ticks(self.width):
             at, half = float(self.px(value)), 0.5 * _CHARACTER * len(text) + 3
+            shown = min(at, WIDTH - half)
             lines += f"M{at:.1f} {self.top:g}V{bottom:g}"
-            if at - half > end:
-                self.parts.append(f'<text x="{at:.1f}" y="{bottom + 15:g}" text-anchor="middle">{escape(text)}</text>')
-                end = at + half
+            if shown - half > end:
+                self.parts.append(
+                    f'<text x="{shown:.1f}" y="{bottom + 15:g}" text-anchor="middle">{escape(text)}</text>'
+                )
+                end = shown + half
         for value, text in self.y.ticks(1.4 * self.depth):
             at = float(self.py(value))
             if grid_y:

@@ -419,7 +419,7 @@ def _amounts(rows: Sequence[Row], head: str, whole: Row | None = None) -> Markup
 
 def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> Section:
     if whole is None:
-        return Section("sides", "Hours and departures", paragraphs("Nothing was read."))
+        return Section("sides", "Hours and departures", paragraphs("Nothing was read from these recordings."))
     body = _amounts(rows, "Source", whole if len(rows) > 1 else None)
     names = label_names(extraction.accounts)
     for name in names[:MOST_LABELS]:
@@ -435,7 +435,11 @@ def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[R
 def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     reasons = [] if whole is None else [r for r in REASONS if whole.refusals(0)[r] or whole.refusals(1)[r]]
     if whole is None or not reasons:
-        return Section("refusals", "Refused", paragraphs("No candidate was refused." if whole else "Nothing was read."))
+        return Section(
+            "refusals",
+            "Refused",
+            paragraphs("No candidate was refused." if whole else "Nothing was read from these recordings."),
+        )
     candidates = int(whole.account.candidates.sum())
     columns = [
         Column("Reason", text=True),

@@ -286,7 +286,7 @@ def make_page(
             footer=footer,
             colors=COLORS,
             style=asset("page.css"),
-            script=Markup("\n").join(asset(name) for name in ("page.js", *scripts)),
+            script=Markup("\n").join(asset(name) for name in ("page.js", *scripts)) if scripts else "",
             data=script_json(data),
         )
     )

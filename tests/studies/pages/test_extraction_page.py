@@ -85,7 +85,7 @@ def test_nothing_refused_and_nothing_read() -> None:
     one = make_extraction(1)
     nothing = dataclasses.replace(one.accounts[0], refused=np.zeros_like(one.accounts[0].refused))
     assert "No candidate was refused" in parsed(dataclasses.replace(one, accounts=(nothing,))).text["refusals"]
-    assert "Nothing was read." in parsed(extract_departures([])).words("sides")
+    assert "Nothing was read from these recordings." in parsed(extract_departures([])).words("sides")
 
 
 def test_groups_by_label() -> None:
