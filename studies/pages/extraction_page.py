@@ -435,11 +435,8 @@ def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[R
 def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     reasons = [] if whole is None else [r for r in REASONS if whole.refusals(0)[r] or whole.refusals(1)[r]]
     if whole is None or not reasons:
-        return Section(
-            "refusals",
-            "Refused",
-            paragraphs("No candidate was refused." if whole else "Nothing was read from these recordings."),
-        )
+        text = "No candidate was refused." if whole else "Nothing was read from these recordings."
+        return Section("refusals", "Refused", paragraphs(text))
     candidates = int(whole.account.candidates.sum())
     columns = [
         Column("Reason", text=True),
