@@ -72,13 +72,13 @@ COLUMNS_TEXT: Final = (
 def ranking_cells(ranking: RankedDesigns, i: int) -> list[str]:
     """The cells of one design, in the order of `ranking_columns`."""
     design = ranking.designs[i]
-    half = 0.5 * (float(ranking.S_high[i]) - float(ranking.S_low[i]))
+    low, high = float(ranking.S_low[i]), float(ranking.S_high[i])
     return [
         str(ranking.rank[i]) if ranking.rank[i] else _DASH,
         controller_class(design.law).title,
         f"{design.y_s:g}",
         ", ".join(f"{name} {value_text(value)}" for name, value in design.changed),
-        f"{ranking.S[i]:.3f}" + (f"\u00b1{half:.3f}" if math.isfinite(half) else ""),
+        f"{ranking.S[i]:.3f}" + (f" {low:.2f}..{high:.2f}" if math.isfinite(low + high) else ""),
         *(
             _number(METRICS[name].scale * float(metric_values(name, ranking)[i]), digits)
             for name, digits in _DIGITS.items()
