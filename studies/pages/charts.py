@@ -397,7 +397,7 @@ def dots(
 ) -> Chart:
     """Values with intervals, a row each, several in one row below each other; `at` is an upright dashed line."""
     step = 14.0
-    depth = sum(step * len(row) + 8.0 for row in rows)
+    depth = max(sum(step * len(row) + 8.0 for row in rows), 60.0)
     labels = [shorten(row[0].label, 34) for row in rows]
     left = min(30.0 + _CHARACTER * max(map(len, labels), default=0), 0.55 * WIDTH)
     frame = _Frame(x, Axis("", 0.0, 1.0, categories=("",)), depth + _BOTTOM + 22.0, left=left, top=22.0)
