@@ -28,7 +28,7 @@ for (const table of document.querySelectorAll("table[data-sortable]")) {
   const tools = document.querySelector(`[data-table="${table.id}"]`);
   const find = tools && tools.querySelector("input"), hint = tools && tools.querySelector(".hint");
   const more = tools && tools.querySelector("button");
-  const first = rows.filter((row) => !row.classList.contains("later")).length;
+  const hidden = rows.findIndex((row) => row.classList.contains("later")), first = hidden < 0 ? rows.length : hidden;
   const keys = heads.map((head) => (head.dataset.key || "").toLowerCase());
   const compare = {"<": (a, b) => a < b, "<=": (a, b) => a <= b, ">": (a, b) => a > b, ">=": (a, b) => a >= b, "=": (a, b) => a === b};
   function matches(row, part) {
