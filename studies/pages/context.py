@@ -17,7 +17,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import METRICS
 from studies.design import Design
 from studies.pages.charts import Style, law_styles
-from studies.pages.text import compact, number, plural
+from studies.pages.text import compact, number
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric_values
 from studies.ranking.verdict import Verdict, verdict
@@ -277,8 +277,3 @@ def side_rows(context: Context) -> Iterator[tuple[str, np.ndarray]]:
         rows = np.flatnonzero(context.scenarios.side == which)
         if rows.size:
             yield name, rows
-
-
-def share_of(count: int, total: int, what: str) -> str:
-    """``3 of 400 departures``."""
-    return f"{count:,} of {plural(total, what)}"
