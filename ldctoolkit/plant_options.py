@@ -13,6 +13,7 @@ from typing import Final, Literal, get_args
 
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.option_checks import check_declared, checked_number, declaration, declared, is_number
+from ldctoolkit.unit_care import warn_of_units
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -62,6 +63,7 @@ class Actuator:
         check_declared(self, "actuator")
         if 0.0 < self.lag < _SHORTEST_LAG:
             raise InputError(f"actuator.lag: {self.lag!r}; allowed: 0, or at least {_SHORTEST_LAG:g} s")
+        warn_of_units("actuator", self)
 
     @property
     def ideal(self) -> bool:
@@ -253,6 +255,7 @@ class Sensors:
             object.__setattr__(self, "period", 1.0 / checked_number("sensors.fps", fps, least=0.1, most=1000.0))
         if 0.0 < self.period < _SHORTEST_PERIOD:
             raise InputError(f"sensors.period: {self.period!r}; allowed: 0, or at least {_SHORTEST_PERIOD:g} s")
+        warn_of_units("sensors", self)
 
     @property
     def ideal(self) -> bool:

@@ -6,10 +6,12 @@ import dataclasses
 import functools
 import hashlib
 import json
+import warnings
 from typing import Any, Final
 
 from ldctoolkit import Controller, controller_class
 from ldctoolkit.gains import GainValue
+from ldctoolkit.unit_care import UnitWarning, unit_slip
 from ldctoolkit.vehicle import Convention
 
 CONVENTION_GAIN: Final = "convention"
@@ -44,6 +46,10 @@ class Design:
     law: str
     y_s: float
     gains: tuple[tuple[str, GainValue], ...]
+
+    def __post_init__(self) -> None:
+        if slip := unit_slip("y_s", self.y_s):
+            warnings.warn(slip, UnitWarning, stacklevel=4)
 
     @classmethod
     def of(cls, controller: Controller, y_s: float, *, follow_case: bool = False) -> Design:

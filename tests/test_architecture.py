@@ -19,6 +19,7 @@ LEVELS = (
     (
         "ldctoolkit.arrays",
         "ldctoolkit.errors",
+        "ldctoolkit.unit_care",
         "ldctoolkit.lane_functions",
         "ldctoolkit.version",
         "ldctoolkit.whole_file",

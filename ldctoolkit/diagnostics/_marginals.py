@@ -126,7 +126,6 @@ def marginal(name: str, column: FloatArray, weight: FloatArray, model: ModelMarg
     return Marginal(name, edges, data, expected, float(weight[~seen].sum()), float(max(0.0, 1.0 - expected.sum())))
 
 
-PAIR_BINS: Final = 24
 JOINT_BINS: Final = 48
 
 
@@ -138,38 +137,20 @@ def _shares(a: IntArray, b: IntArray, bins: int, weight: FloatArray | None) -> F
     return (counts / total).reshape(bins, bins)
 
 
-def pair_densities(
+def joint_density(
     distribution: Distribution, names: tuple[str, ...], x: FloatArray, weight: FloatArray, drawn: FloatArray
-) -> tuple[tuple[PairDensity, ...], PairDensity | None]:
-    """All pairs of parameters in coarse bins, and T against d_y in fine ones; weights sum to one."""
-    low, high = distribution.transform.lower, distribution.transform.upper
-
-    def binned(bins: int, wanted: list[int]) -> dict[int, tuple[FloatArray, IntArray, IntArray]]:
-        out = {}
-        for j in wanted:
-            edges = bin_edges(x[:, j], drawn[:, j], float(low[j]), float(high[j]), bins)
-            out[j] = edges, bin_of(x[:, j], edges), bin_of(drawn[:, j], edges)
-        return out
-
-    def pair(parts: dict[int, tuple[FloatArray, IntArray, IntArray]], i: int, j: int, bins: int) -> PairDensity:
-        (edges_i, data_i, model_i), (edges_j, data_j, model_j) = parts[i], parts[j]
-        return PairDensity(
-            names[i],
-            names[j],
-            edges_i,
-            edges_j,
-            _shares(data_i, data_j, bins, weight),
-            _shares(model_i, model_j, bins, None),
-        )
-
-    d = len(names)
-    coarse = binned(PAIR_BINS, list(range(d)))
-    pairs = tuple(pair(coarse, i, j, PAIR_BINS) for i in range(d) for j in range(i + 1, d))
-    joint = None
-    if "T" in names and "d_y" in names:
-        i, j = names.index("T"), names.index("d_y")
-        joint = pair(binned(JOINT_BINS, [i, j]), i, j, JOINT_BINS)
-    return pairs, joint
+) -> PairDensity | None:
+    """T against d_y, None where one of them does not vary; weights sum to one."""
+    if "T" not in names or "d_y" not in names:
+        return None
+    edges, data, model = [], [], []
+    for j in (names.index("T"), names.index("d_y")):
+        low, high = (float(end[j]) for end in (distribution.transform.lower, distribution.transform.upper))
+        edges.append(bin_edges(x[:, j], drawn[:, j], low, high, JOINT_BINS))
+        data.append(bin_of(x[:, j], edges[-1]))
+        model.append(bin_of(drawn[:, j], edges[-1]))
+    shares = _shares(data[0], data[1], JOINT_BINS, weight), _shares(model[0], model[1], JOINT_BINS, None)
+    return PairDensity("T", "d_y", edges[0], edges[1], *shares)
 
 
 LEVEL: Final = 0.95

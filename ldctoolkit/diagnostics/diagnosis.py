@@ -17,10 +17,10 @@ from ldctoolkit.diagnostics._marginals import (
     bin_edges,
     box_share,
     calibrate,
+    joint_density,
     kolmogorov_limit,
     marginal,
     model_marginal,
-    pair_densities,
 )
 from ldctoolkit.diagnostics.parts import (
     COMPARISON_STANDARD_ERRORS,
@@ -167,7 +167,7 @@ N_MODEL: Final = 200_000
 """Events drawn from the model."""
 
 _STEPS: Final = 4
-"""What one side reports to `progress`: margins, bounds and pairs, comparison, done."""
+"""What one side reports to `progress`: margins, bounds, comparison, done."""
 
 
 def diagnose(
@@ -251,9 +251,9 @@ def diagnose(
         edges = bin_edges(x[:, j], drawn[:, j], low, high, BINS)
         marginals.append(marginal(name, x[:, j], share, of_model, edges))
         calibrations.append(calibrate(name, x[:, j], share, of_model, limit))
-    tell("bounds and pairs", 1, _STEPS)
+    tell("bounds", 1, _STEPS)
     near, far = strips(distribution, chosen, x, share, events.effective)
-    pairs, joint = pair_densities(distribution, chosen, x, share, drawn)
+    joint = joint_density(distribution, chosen, x, share, drawn)
     table = components(distribution, chosen, x, events.weight)
     tell("held-out likelihood", 2, _STEPS)
     given = events.weight if events.weighted else None
@@ -272,7 +272,6 @@ def diagnose(
         strips=near,
         far_bounds=far,
         components=table,
-        pairs=pairs,
         joint=joint,
         comparison=comparison,
         comparison_note=note,

@@ -212,10 +212,8 @@ class SideDiagnostics:
         Parameter and end of the finite bounds that they do not come near to.
     components : tuple of Component
         In the order of the mixture.
-    pairs : tuple of PairDensity
-        One for each two parameters.
     joint : PairDensity or None
-        T against d_y in finer bins, where both vary.
+        T against d_y, where both vary.
     comparison : Comparison or None
         None where it cannot be made; `comparison_note` says why.
     comparison_note : str
@@ -237,7 +235,6 @@ class SideDiagnostics:
     strips: tuple[Strip, ...]
     far_bounds: tuple[tuple[str, str], ...]
     components: tuple[Component, ...]
-    pairs: tuple[PairDensity, ...]
     joint: PairDensity | None
     comparison: Comparison | None
     comparison_note: str

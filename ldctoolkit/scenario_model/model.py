@@ -7,6 +7,7 @@ import importlib.resources
 import json
 import math
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -24,6 +25,7 @@ from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.json_form import read_text
 from ldctoolkit.scenario_model.parts import SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.unit_care import UnitWarning, unit_slip
 from ldctoolkit.whole_file import whole_file
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
@@ -74,9 +76,41 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
         if name not in PARAMETER_NAMES:
             raise InputError(f"given: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
         low, high = _ends(name, wanted)
+        slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
+        if slip:
+            warnings.warn(f"given {slip}", UnitWarning, stacklevel=3)
         if low > -math.inf or high < math.inf:
             found[name] = Condition(name, low, high)
     return tuple(found[name] for name in PARAMETER_NAMES if name in found)
+
+
+def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
+    """Conditions that reach beyond what a model was fitted to, one sentence each.
+
+    Parameters
+    ----------
+    model : ScenarioModel
+    given : mapping, optional
+        As `conditions` takes it.
+
+    Returns
+    -------
+    list of str
+        Empty where the model's file holds no summary of its departures.
+    """
+    found: dict[str, str] = {}
+    for key, side in (("left", model.provenance.left), ("right", model.provenance.right)):
+        summary = None if side is None else side.source_summary
+        for one in conditions(given):
+            if summary is None or one.name not in summary.names:
+                continue
+            low, *_, high = summary.quantiles[summary.names.index(one.name)]
+            ends = [end for end in (one.low, one.high) if math.isfinite(end)]
+            if any(not low <= end <= high for end in ends):
+                found.setdefault(
+                    one.name, f"given {one}: outside the fitted departures ({key}), {low:.4g} to {high:.4g}"
+                )
+    return list(found.values())
 
 
 def _ends(name: str, wanted: Any) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import math
 from typing import Final
 
 from ldctoolkit.errors import InputError
+from ldctoolkit.unit_care import warn_of_units
 
 GRAVITY: Final = 9.81
 """Gravitational acceleration [m/s^2]."""
@@ -60,6 +61,7 @@ class VehicleParameters:
                 raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a finite number > 0")
         if self.w_v >= self.w_l:
             raise InputError(f"vehicle.w_v: {self.w_v!r} m; allowed: less than the lane's width w_l = {self.w_l!r} m")
+        warn_of_units("vehicle", self)
 
     @property
     def edge_offset(self) -> float:

@@ -7,10 +7,12 @@ import contextlib
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
+from ldctoolkit.unit_care import UnitWarning
 from studies.cli import compare, controllers, extract, fit, models, rank, report, review, run, sample, sensitivity
 
 _COMMANDS = (extract, fit, sample, review, run, rank, compare, report, sensitivity, controllers, models)
@@ -75,7 +77,19 @@ def _warnings_on_stderr() -> Iterator[None]:
     before = log.handlers[:], log.propagate
     handler.setFormatter(logging.Formatter("ldc: warning: %(message)s"))
     log.handlers[:], log.propagate = [handler], False
+    shown: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **other: Any) -> None:
+        if not issubclass(category, UnitWarning):
+            usual(message, category, *place, **other)
+        elif str(message) not in shown:
+            shown.add(str(message))
+            print(f"ldc: warning: {message}", file=sys.stderr)
+
     try:
-        yield
+        with warnings.catch_warnings():
+            usual, warnings.showwarning = warnings.showwarning, show
+            warnings.simplefilter("always", UnitWarning)
+            yield
     finally:
         log.handlers[:], log.propagate = before

@@ -7,9 +7,11 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
+from ldctoolkit.review.findings import Finding
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,6 +38,7 @@ class Subject:
     ids: tuple[str, ...]  # designs of the study that it stands for; empty for a law by itself
     controller: Controller
     arguments: dict[str, Any]  # of `ldctoolkit.review.review`
+    stored: tuple[Finding, ...] = ()  # what its results say, where it was run
 
 
 def subjects(chosen: argparse.Namespace) -> list[Subject]:
@@ -47,6 +50,8 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
         if chosen.only:
             raise InputError("--design: goes with a study; a law's gains are given with --gain")
         return [_law(chosen)]
+    if _is_file(f"{chosen.design}/manifest.json"):
+        return list(_of_folder(chosen))
     known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
     if not known and not _is_file(chosen.design):
         names = (*controller_names(), *catalog_names())
@@ -62,19 +67,53 @@ def reviewed_design(subject: Subject) -> Review:
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS, review, review_plant, without_review
 
-    given = subject.arguments
+    given, stored = subject.arguments, subject.stored
     dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
     review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
     try:
-        return review(subject.controller, **given)
+        found = review(subject.controller, **given)
+        return dataclasses.replace(found, findings=(*stored, *found.findings))
     except LdcError as error:
         if not subject.ids:
             raise
         return without_review(subject.controller, dt, error)
 
 
+def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
+    """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
+    from studies.ranking.ranking import rank_study
+    from studies.ranking.requirements import G, metric_values
+    from studies.ranking.verdict import verdict
+    from studies.storage.store import Store
+
+    store = Store.open(chosen.design)
+    study, results = store.manifest.read_study(), store.results()
+    ranking = rank_study(results, study)[0]
+    named = ranking.designs[verdict(ranking, results, study.setup()).place].id
+    only = chosen.only or named
+    for subject in _of_study(study, argparse.Namespace(**{**vars(chosen), "only": only})):
+        found = []
+        for place, design in enumerate(ranking.designs):
+            if design.id not in subject.ids:
+                continue
+            peak, lost = (float(metric_values(name, ranking)[place]) for name in ("a_y_peak_max", "lost"))
+            most = next(one.limit for one in ranking.limits if one.set == "physical")
+            if peak > most:
+                text = (
+                    f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g), friction "
+                    f"allows {most:.3g} m/s^2"
+                )
+                found.append(Finding("fault", "friction", text, peak, most, math.nan))
+            if lost:
+                text = (
+                    f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged, though "
+                    "friction allows their path"
+                )
+                found.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
+        yield dataclasses.replace(subject, stored=tuple(found))
+
+
 def _is_file(path: str) -> bool:
-    from pathlib import Path
 
     try:
         return Path(path).is_file()

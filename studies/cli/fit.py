@@ -176,6 +176,7 @@ def _source(provenance: Provenance) -> dict[str, Any]:
         "files": [source.name for source in provenance.sources],
         "curvature": provenance.curvature,
         "criteria": dataclasses.asdict(provenance.criteria),
+        "nominal_lane_width": provenance.preparation.nominal_lane_width,
         "refused": dict(provenance.refused.items()),
         "warnings": list(provenance.warnings),
     }

@@ -38,7 +38,11 @@ def add_parser(commands: Subparsers) -> None:
         "gain, phase, delay and disk margins, sampling, limits, conditioning, offset in a bend. Exit code 3 where a "
         "fault was found.",
     )
-    parser.add_argument("design", metavar="DESIGN", help="name of a law, or a study (name in the catalog or TOML file)")
+    parser.add_argument(
+        "design",
+        metavar="DESIGN",
+        help="name of a law, a study (name in the catalog or TOML file), or a folder that ldc run wrote",
+    )
     parser.add_argument(
         "--gain", type=named, action="append", metavar="NAME=VALUE", help="a gain of the law; repeatable"
     )

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, number, positive_number
+from studies.cli._console import Subparsers, number, positive_number, warn
 from studies.cli._report import add_report_options
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
+    parser.add_argument(
+        "--vehicle-width",
+        type=number,
+        metavar="W",
+        help="drive a vehicle this wide in m (default: that of the recordings behind the model, else the study's)",
+    )
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
     parser.add_argument(
         "--dask",
@@ -59,15 +65,21 @@ SOME_FAILED = 3
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    from ldctoolkit.scenario_model.model import outside_fit
     from studies.cli._report import ReportOptions, write_study_report
     from studies.cli._results import json_summary, print_race, print_rankings, write_ranking
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
-    from studies.runner import TIME_LIMIT, run_study
+    from studies.runner import TIME_LIMIT, run_study, study_model
     from studies.storage.manifest import read_manifest
+    from studies.storage.stored_model import with_recorded_widths
     from studies.study_file.ready import load_study
 
     study = load_study(chosen.study)
+    model = study_model(study, chosen.model)
+    study = with_recorded_widths(study, model, chosen.vehicle_width)
+    for text in outside_fit(model, study.scenarios.given):
+        warn(text)
     options = ReportOptions.of(chosen)
     folder = Path(chosen.output or Path("out") / study.name)
     results = run_study(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import Subparsers, condition, each_once, output_file, whole_number
+from studies.cli._console import Subparsers, condition, each_once, output_file, warn, whole_number
 
 _MOST = 10_000_000
 """Departures to one side that fit in memory; the same bound as in a study file."""
@@ -39,13 +39,17 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.scenario_model import load_model
+    from ldctoolkit.scenario_model.model import outside_fit
     from studies.storage.files import scenario_table, stored_file, write_parquet
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)
     each_once("--given", chosen.given)
     given = dict(chosen.given or ())
-    table = scenario_table(load_model(chosen.model).sample(left, right, seed=chosen.seed, given=given))
+    model = load_model(chosen.model)
+    for text in outside_fit(model, given):
+        warn(text)
+    table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:

@@ -8,10 +8,12 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from ldctoolkit.unit_care import UnitWarning
 from studies.running.executors.protocol import Work
 
 _LONGEST = 4e6
@@ -40,6 +42,7 @@ def start_worker(folder: str, parent: int) -> None:
     # the parent decides what an interrupt means; a group of its own, because solvers (OSQP) catch the signal themselves
     # and would report an interrupted solve as a failed one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore", UnitWarning)  # the parent has shown it
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     if hasattr(os, "getppid"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 from collections.abc import Iterator, Mapping
@@ -9,9 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from ldctoolkit import VehicleParameters
-from ldctoolkit.errors import ModelError, StoreError
+from ldctoolkit.errors import InputError, ModelError, StoreError
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
+from ldctoolkit.scenario_model.model import outside_fit
 from studies.storage.manifest import Manifest
+from studies.study_file.spec import Study
 
 _log = logging.getLogger("studies")
 
@@ -64,12 +67,53 @@ def model_notes(
     """
     drawn = "; ".join(map(str, conditions(given)))
     notes = (*((f"Only departures with {drawn} are drawn from it.",) if drawn else ()), *_notes(model))
+    notes += tuple(f"{WARNING}{text}" for text in outside_fit(model, given))
     criteria = model.provenance.source.get("criteria")
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
     if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
         return notes
     said = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
     return (*notes, f"{WARNING}{said} in a lane of w_l = {vehicle.w_l:g} m")
+
+
+def with_recorded_widths(study: Study, model: ScenarioModel, vehicle_width: float | None = None) -> Study:
+    """The study with the vehicle and the lane that its departures were found with, where the model says so.
+
+    A departure is where the vehicle's edge is beyond the line: another width would not see the same ones.
+
+    Parameters
+    ----------
+    study : Study
+    model : ScenarioModel
+    vehicle_width : float, optional
+        What to drive instead [m].
+
+    Raises
+    ------
+    InputError
+        If the study sets another width than the model's and the default, and no `vehicle_width` decides.
+    """
+    source, usual = model.provenance.source, VehicleParameters()
+    criteria = source.get("criteria")
+    found = {"w_v": criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None}
+    found["w_l"] = source.get("nominal_lane_width")
+    changed = {}
+    for name, recorded in found.items():
+        own = getattr(study.vehicle, name)
+        if name == "w_v" and vehicle_width is not None:
+            changed[name] = float(vehicle_width)
+        elif isinstance(recorded, int | float) and abs(recorded - own) > 1e-9:
+            if own != getattr(usual, name):
+                raise InputError(
+                    f"vehicle.{name}: {own:g} m in the study, {recorded:g} m in the recordings that the model "
+                    "was fitted "
+                    f"to; allowed: {recorded:g}, or --vehicle-width to decide"
+                )
+            changed[name] = float(recorded)
+    if not changed:
+        return study
+    vehicle = dataclasses.asdict(study.vehicle) | changed
+    return type(study).from_dict(study.content() | {"vehicle": vehicle}, folder=study.model_path.parent)
 
 
 def _notes(model: ScenarioModel) -> Iterator[str]:

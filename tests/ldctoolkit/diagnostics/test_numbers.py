@@ -18,9 +18,9 @@ from ldctoolkit.diagnostics._marginals import (
     bin_edges,
     bin_of,
     calibrate,
+    joint_density,
     kolmogorov_limit,
     model_marginal,
-    pair_densities,
 )
 from ldctoolkit.diagnostics.diagnosis import components, strips, weighted_quantile
 from ldctoolkit.diagnostics.parts import strip_is_off
@@ -206,18 +206,17 @@ def test_components_table() -> None:
         assert one.kish == pytest.approx(share[:, k].sum() ** 2 / (share[:, k] ** 2).sum())
 
 
-def test_pairs_are_numpys_histograms() -> None:
+def test_the_joint_density_is_numpys_histogram() -> None:
     model = correlated()
     drawn, _ = model.sample(3000, 5)
     x, _ = model.sample(500, 6)
     weight = np.random.default_rng(0).random(500)
     weight /= weight.sum()
-    pairs, joint = pair_densities(model, ("T", "d_y"), x, weight, drawn)
+    joint = joint_density(model, ("T", "d_y"), x, weight, drawn)
     assert joint is not None
-    for pair in (*pairs, joint):
-        edges = [pair.first_edges, pair.second_edges]
-        np.testing.assert_allclose(pair.data, np.histogram2d(*x.T, bins=edges, weights=weight)[0], atol=1e-12)
-        np.testing.assert_allclose(pair.model, np.histogram2d(*drawn.T, bins=edges)[0] / 3000, atol=1e-12)
+    edges = [joint.first_edges, joint.second_edges]
+    np.testing.assert_allclose(joint.data, np.histogram2d(*x.T, bins=edges, weights=weight)[0], atol=1e-12)
+    np.testing.assert_allclose(joint.model, np.histogram2d(*drawn.T, bins=edges)[0] / 3000, atol=1e-12)
 
 
 def test_bins_end_at_a_bound_that_is_close() -> None:

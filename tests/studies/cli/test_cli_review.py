@@ -87,6 +87,18 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     assert reviewed(0, "s.toml", "--design", "LQR, y_s=0.1 m, r_delta=30000", "--lag", "0", cwd=folder)
 
 
+def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
+    """Without the results nothing would be wrong with this loop: the acceleration is what tyres cannot give."""
+    hard = STUDY.replace("lag = 0.1", "lag = 0.0").replace("r_delta = [30.0, 30000.0]", "r_delta = [30.0]")
+    (folder / "hard.toml").write_text(hard.replace("left = 6\nright = 6", "left = 60\nright = 60"), encoding="utf-8")
+    assert ldc("run", "hard.toml", "-o", "hard", "--no-robustness", "--quiet", cwd=folder).returncode == 0
+    out = reviewed(3, "hard", cwd=folder)
+    assert re.search(
+        r"fault: In the stored results a_y reaches [\d.]+ m/s\^2 \([\d.]+ g\), friction allows 9.81 m/s\^2", out
+    )
+    assert "nothing to object to" not in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
