@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 from helpers.cli import good
+from helpers.reports import SECTIONS
 from ldctoolkit import load_model, rebuild_signals
 from ldctoolkit.vehicle import VehicleParameters
 
@@ -27,8 +28,7 @@ def check_study(folder: Path, designs: int) -> None:
     (none,) = (row for row in rows if row["law"] == "none")
     assert float(none["reduction"]) == 0.0
     report = (folder / "report.html").read_text(encoding="utf-8")
-    for section in ("answer", "ranking", "trade-offs", "limits", "landscape", "departures", "distributions",
-                    "confidence", "model", "robustness", "failures", "settings"):  # fmt: skip
+    for section in SECTIONS:
         assert f'id="{section}"' in report
 
 

@@ -19,11 +19,12 @@ def test_departures_and_designs_are_put_into_the_page(folder: Path) -> None:
     asked = ("--departure", 249, "--departure", 7, "--design", worst[:8])
     good("report", "plain", *asked, "--no-robustness", "--no-figures", cwd=folder)
     page = (folder / "plain" / "report.html").read_text(encoding="utf-8")
-    found = re.search(r'<script type="application/json" id="ldc-data">(.*?)</script>', page, re.DOTALL)
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     data = json.loads(found[1])["departures"]
-    assert [roles[0] for roles in data["departures"]["roles"][:2]] == ["asked for", "asked for"]
-    assert worst in [design["id"] for design in data["designs"]]
+    assert [one["number"] for one in data["departures"][:2]] == ["249", "7"]
+    assert all("asked for" in one["name"] for one in data["departures"][:2])
+    assert "asked for" in [design["why"] for design in data["designs"]]
 
 
 @pytest.mark.slow
@@ -33,7 +34,7 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
     page, plants, ranking = (out / name for name in ("report.html", "robustness.json", "ranking.csv"))
     good("report", "plain", "--no-robustness", "--no-figures", cwd=folder)
     assert not plants.exists()
-    assert b"Other plants are left out of this page" in page.read_bytes()
+    assert b"Designs were not driven on other plants for this report" in page.read_bytes()
     good("report", "plain", cwd=folder)
     assert sorted(path.name for path in out.iterdir()) == [
         ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",

@@ -262,10 +262,9 @@ def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys
     assert [row["gain_K"] for row in rows if row["law"] == "broken_step"] == ["1.0", "2.0"] * 2
 
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "2 more designs failed and are not ranked" in page
+    assert "2 designs failed and are not ranked" in page
     assert page.count("IndexError: no [row] ") == 2
     assert "Broken step, y<sub>s</sub>=0.05 m, K=2" in page
-    assert "All other designs ran as designed" in page
 
     for command in (["rank"], ["report", "--no-robustness", "--no-figures"]):
         assert main([*command, str(out)]) == 0
