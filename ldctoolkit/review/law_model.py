@@ -12,7 +12,9 @@ for modal parameter identification and model reduction*, 1985).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -22,8 +24,41 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step
-from ldctoolkit.review.guard import guarded
+from ldctoolkit.law_errors import raised
 from ldctoolkit.vehicle import Plant
+
+
+@contextlib.contextmanager
+def guarded(name: str, call: str) -> Iterator[None]:
+    """Turn what a law raises into an `LdcError`; errors of the toolkit pass as they are.
+
+    Parameters
+    ----------
+    name : str
+        The controller.
+    call : str
+        What is called of it.
+
+    Raises
+    ------
+    LdcError
+        Also where the law would end the process.
+
+    Examples
+    --------
+    >>> with guarded("my_law", "step"):  # doctest: +ELLIPSIS
+    ...     [][0]
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.LdcError: controller 'my_law': step raised IndexError: list index out of range...
+    """
+    try:
+        yield
+    except (LdcError, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a controller may be anybody's code, and may call sys.exit
+        raise LdcError(f"controller {name!r}: {call} raised {raised(error)}") from error
+
 
 PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""

@@ -12,13 +12,59 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.review.conditioning import hessian_condition
 from ldctoolkit.review.law_model import LinearView, exact_view, first_answers
 from ldctoolkit.review.margins import bandwidth, margins, poles, quick_margins
 from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
+
+_WEIGHTS = ("q_y", "q_y_rate", "q_psi", "q_psi_rate")
+
+
+def hessian_condition(controller: Controller, plant: Plant) -> FloatArray:
+    """Condition number at each of n speeds, (n,); NaN for a design that is no MPC.
+
+    Parameters
+    ----------
+    controller : Controller
+        An MPC is known by its gains: `horizon`, `r_delta` and the four weights on the state. One without inequality
+        limits (`delta_max`) solves no QP.
+    plant : Plant
+
+    Returns
+    -------
+    (n,)
+    """
+    declared = {g.name for g in controller.gains()}
+    if not declared >= {"horizon", "r_delta", "delta_max", *_WEIGHTS}:
+        return np.full(plant.n, np.nan)
+    Q = np.diag([float(getattr(controller, name)) for name in _WEIGHTS])
+    horizon, r = int(getattr(controller, "horizon")), float(getattr(controller, "r_delta"))  # noqa: B009
+    return np.array([_condition(plant.step.A[i], plant.step.B[i], Q, r, horizon) for i in range(plant.n)])
+
+
+def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: int) -> float:
+    import control
+
+    try:
+        _, P, _ = control.dlqr(A, B[:, None], Q, np.array([[r]]))
+    except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
+        raise LdcError(f"no terminal cost for the condensed Hessian: {error}") from error
+    columns = [B]
+    for _ in range(horizon - 1):
+        columns.append(A @ columns[-1])
+    impulse = np.array(columns)  # x_(k+1) after a unit command at sample 0
+    Gamma = np.zeros((horizon, 4, horizon))
+    for j in range(horizon):
+        Gamma[j:, :, j] = impulse[: horizon - j]
+    weighted = Gamma.copy()
+    weighted[:-1] = np.einsum("ij,kjm->kim", Q, Gamma[:-1])
+    weighted[-1] = P @ Gamma[-1]
+    H = np.einsum("kia,kib->ab", Gamma, weighted) + r * np.eye(horizon)
+    return float(np.linalg.cond(0.5 * (H + H.T)))
+
 
 BEND_ERROR = 0.05
 """Part of a command in a bend that the linearisation may miss."""

@@ -14,8 +14,6 @@ from ldctoolkit.review import design_margins
 from studies.design import Design
 from studies.ranking.baseline import find_baseline
 from studies.ranking.case_figures import DrivableCase, Margins, case_figures, in_order
-from studies.ranking.failed_commands import warnings_of
-from studies.ranking.few_scenarios import warnings_of_sample
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
 from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
@@ -27,6 +25,101 @@ from studies.study_file.spec import Study
 
 if TYPE_CHECKING:
     from ldctoolkit import Setup
+from typing import get_type_hints
+
+import numpy.typing as npt
+
+from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters
+from ldctoolkit.departures import LEFT
+from ldctoolkit.vehicle import Convention
+from studies.ranking.standard_error import spread_is_known
+
+FEW = 50
+"""Scenarios below which intervals are too short by a figure that matters, see docs/ranking.md."""
+
+FEW_OF_A_SIDE = 10
+
+
+def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference) -> Iterator[str]:
+    """Sentences on a sample that is too small, and on references that were left out.
+
+    Parameters
+    ----------
+    side : (n,) int
+        Stratum of each scenario.
+    inference : Inference
+        What was made of them.
+    """
+    sides, counts = np.unique(side, return_counts=True)
+    numbers = " and ".join(
+        f"{count} {'left' if which == LEFT else 'right'}"
+        for which, count in zip(sides[::-1], counts[::-1], strict=True)
+    )
+    if not spread_is_known(side):
+        yield (
+            f"There is no interval and nothing is told apart: a side has one scenario only ({numbers}), which shows no "
+            "spread."
+        )
+    elif side.size < FEW or counts.min() < FEW_OF_A_SIDE:
+        yield (
+            f"Intervals are too short with so few scenarios ({numbers}): below {FEW}, or {FEW_OF_A_SIDE} of a side, "
+            "they hold less often than they say. None of them counts the sampling error of the scenario model itself."
+        )
+    if inference.references < inference.may_be_best:
+        yield (
+            f"Critical values of the comparisons with the best come from {inference.references} of "
+            f"{inference.may_be_best} designs that may be the best: intervals of the differences to the best may be "
+            "too short."
+        )
+
+
+_OFTEN = 0.1
+"""Share of a design's interventions with a failed solve from which on a reader is told at once."""
+
+_NAMED = 3
+"""Designs that a warning names."""
+
+
+def warnings_of(case: CaseResults, designs: Sequence[Design]) -> Iterator[str]:
+    """Sentences that name designs: from the first command where it cannot be a fallback, else where it is often."""
+    wrong, often = [], []
+    for i in np.flatnonzero((case.failed_solves > 0).any(axis=1)).tolist():
+        design, failed_solves, status = designs[i], case.failed_solves[i], case.status[i]
+        driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+        failing, total = int((failed_solves[driven] > 0).sum()), int(driven.sum())
+        if not failing:
+            continue
+        name = f"{design.label} in {failing:,} of {total:,} interventions"
+        if not has_solver(design, case.case.convention):
+            wrong.append(name)
+        elif failing >= _OFTEN * total:
+            often.append(name)
+    if wrong:
+        yield f"Commands that were not finite, of laws that declare no solver to fall back from: {_listed(wrong)}."
+    if often:
+        yield f"Commands that were not finite, or came from a law's fallback: {_listed(often)}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f"; and {len(names) - _NAMED} more designs" if len(names) > _NAMED else ""
+    return "; ".join(names[:_NAMED]) + more
+
+
+def has_solver(design: Design, convention: Convention) -> bool:
+    """Whether the design's law declares a solver, by a `solver_calls` of its own; true where that is not known."""
+    try:
+        controller = design.controller(convention)
+        kind = get_type_hints(type(controller).prepare).get("return")
+        if not (isinstance(kind, type) and issubclass(kind, LinearLaw | SteeringLaw) and kind is not SteeringLaw):
+            # its type says nothing; any plant shows what kind of law it makes
+            model = BicycleModel(VehicleParameters(), convention)
+            kind = type(controller.prepare(Plant.build(model, 25.0, 0.05)))
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException:  # a controller may be anybody's code
+        return True
+    return issubclass(kind, SteeringLaw) and kind.solver_calls is not SteeringLaw.solver_calls
+
 
 MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))
 """Speeds [m/s] that the margins of a design are the smallest of."""

@@ -6,7 +6,7 @@ import dataclasses
 import html
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,11 +15,63 @@ import numpy as np
 from ldctoolkit import controller_class
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
-from studies.ranking.markdown_text import markdown_table, markdown_text
 from studies.ranking.ranked_designs import SCORE, RankedDesigns
 from studies.ranking.requirements import metric_values
 from studies.ranking.verdict import Verdict, design_name, value_text
 from studies.storage.files import write_text
+
+_ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
+_MARKS: Final = frozenset("\\`*_[]|~#$")
+_ADDRESS: Final = re.compile(r"(?i)\b(www)(\.)|()(:)(?=\S)")
+_START: Final = re.compile(r"^(\d{1,9})([.)])|^([-+=])")
+
+
+def markdown_text(text: str) -> str:
+    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is.
+
+    Parameters
+    ----------
+    text : str
+        Anything; line ends and other control characters become spaces.
+
+    Returns
+    -------
+    str
+        With backslashes and entities where a character could mean something.
+
+    Examples
+    --------
+    >>> print(markdown_text("a|b <script> `c`\n* d"))
+    a\|b &lt;script&gt; \`c\` \* d
+    >>> print(markdown_text("1. K_y"))
+    1\. K\_y
+    """
+    line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
+    # halves of characters, and what turns the direction of the text that follows
+    line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
+    shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
+    # no address, emoji or mention: a mark inside the word ends what would be one
+    shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")
+    return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
+
+
+def markdown_table(headings: Sequence[str], right: Sequence[bool], rows: Iterable[Sequence[str]]) -> str:
+    """A table; cells are escaped already.
+
+    Parameters
+    ----------
+    headings : sequence of str
+    right : sequence of bool
+        Which columns stand to the right.
+    rows : iterable of sequence of str
+
+    Returns
+    -------
+    str
+    """
+    rule = ["---:" if number else "---" for number in right]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
+
 
 TOP: Final = 20
 """Rows of a notebook; the winner and the baseline follow where they are further down."""

@@ -17,15 +17,219 @@ from ldctoolkit.simulation import Takeover
 from studies.ranking.row_blocks import row_means
 from studies.results import FAILED_STATUSES, Case, status_among
 from studies.robustness.chosen_designs import ChosenDesigns, chosen_designs
-from studies.robustness.content_key import content_key
-from studies.robustness.drives import Drives, drive_on_plants, first_of_each_side
-from studies.robustness.paired_interval import SAME, paired_means
 from studies.robustness.plants import OtherPlant, impossible, other_plants
 
 if TYPE_CHECKING:
     from ldctoolkit import Scenarios, Setup
     from studies.ranking.ranking import Ranking
     from studies.results import StudyResults
+import hashlib
+import json
+from typing import TYPE_CHECKING
+
+import ldctoolkit
+
+if TYPE_CHECKING:
+    from ldctoolkit import Scenarios, Setup
+    from studies.results import Case
+    from studies.robustness.chosen_designs import ChosenDesigns
+import math
+import statistics
+
+from ldctoolkit import Scenarios, Setup
+from ldctoolkit.departures import RIGHT
+from ldctoolkit.law_errors import raised
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.simulation import drive
+from studies.design import Design
+from studies.ranking.standard_error import (
+    degrees_of_freedom,
+    error_parts,
+    half_widths,
+    lengths,
+    spread_is_known,
+    with_tails_of_t,
+)
+from studies.results import Case
+
+
+@dataclasses.dataclass(frozen=True)
+class Drives:
+    """Scores of d designs on p plants and n scenarios.
+
+    Attributes
+    ----------
+    S : (p, d, n) [m s]
+        As it counts: a failed scenario at least as bad as without control. NaN where the law raised, or the plant
+        cannot drive the scenario.
+    S_uncorrected : (p, d, n) [m s]
+        NaN in the same places.
+    status : (p, d, n) int8
+        `ldctoolkit.EventStatus`.
+    raised : tuple of (plant, design, reason)
+        By position: laws that raised.
+    """
+
+    S: FloatArray
+    S_uncorrected: FloatArray
+    status: npt.NDArray[np.int8]
+    raised: tuple[tuple[int, int, str], ...]
+
+
+def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
+    """The first scenarios of each side, with the numbers that they have.
+
+    Parameters
+    ----------
+    scenarios : Scenarios
+    most : int
+        Of each side.
+
+    Returns
+    -------
+    Scenarios
+    """
+    rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
+    return scenarios.take(np.concatenate(rows))
+
+
+def drive_on_plants(
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, case: Case
+) -> Drives:
+    """Drive every design on every plant; each by itself, so that no number depends on another.
+
+    Parameters
+    ----------
+    designs : sequence of Design
+        d of them.
+    plants : sequence of PlantOptions
+        p of them.
+    scenarios : Scenarios
+        n of them.
+    setup : Setup
+        In the convention of the case; its own plant does not count.
+    case : Case
+
+    Returns
+    -------
+    Drives
+
+    Raises
+    ------
+    InputError
+        For a plant that does not go with the setup.
+    """
+    shape = (len(plants), len(designs), scenarios.n)
+    S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
+    status = np.full(shape, EventStatus.INVALID, dtype=np.int8)
+    failed = []
+    for k, options in enumerate(plants):
+        takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
+        for i, design in enumerate(designs):
+            if design.y_s not in takeovers:
+                over = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                # designs know the actuator and the camera of the study, not the other ones
+                takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
+            over = takeovers[design.y_s]
+            try:
+                outcome = drive(design.controller(case.convention), over).outcome(case.window)
+            except Exception as error:  # a controller may be anybody's code
+                failed.append((k, i, raised(error)))
+                continue
+            bad = status_among(outcome.status, FAILED_STATUSES)
+            S[k, i] = np.where(bad, np.maximum(outcome.S, outcome.S_uncorrected), outcome.S)
+            S_uncorrected[k, i], status[k, i] = outcome.S_uncorrected, outcome.status
+            if not np.isfinite(S[k, i, outcome.status != EventStatus.INVALID]).all():
+                S[k, i] = np.nan
+                failed.append((k, i, "S is not finite in some scenario"))
+    return Drives(S, S_uncorrected, status, tuple(failed))
+
+
+SAME = 1e-6
+"""Scores [m s] that differ by less are the same."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PairedMeans:
+    """Differences of means and their intervals, (k,) [m s] each."""
+
+    difference: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: float) -> PairedMeans:
+    """New minus old of k rows on the same n scenarios.
+
+    Parameters
+    ----------
+    old, new : (k, n) [m s]
+    side : (n,) int
+        Stratum of each scenario: the two sides are drawn by themselves.
+    confidence : float
+        Of each interval by itself.
+
+    Returns
+    -------
+    PairedMeans
+        Without an interval (NaN) where some, but so few scenarios changed that even equal signs may be chance, or a
+        side has one scenario only. No difference has no width.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scores = np.ones((1, 8))
+    >>> found = paired_means(scores, scores + 0.5, np.repeat([1, -1], 4), 0.95)
+    >>> float(found.low[0]), float(found.high[0])
+    (0.5, 0.5)
+    """
+    change = new - old
+    changed = (np.abs(change) > SAME).sum(axis=1)
+    difference = row_means(change)
+    z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
+    critical = with_tails_of_t(z, degrees_of_freedom(side))
+    half = half_widths(critical, lengths(error_parts(change, side)))
+    fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
+    untold = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
+    half = np.where(changed == 0, 0.0, np.where(untold, np.nan, half))
+    return PairedMeans(difference, difference - half, difference + half)
+
+
+_FORMAT: Final = 2
+"""To be raised with whatever changes the numbers or the file."""
+
+
+def content_key(
+    chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setup: Setup, case: Case
+) -> str:
+    """Sixteen hexadecimal digits.
+
+    Parameters
+    ----------
+    chosen : ChosenDesigns
+    plants : sequence of OtherPlant
+    scenarios : Scenarios
+    setup : Setup
+    case : Case
+
+    Returns
+    -------
+    str
+    """
+    said = [
+        _FORMAT,
+        ldctoolkit.__version__,
+        [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
+        [chosen.slow, chosen.unsafe, chosen.more],
+        [dataclasses.asdict(plant) for plant in plants],
+        dataclasses.asdict(setup),
+        dataclasses.asdict(case),
+    ]
+    content = hashlib.sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode())
+    for field in dataclasses.fields(scenarios):
+        content.update(getattr(scenarios, field.name).tobytes())
+    return content.hexdigest()[:16]
+
 
 PER_SIDE: Final = 50
 """Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
@@ -44,7 +248,7 @@ class Robustness:
     Attributes
     ----------
     key : str
-        What it was worked out from; see `studies.robustness.content_key.content_key`.
+        What it was worked out from; see `studies.robustness.robustness.content_key`.
     designs : tuple of str
         Identifiers, d.
     contends : (d,) bool

@@ -6,19 +6,22 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
 
 from pydantic import (
     AfterValidator,
+    BaseModel,
     BeforeValidator,
     Field,
     PrivateAttr,
     ValidationError,
     create_model,
+    field_validator,
     model_validator,
 )
 
@@ -26,17 +29,140 @@ from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, StudyError, nearest
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import CONVENTION_GAIN, Design
 from studies.design_space.design_block import DesignBlock, check_blocks
 from studies.results import Case
-from studies.study_file._messages import study_error
 from studies.study_file._part import Part, fail
 from studies.study_file.plant_table import read_plant
 from studies.study_file.ranking_settings import RankingSettings, SearchSettings
-from studies.study_file.scenario_settings import ScenarioSettings
+
+
+def _condition(entry: Any) -> Any:
+    """A value, or (lower, upper); an infinite end is open and stored as None, which JSON knows."""
+    if not isinstance(entry, list | tuple):
+        return entry
+    return tuple(None if isinstance(end, float) and math.isinf(end) else end for end in entry)
+
+
+class ScenarioSettings(Part):
+    """``[scenarios]``: the model that generates them, how many of each side, and which ones.
+
+    Attributes
+    ----------
+    model : str
+        Bundled model, or the path of a model file relative to the study file.
+    left, right : int
+        Number of departures to each side.
+    given : dict of str to float or (float, float)
+        Only departures with these parameters: a value, or (lower, upper), None for open.
+    """
+
+    model: str = "reference"
+    left: int = Field(default=500, ge=0, le=10_000_000)
+    right: int = Field(default=500, ge=0, le=10_000_000)
+    given: dict[str, float | tuple[float | None, float | None]] = Field(default_factory=dict)
+
+    @field_validator("given", mode="before")
+    @classmethod
+    def _conditions(cls, entry: Any) -> Any:
+        if not isinstance(entry, dict):
+            return entry
+        given = {}
+        for name, value in entry.items():
+            try:
+                conditions({name: value})
+            except InputError as error:
+                key, _, message = str(error).partition(": ")
+                raise fail("" if key == "given" else name, message) from None
+            given[name] = _condition(value)
+        return given
+
+    @model_validator(mode="after")
+    def _some(self) -> Self:
+        if self.left + self.right == 0:
+            raise fail("", "left and right are both 0; allowed: at least one scenario")
+        return self
+
+
+_ALLOWED = {
+    "model_type": "a table of keys",
+    "dict_type": "a table of keys",
+    "is_instance_of": "a table of keys",
+    "dataclass_type": "a table of keys",
+    "dataclass_exact_type": "a table of keys",
+    "tuple_type": "a list (of tables: write [[...]] with two brackets)",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "string_type": "text",
+}
+
+
+def study_error(error: ValidationError, content: Any, source: str, model: type[BaseModel]) -> StudyError:
+    """The first problem as a message; the number of others behind it."""
+    problems = error.errors(include_url=False)
+    # a wrong key often causes a missing one; the key that was written is what the author can look up
+    problems.sort(key=lambda p: p["type"] == "missing")
+    text = _message(problems[0], content, model)
+    others = len(problems) - 1
+    more = f" (and {others} more problem{'s' if others > 1 else ''} in this study)" if others else ""
+    return StudyError(f"{source}: {text}{more}")
+
+
+def _message(problem: Any, content: Any, model: type[BaseModel]) -> str:
+    location = list(problem["loc"])
+    if problem["type"] == "study":
+        path = _path([*location, *([problem["ctx"]["path"]] if problem["ctx"]["path"] else [])])
+        return f"{path}: {problem['ctx']['message']}" if path else str(problem["ctx"]["message"])
+    if problem["type"] == "extra_forbidden":
+        keys = _keys(model, location[:-1])
+        return f"{_path(location)}: no such key; {nearest(str(location[-1]), keys)}"
+    if problem["type"] == "missing":
+        return f"{_path(location)}: missing, and has no default"
+    value = _look_up(content, location)
+    if location and isinstance(location[-1], int) and not isinstance(_look_up(content, location[:-1]), list | tuple):
+        location.pop()  # a scalar was written where a list is allowed too
+    if problem["type"] == "literal_error":
+        allowed = [word.strip(" '") for word in problem["ctx"]["expected"].replace(" or ", ",").split(",")]
+        return f"{_path(location)}: {value!r}; {nearest(str(value), allowed)}"
+    told = problem["msg"].removeprefix("Input should be ")
+    return f"{_path(location)}: {value!r}; allowed: {_ALLOWED.get(problem['type'], told)}"
+
+
+def _path(location: list[Any]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def _look_up(content: Any, location: list[Any]) -> Any:
+    for part in location:
+        if not isinstance(content, dict | list | tuple):
+            break  # a scalar stands where a list is allowed too
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            break
+    return content
+
+
+def _keys(model: type[BaseModel], location: list[Any]) -> list[str]:
+    """The keys allowed at a place of the study."""
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            annotation = model.model_fields[part].annotation
+            inner = next((t for t in (annotation, *get_args(annotation)) if _is_model(t)), None)
+            model = inner if inner is not None else model
+    return list(model.model_fields)
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
 
 MOST_DESIGNS = 100_000
 """Largest grid of one study; more is a slip of the pen."""

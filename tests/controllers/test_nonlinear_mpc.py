@@ -15,7 +15,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
-import controllers._nmpc_compile as compile_module
+import controllers._nmpc_solver as compile_module
 import controllers._nmpc_solver as solver_module
 from controllers import LinearMPC
 from controllers._nmpc_model import SHAPE, SIZE, sample, steady_cornering

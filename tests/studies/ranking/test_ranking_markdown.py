@@ -17,9 +17,15 @@ from markdown_it import MarkdownIt
 from helpers.results import results_of
 from studies.design import Design
 from studies.pages.text import printable
-from studies.ranking.markdown_text import markdown_text
 from studies.ranking.ranking import Ranking
-from studies.ranking.ranking_text import MOST_ROWS, StudyHead, listed_places, ranking_markdown, write_markdown
+from studies.ranking.ranking_text import (
+    MOST_ROWS,
+    StudyHead,
+    listed_places,
+    markdown_text,
+    ranking_markdown,
+    write_markdown,
+)
 from studies.ranking.verdict import Verdict, verdict
 from studies.results import Case, FailedDesign
 

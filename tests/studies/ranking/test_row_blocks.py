@@ -12,8 +12,8 @@ from helpers.results import case_of
 from ldctoolkit import EventStatus
 from studies import CaseResults
 from studies.ranking.bootstrap import bootstrap_deviations
+from studies.ranking.case_figures import tail_figures
 from studies.ranking.row_blocks import row_blocks, row_means
-from studies.ranking.tails import tail_figures
 
 
 def test_no_row_depends_on_the_rows_beside_it() -> None:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.ranking.masked import masked_max, masked_mean, masked_quantile
-from studies.ranking.tails import tail_figures
+from studies.ranking.case_figures import tail_figures
+from studies.ranking.release import masked_max, masked_mean, masked_quantile
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))

@@ -24,10 +24,8 @@ from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
 from studies.robustness import stored
 from studies.robustness.chosen_designs import MOST, chosen_designs
-from studies.robustness.drives import drive_on_plants
-from studies.robustness.paired_interval import paired_means
 from studies.robustness.plants import impossible, other_plants
-from studies.robustness.robustness import Robustness, RobustnessTask, ranks, work_out
+from studies.robustness.robustness import Robustness, RobustnessTask, drive_on_plants, paired_means, ranks, work_out
 from studies.study_file.ready import load_study
 
 SETUP = Setup(settle=1.0, seed=5)
