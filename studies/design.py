@@ -14,6 +14,25 @@ from ldctoolkit.gains import GainValue
 from ldctoolkit.unit_care import UnitWarning, unit_slip
 from ldctoolkit.vehicle import Convention
 
+PAPER_LAW: Final = "preview_proportional"
+"""Registry name of the paper's law."""
+
+_PAPER_DESIGN: Final = {"y_s": 0.2, "K_y": -0.005, "K_psi": -0.2, "T_lp": 2.0}
+"""Table I of the paper."""
+
+
+def is_paper_design(design: Design) -> bool:
+    """Whether it is the design of the paper's Table I.
+
+    Examples
+    --------
+    >>> is_paper_design(Design.from_gains("preview_proportional", 0.2, {"K_y": -0.01}))
+    False
+    """
+    values = {"y_s": design.y_s, **dict(design.gains)}
+    return design.law == PAPER_LAW and all(values.get(name) == value for name, value in _PAPER_DESIGN.items())
+
+
 CONVENTION_GAIN: Final = "convention"
 """Name of the option through which a law declares that it knows the two readings of the paper."""
 

@@ -15,15 +15,15 @@ import numpy as np
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.design import FOLLOWS_CASE, Design
-from studies.racing.race_run import run_race
-from studies.ranking.baseline import find_baseline
+from studies.racing.race import run_race
+from studies.ranking.case_figures import find_baseline
 from studies.ranking.ranking import Ranking, rank_study
 from studies.results import Race, StudyResults
 from studies.running.campaign import Campaign
 from studies.running.executors import Executor, make_executor
-from studies.running.pieces import Prefixes, schedule
 from studies.running.progress import Progress, default_progress
-from studies.search.search_run import run_search
+from studies.running.tasks import Prefixes, schedule
+from studies.search.search import run_search
 from studies.storage.files import locked, remove_leftovers
 from studies.storage.manifest import Manifest
 from studies.storage.run_table import AllFailedError

@@ -25,7 +25,7 @@ LEVELS = (
         "ldctoolkit.whole_file",
     ),
     ("ldctoolkit.option_checks",),
-    ("ldctoolkit.departure_columns",),
+    ("ldctoolkit.departures",),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),
@@ -44,7 +44,7 @@ LEVELS = (
     ("ldctoolkit",),
     ("ldctoolkit.launcher", "ldctoolkit.__main__"),
     ("controllers",),
-    ("studies.design", "studies.paper_design", "studies.results"),
+    ("studies.design", "studies.design", "studies.results"),
     # the names that a study file's requirements are checked against
     ("studies.ranking.requirements",),
     ("studies.study_file", "studies.design_space"),

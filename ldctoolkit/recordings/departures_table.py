@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, RecordingError, nearest
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.opened import check_file

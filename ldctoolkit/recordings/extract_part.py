@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures
+from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.account import Origin, accounts_of
 from ldctoolkit.recordings.drawn import drawn_of

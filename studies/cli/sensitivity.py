@@ -44,8 +44,7 @@ def run(chosen: argparse.Namespace) -> None:
     from studies.cli._sensitivity_tables import print_indices, print_profiles
     from studies.ranking.ranking import rank_study
     from studies.sensitivity.sensitivity import sensitivity
-    from studies.sensitivity.sensitivity_csv import write_sensitivity
-    from studies.sensitivity.winner_profile import winner_profile
+    from studies.sensitivity.winner_profile import winner_profile, write_sensitivity
     from studies.storage.store import Store
 
     store = Store.open(chosen.folder)

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from studies.comparison.comparable import FinishedStudy, held_designs, input_differences
 from studies.comparison.comparison import CaseComparison, Comparison
 from studies.comparison.paired_verdicts import paired_differences
 from studies.comparison.shared_scenarios import SharedScenarios, drawn_streams, share_scenarios
-from studies.comparison.winners import compare_winners
+from studies.comparison.winners import FinishedStudy, compare_winners, held_designs, input_differences
 from studies.design import Design
 from studies.results import Case, CaseResults, FailedDesign, StudyResults
 

@@ -21,11 +21,10 @@ from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.result import Extraction, PartResult
 from ldctoolkit.recordings.sources import part_name
-from studies.extraction.part_work import PACKAGES, PartWork, Probe, Unread
-from studies.extraction.plan import plan_of
+from studies.extraction.plan import PACKAGES, PartWork, Probe, Unread, plan_of
 from studies.extraction.work_folder import holds_parts, parts_folder, work_folder
 from studies.running.executors import Executor, make_executor
-from studies.running.faults import Faults
+from studies.running.tasks import Faults
 from studies.storage.files import remove_unfinished
 
 SMALL: Final = 16 << 20

@@ -16,8 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import Departures
+from ldctoolkit.departures import Departures, ExtraColumn
 from ldctoolkit.errors import StoreError, plain
 from ldctoolkit.recordings.account import Account, Origin
 from ldctoolkit.recordings.drawn import Drawn, DrawnEvent

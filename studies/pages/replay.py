@@ -15,9 +15,8 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.simulation import Takeover, drive
-from studies.design import Design
+from studies.design import PAPER_LAW, Design, is_paper_design
 from studies.pages.context import Context
-from studies.paper_design import PAPER_LAW, is_paper_design
 from studies.results import FAILED_STATUSES
 
 MOST_DESIGNS: Final = 8

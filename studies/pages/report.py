@@ -27,7 +27,7 @@ from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.files import write_text
 from studies.storage.stored_model import WARNING, read_model
 from studies.study_file.plant_table import plant_settings, simulation_settings
-from studies.study_file.toml_text import toml_text
+from studies.study_file.ready import toml_text
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures

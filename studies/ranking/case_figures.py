@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
@@ -13,14 +14,66 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.metrics import DTLE_LIMIT
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from studies.design import Design
+from studies.design import NO_CONTROL, Design
 from studies.ranking.release import ReleaseFigures, release_metrics
 from studies.ranking.requirements import friction
 from studies.ranking.row_blocks import row_blocks, row_means
-from studies.results import CaseResults
+from studies.results import CaseResults, StudyResults
+
+_FEWEST_DIGITS = 6
+"""Of an identifier, so that no law's name is taken for one."""
+
+
+def find_baseline(baseline: str, results: StudyResults) -> int | None:
+    """Position of the baseline in `results.designs`.
+
+    Parameters
+    ----------
+    baseline : str
+        A law's name (its first design in the study's order), the start of a design's identifier (6 digits or more), or
+        empty for the design without control.
+    results : StudyResults
+
+    Returns
+    -------
+    int or None
+        None where the study has no design without control and no other is wanted, or where the one that is wanted
+        failed or was given up in a race.
+
+    Raises
+    ------
+    InputError
+        If the study has no such design, or more than one; the message names the nearest.
+    """
+    here = _found(baseline or NO_CONTROL, results.designs)
+    if here:
+        return here[0]
+    dropped = () if results.race is None else results.race.dropped
+    gone = [*(one.design for one in results.failed), *(one.design for one in dropped)]
+    if not baseline or _found(baseline, gone):
+        return None
+    laws = list(dict.fromkeys(design.law for design in (*results.designs, *gone)))
+    raise InputError(
+        f"ranking.baseline: {baseline!r} is no law of this study, nor the start of a design's identifier "
+        f"({_FEWEST_DIGITS} digits or more); {nearest(baseline, laws)}"
+    )
+
+
+def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
+    of_law = [i for i, design in enumerate(designs) if design.law == baseline]
+    if of_law or not re.fullmatch(rf"[0-9a-f]{{{_FEWEST_DIGITS},12}}", baseline):
+        return of_law
+    of_start = [i for i, design in enumerate(designs) if design.id.startswith(baseline)]
+    if len(of_start) > 1:
+        raise InputError(
+            f"ranking.baseline: {baseline!r} is the start of {len(of_start)} identifiers; allowed: more digits, as "
+            f"{designs[of_start[0]].id!r}"
+        )
+    return of_start
+
 
 _BLOCK_ENTRIES = 500_000
 """Scores sorted at once (4 MB)."""

@@ -179,7 +179,7 @@ def fresh_scores(
     first_failed : bool
         Whether the law of the search's first failed on the fresh scenarios.
     seed, samples, confidence
-        As for `studies.ranking.inference.infer`.
+        As for `studies.ranking.simultaneous.infer`.
     """
     d = len(search.scores)
     order = np.argsort(positions, kind="stable")

@@ -9,8 +9,8 @@ from ldctoolkit.arrays import BoolArray, IntArray
 from studies.design import Design
 from studies.ranking.case_figures import CaseFigures
 from studies.ranking.fresh_scores import FreshScores
-from studies.ranking.inference import Inference
 from studies.ranking.requirements import Miss, Requirement
+from studies.ranking.simultaneous import Inference
 from studies.results import Case, FailedDesign
 
 SCORE: Final = (

@@ -12,14 +12,13 @@ import numpy as np
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.review import design_margins
 from studies.design import Design
-from studies.ranking.baseline import find_baseline
-from studies.ranking.case_figures import DrivableCase, Margins, case_figures, in_order
+from studies.ranking.case_figures import DrivableCase, Margins, case_figures, find_baseline, in_order
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
-from studies.ranking.inference import Inference, infer
 from studies.ranking.pareto import pareto_costs, pareto_front
 from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.ranking_text import ranking_html
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
+from studies.ranking.simultaneous import Inference, infer
 from studies.results import CaseResults, StudyResults
 from studies.study_file.spec import Study
 
@@ -168,7 +167,7 @@ class Ranking(RankedDesigns):
         D_y : float [m]
             Depth that counts as deep.
         baseline : str
-            As `studies.ranking.baseline.find_baseline` takes it.
+            As `studies.ranking.case_figures.find_baseline` takes it.
         require : sequence of str
             Requirements and names of sets, as `studies.ranking.requirements.requirements_of` takes them.
         pareto : sequence of str

@@ -16,10 +16,8 @@ from studies.design import Design
 from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
 from studies.running.executors import Executor
-from studies.running.faults import Faults
-from studies.running.pieces import Prefixes
 from studies.running.progress import Progress
-from studies.running.tasks import Done, Job
+from studies.running.tasks import Done, Faults, Job, Prefixes
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file.spec import Study

@@ -14,10 +14,8 @@ from ldctoolkit.vehicle import Convention
 from studies.design import NO_CONTROL, Design
 from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.executors.protocol import Ended, Executor, Fault
-from studies.running.faults import Faults
-from studies.running.pieces import Piece
 from studies.running.simulate_designs import SimulationTask, Simulator
-from studies.running.tasks import Done, Job, Task
+from studies.running.tasks import Done, Faults, Job, Piece, Task
 
 
 class InOrder:

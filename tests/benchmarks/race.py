@@ -27,7 +27,7 @@ from studies import Study
 from studies.design import Design
 from studies.racing.race import race_round
 from studies.results import FAILED_STATUSES
-from studies.running.pieces import prefix_rows, schedule
+from studies.running.tasks import prefix_rows, schedule
 from studies.study_file.ready import load_study
 
 NEIGHBOURS, CONTESTED = 60, 20

@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import LEFT, RIGHT, Departures, rebuild_signals
+from ldctoolkit.departures import LEFT, RIGHT, Departures, ExtraColumn, rebuild_signals
 from ldctoolkit.recordings import Criteria, Extraction, Provenance, Refused, SourceFile
 from ldctoolkit.recordings.account import WIDTH_BINS, Account, Origin
 from ldctoolkit.recordings.drawn import Drawn, drawn_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from studies.racing.race import race_round
-from studies.running.pieces import prefix_rows, schedule
+from studies.running.tasks import prefix_rows, schedule
 
 
 def race(

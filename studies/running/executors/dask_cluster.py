@@ -12,9 +12,9 @@ import uuid
 from typing import Any
 
 from ldctoolkit.errors import ClusterError
-from studies.running.executors.checked_task import run_checked
 from studies.running.executors.dask_connection import Connection, lost, unable, unreadable
 from studies.running.executors.protocol import Ended, Fault, Work
+from studies.running.worker import run_checked
 
 _LISTEN_EVERY = 0.2
 

@@ -12,8 +12,8 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
-from studies.running.executors.checked_task import SAME_VERSIONS, check, versions
 from studies.running.executors.protocol import attempt
+from studies.running.worker import SAME_VERSIONS, check, versions
 
 LOCAL: Final = "local"
 """Address that stands for a cluster started on this machine."""

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from helpers.bits import assert_same_bits
 from helpers.examples import examples
 from helpers.recordings import drive
-from ldctoolkit.departure_columns import ExtraColumn
-from ldctoolkit.departures import LEFT
+from ldctoolkit.departures import LEFT, ExtraColumn
 from ldctoolkit.recordings import Account, Criteria, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.account import WIDTH_BINS, share_of_widths
 from ldctoolkit.recordings.events import REASONS

@@ -11,8 +11,7 @@ import polars as pl
 import pytest
 
 from helpers.recordings import drive
-from ldctoolkit.departure_columns import ExtraColumn, joined_columns
-from ldctoolkit.departures import Departures, joined_departures
+from ldctoolkit.departures import Departures, ExtraColumn, joined_columns, joined_departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
     Label,

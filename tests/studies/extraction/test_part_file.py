@@ -20,7 +20,7 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.result import PartResult
-from studies.extraction.part_work import Unread
+from studies.extraction.plan import Unread
 from studies.extraction.work_folder import part_bytes, read_part
 
 

@@ -14,7 +14,7 @@ from scipy import stats
 from helpers.races import race
 from ldctoolkit.errors import InputError
 from studies.racing.race import Decision, race_round
-from studies.running.pieces import prefix_rows, schedule
+from studies.running.tasks import prefix_rows, schedule
 from studies.study_file.ready import load_study
 
 LINEAR = {"none", "preview_proportional", "lqr", "lqi", "preview_lqr"}

@@ -7,7 +7,7 @@ import pytest
 
 from controllers import LQI, LQR, PID, NoControl, PreviewLQR, PreviewProportional, PurePursuit, SlidingMode, Stanley
 from ldctoolkit import load_model, simulate
-from studies.ranking.inference import infer
+from studies.ranking.simultaneous import infer
 
 DESIGNS = (
     NoControl(),

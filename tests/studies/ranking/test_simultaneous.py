@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from studies.ranking.bootstrap import bootstrap_deviations, exact_grid, weight_blocks
-from studies.ranking.inference import infer
 from studies.ranking.resampled import Resampled, simultaneous_interval
-from studies.ranking.simultaneous import compare_with_best, separable
+from studies.ranking.simultaneous import compare_with_best, infer, separable
 from studies.ranking.standard_error import with_tails_of_t
 
 DESIGNS = 128

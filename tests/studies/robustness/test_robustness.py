@@ -23,9 +23,17 @@ from studies.design import Design
 from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
 from studies.robustness import stored
-from studies.robustness.chosen_designs import MOST, chosen_designs
 from studies.robustness.plants import impossible, other_plants
-from studies.robustness.robustness import Robustness, RobustnessTask, drive_on_plants, paired_means, ranks, work_out
+from studies.robustness.robustness import (
+    MOST,
+    Robustness,
+    RobustnessTask,
+    chosen_designs,
+    drive_on_plants,
+    paired_means,
+    ranks,
+    work_out,
+)
 from studies.study_file.ready import load_study
 
 SETUP = Setup(settle=1.0, seed=5)

@@ -41,8 +41,7 @@ from studies.sensitivity.sensitivity import (
     saltelli_indices,
     sensitivity,
 )
-from studies.sensitivity.sensitivity_csv import COLUMNS, write_sensitivity
-from studies.sensitivity.winner_profile import Profile, winner_profile
+from studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
 
 ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)
 ISHIGAMI_TOTAL = (0.5576, 0.4424, 0.2437)

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.study_file.ready import catalog_names, load_study
+from studies.study_file.ready import catalog_names, load_study, toml_text
 from studies.study_file.spec import Study
-from studies.study_file.toml_text import toml_text
 
 
 @pytest.mark.parametrize("name", catalog_names())
