@@ -47,9 +47,9 @@ def run(chosen: argparse.Namespace) -> None:
     each_once("--given", chosen.given)
     given = dict(chosen.given or ())
     model = load_model(chosen.model)
+    table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
     for text in outside_fit(model, given):
         warn(text)
-    table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:

@@ -147,7 +147,7 @@ def _program(home: Path, others: Iterable[tuple[str, Path]] = ()) -> str:
 
     `home` is the toolkit's folder, `others` are names and files of modules outside it.
     """
-    own = [*(home / "recordings").rglob("*.py"), home / "departures.py", home / "departure_columns.py"]
+    own = [*(home / "recordings").rglob("*.py"), home / "departures.py"]
     named = sorted((path.relative_to(home).as_posix(), path) for path in own)
     digest = hashlib.sha256()
     for name, path in [*named, *others]:

@@ -25,7 +25,7 @@ HOME = Path(ldctoolkit.__file__).parent
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     shutil.copytree(HOME / "recordings", tmp_path / "recordings", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("departures.py", "departure_columns.py", "errors.py"):
+    for name in ("departures.py", "errors.py"):
         shutil.copy(HOME / name, tmp_path / name)
     return tmp_path
 
@@ -33,7 +33,7 @@ def copied(tmp_path: Path) -> Path:
 def test_every_module_that_decides_numbers_is_reached(copied: Path) -> None:
     before = _program(copied)
     assert before == _program(HOME)
-    modules = [*(copied / "recordings").rglob("*.py"), copied / "departures.py", copied / "departure_columns.py"]
+    modules = [*(copied / "recordings").rglob("*.py"), copied / "departures.py"]
     assert {"spmd_das1.py", "uah_driveset.py", "csv_text.py", "departures.py"} <= {path.name for path in modules}
     for path in modules:
         content = path.read_bytes()
