@@ -212,13 +212,14 @@ def test_the_report_names_the_vehicle_and_a_width_that_contradicts_the_model(
     (tmp_path / "s.toml").write_text(study, encoding="utf-8")
     out = tmp_path / "with space"
     words = ["run", f"{tmp_path}/s.toml", "-o", f"{tmp_path}/a", f"-o{tmp_path}/b", f"--output={out}"]
-    words += ["--workers", "1", "--quiet", "--no-robustness", "--no-figures"]
+    words += ["--vehicle-width", "2.1", "--workers", "1", "--quiet", "--no-robustness", "--no-figures"]
     monkeypatch.setattr(sys, "argv", [f"{tmp_path}/bin/ldc", *words])
     good(*words, cwd=tmp_path)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "1234 kg" in page
-    assert "departures were found with a vehicle 1.8 m wide, the study drives one of" in page
+    assert "departures were found with a vehicle 1.8 m wide, the study drives one of w<sub>v</sub> = 2.1 m" in page
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["command"] == (
-        "ldc run s.toml -o a -ob '--output=with space' --workers 1 --quiet --no-robustness --no-figures"
+        "ldc run s.toml -o a -ob '--output=with space' --vehicle-width 2.1 --workers 1 --quiet --no-robustness "
+        "--no-figures"
     )
