@@ -35,9 +35,7 @@ MPC = {
     "name": "mpc",
     "scenarios": {"left": 1000, "right": 1000},
     "ranking": {"finalists": 0},
-    "design": [
-        {"law": "linear_mpc", "y_s": [0.05, 0.1], "gains": {"r_delta": {"from": 50, "to": 5000, "count": 20}}},
-    ],
+    "design": [{"law": "linear_mpc", "y_s": [0.05, 0.1], "gains": {"r_delta": {"from": 50, "to": 5000, "count": 20}}}],
 }
 
 compiled = 0.0

@@ -209,7 +209,6 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     out = simulate(design, scenarios, settle=8.0, trajectories=True)
     alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
     paths = out.trajectories
-    assert paths is not None
     e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
     psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
     feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
@@ -290,8 +289,6 @@ def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alon
     linear = isinstance(alone.prepare(Plant.build(BicycleModel(), [20.0], DT)), LinearLaw)
     other = Stepped(alone) if linear else alone  # in the same loop
     ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, other))
-    assert ours.trajectories is not None
-    assert theirs.trajectories is not None
     if linear:
         np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
         np.testing.assert_allclose(ours.trajectories.delta, theirs.trajectories.delta, atol=1e-11)

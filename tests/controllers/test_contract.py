@@ -8,15 +8,7 @@ from pathlib import Path
 import pytest
 
 import controllers
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    Plant,
-    SteeringLaw,
-    controller_class,
-    controller_names,
-    register,
-)
+from ldctoolkit import BicycleModel, Controller, Plant, SteeringLaw, controller_class, controller_names, register
 from ldctoolkit.errors import InputError
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
 from studies import Study

@@ -151,7 +151,6 @@ class Case:
         p = qpsolvers.Problem(sp.csc_matrix(H), g, sp.csc_matrix(np.vstack(G)), np.concatenate(h))
         tight = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
         answer = qpsolvers.solve_problem(p, solver="clarabel", **tight)
-        assert answer.x is not None
         slacks = np.zeros(3)
         slacks[[("a_y", "jerk", "e_y").index(n) for n, _ in kinds]] = answer.x[M:]
         return float(held[0] @ answer.x[:M]) if answer.found else np.nan, slacks
@@ -344,7 +343,6 @@ class Driven:
 
     def __post_init__(self) -> None:
         s, i, paths, actuator = self.scenarios, self.i, self.out.trajectories, self.options.actuator
-        assert paths is not None
         t_s = self.out.t_s[i]
         sample = np.rint((paths.t[i] - t_s) / DT)
         kept = np.abs(paths.t[i] - t_s - sample * DT) < 1e-6  # but T, between two samples

@@ -85,7 +85,6 @@ def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
         A, B = plant.step.A[i], plant.step.B[i][:, None]
         ours, Q = law.F[i], np.diag(weights)
         if isinstance(design, LQI):
-            assert law.f_i is not None
             A = np.block([[A, np.zeros((4, 1))], [np.array([[DT, 0.0, 0.0, 0.0]]), np.ones((1, 1))]])
             B, ours, Q = np.vstack([B, [[0.0]]]), np.append(ours, law.f_i[i]), np.diag([*weights, design.q_i])
         np.testing.assert_allclose(-ours, doubled(A, B, Q, design.r_delta), rtol=1e-6)

@@ -127,7 +127,6 @@ class Page(HTMLParser):
     def data(self) -> dict[str, Any]:
         """What the page's script is given."""
         found = re.search(r'<script type="application/json" id="data">(.*?)</script>', self.html, re.DOTALL)
-        assert found is not None
         content: dict[str, Any] = json.loads(found[1])
         return content
 

@@ -367,10 +367,7 @@ class _Loop:
         _, _, v_y, omega, delta = state
         p, v = self.true, self.v(t)
         if self.options.tyres.model == "linear":
-            return (
-                2 * p.C_af * (delta - (v_y + p.l_f * omega) / v),
-                -2 * p.C_ar * (v_y - p.l_r * omega) / v,
-            )
+            return (2 * p.C_af * (delta - (v_y + p.l_f * omega) / v), -2 * p.C_ar * (v_y - p.l_r * omega) / v)
         alpha_f = delta - math.atan2(v_y + p.l_f * omega, v)
         alpha_r = -math.atan2(v_y - p.l_r * omega, v)
         wheelbase, shape = p.l_f + p.l_r, self.options.tyres.shape

@@ -82,7 +82,6 @@ def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.0
     plant = review_plant(BicycleModel(), dt, options, [v])
     A, B, E = plant.model.matrices(plant.v)
     view = linear_view(design, plant)
-    assert view is not None
     side = controller_side(view.models[0], _cameras(plant, options)[0])
     return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), side)
 
@@ -98,7 +97,6 @@ def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: type[LQR] |
     design, options = kind(r_delta=300.0), PLANTS[name]
     straight = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V])
     run = simulate(design, straight, y_s=0.2, options=options, trajectories=True, settle=2.0)
-    assert run.trajectories is not None
     path = run.trajectories
     e_y = path.x[0, :, 0]
     samples = np.abs((path.t[0] - path.t[0, 0]) / 0.05 % 1.0 - 0.5) > 0.5 - 1e-6  # T and the end are no samples
@@ -220,7 +218,6 @@ def settled(design: Controller, options: PlantOptions) -> float:
     """e_y a long time after a bend of constant curvature began, from the closed loop that studies run."""
     bend = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V], c_0=[2.0 / V**2])
     run = simulate(design, bend, y_s=0.2, options=options, trajectories=True, settle=40.0)
-    assert run.trajectories is not None
     return float(run.trajectories.x[0, -1, 0])
 
 
@@ -229,7 +226,6 @@ def test_bends_are_those_of_the_closed_loop(design: Controller) -> None:
     """Nominal, and the worst of four simulated vehicles; tolerance: the rest of the transient, e^-20 and less."""
     actuator = Actuator(lag=0.05, delay=0.03)
     found = review(design, options=PlantOptions(actuator=actuator), speeds=[V]).loop
-    assert found is not None
     assert found.e_y_bend[0] == pytest.approx(settled(design, PlantOptions(actuator=actuator)), abs=1e-7)
     corners = [
         settled(design, PlantOptions(actuator=actuator, mismatch=Mismatch(C_af=(f, f), C_ar=(r, r))))

@@ -232,11 +232,7 @@ def doubled(self: Any) -> None:
     [
         (made("well", [*FIELDS, ("extra", float, 1.0)]), "declared", r"Made\.extra is a plain field; allowed: gain.*"),
         (made("well", [*FIELDS, ("extra", float, K(unit=""))]), "declared", r"Made\.extra: its unit is empty; .*"),
-        (
-            Thawed,
-            "frozen",
-            r"K can be set on a finished design; allowed: .*",
-        ),
+        (Thawed, "frozen", r"K can be set on a finished design; allowed: .*"),
         (made("well", __eq__=object.__eq__), "frozen", r"a design made from the same values does not equal it; .*"),
         (made("well", __hash__=lambda self: id(self)), "frozen", r"two equal designs have different hashes; .*"),
         (made("well", __post_init__=post_init), "bounds", r"K = -2\.0 is taken; allowed: an InputError, .*"),

@@ -42,7 +42,6 @@ def test_a_misfit_is_told_in_words(misfit: SideDiagnostics) -> None:
 
 def test_the_transform_wins_where_it_should(misfit: SideDiagnostics) -> None:
     comparison = misfit.comparison
-    assert comparison is not None
     assert comparison.transforms == (("T", "log"), ("d_y", "log"))
     assert comparison.difference == pytest.approx(comparison.transformed - comparison.bounded, abs=1e-12)
     assert comparison.difference > 4 * comparison.standard_error
@@ -56,7 +55,6 @@ def test_a_right_model_has_no_warning() -> None:
     x, _ = model.sample(4000, 8)
     found = diagnose(model, x, n_model=20_000)
     assert found.warnings == ()
-    assert found.comparison is not None
     assert found.comparison.difference < 0
     # of a right model, its own likelihood: both halves are within a few hundredths of it
     assert found.comparison.bounded == pytest.approx(model.score(x), abs=0.1)
@@ -95,10 +93,7 @@ def bad_components() -> BoundedGaussianMixture:
     """A right one, one far outside with hardly any probability inside, one nearly flat and almost empty."""
     flat = np.array([[1.0, 1.0 - 1e-5], [1.0 - 1e-5, 1.0]])
     return BoundedGaussianMixture.from_parameters(
-        [0.899, 0.1, 0.001],
-        [[2.0, 2.0], [-8.0, 2.0], [4.0, 4.0]],
-        [np.eye(2), np.eye(2), flat],
-        lower=[0.0, 0.0],
+        [0.899, 0.1, 0.001], [[2.0, 2.0], [-8.0, 2.0], [4.0, 4.0]], [np.eye(2), np.eye(2), flat], lower=[0.0, 0.0]
     )
 
 

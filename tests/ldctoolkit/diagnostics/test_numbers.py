@@ -213,7 +213,6 @@ def test_the_joint_density_is_numpys_histogram() -> None:
     weight = np.random.default_rng(0).random(500)
     weight /= weight.sum()
     joint = joint_density(model, ("T", "d_y"), x, weight, drawn)
-    assert joint is not None
     edges = [joint.first_edges, joint.second_edges]
     np.testing.assert_allclose(joint.data, np.histogram2d(*x.T, bins=edges, weights=weight)[0], atol=1e-12)
     np.testing.assert_allclose(joint.model, np.histogram2d(*drawn.T, bins=edges)[0] / 3000, atol=1e-12)

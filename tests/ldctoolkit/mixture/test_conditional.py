@@ -44,8 +44,7 @@ MAPS = ("auto", ["none", "logit", "none"], None)
 
 
 @pytest.mark.parametrize(
-    ("i", "j"),
-    [pytest.param(i, j, marks=[] if i == j else pytest.mark.slow) for i in range(3) for j in range(3)],
+    ("i", "j"), [pytest.param(i, j, marks=[] if i == j else pytest.mark.slow) for i in range(3) for j in range(3)]
 )
 def test_conditional_samples_are_filtered_ones(i, j):
     given, model = INTERVALS[i], three_columns(MAPS[j])

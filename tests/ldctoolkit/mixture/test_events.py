@@ -102,9 +102,7 @@ def test_nothing_on_a_bound_changes_nothing():
     assert found.moved.tolist() == [0, 0, 0]
 
 
-@given(
-    arrays(float, (12, 2), elements=st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 0.5, np.nextafter(1.0, 0.0), 0.25])),
-)
+@given(arrays(float, (12, 2), elements=st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 0.5, np.nextafter(1.0, 0.0), 0.25])))
 @examples(200)
 def test_moved_values_are_strictly_inside(x):
     found = inside_bounds(Events(x), np.zeros(2), np.ones(2))

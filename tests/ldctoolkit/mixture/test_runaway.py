@@ -190,13 +190,7 @@ BROKEN = {
 }
 
 
-QUICK = (
-    "nearly constant",
-    "half of the rows the same",
-    "outlier, K = 1",
-    "same columns",
-    "far apart in scale",
-)
+QUICK = ("nearly constant", "half of the rows the same", "outlier, K = 1", "same columns", "far apart in scale")
 
 
 @pytest.mark.parametrize(

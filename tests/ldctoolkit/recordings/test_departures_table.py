@@ -13,12 +13,7 @@ import pytest
 from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import (
-    extract_departures,
-    open_recordings,
-    read_departures,
-    write_departures,
-)
+from ldctoolkit.recordings import extract_departures, open_recordings, read_departures, write_departures
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
 from ldctoolkit.version import __version__
 

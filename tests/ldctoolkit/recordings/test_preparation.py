@@ -11,13 +11,7 @@ import pytest
 
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import InputError
-from ldctoolkit.recordings import (
-    Preparation,
-    Recording,
-    extract_departures,
-    read_departures,
-    write_departures,
-)
+from ldctoolkit.recordings import Preparation, Recording, extract_departures, read_departures, write_departures
 from ldctoolkit.recordings.preparation import NONE, prepare
 
 

@@ -223,12 +223,7 @@ def test_files_and_blocks_make_no_difference(tmp_path_factory, seed, yaw, block,
 
 
 @examples(40)
-@given(
-    data=st.data(),
-    rate=st.integers(10, 50),
-    side=st.sampled_from([LEFT, RIGHT]),
-    n=st.integers(1, 4),
-)
+@given(data=st.data(), rate=st.integers(10, 50), side=st.sampled_from([LEFT, RIGHT]), n=st.integers(1, 4))
 def test_planted_departures_come_back(data, rate, side, n):
     def draw(low: float, high: float) -> list[float]:
         return [data.draw(st.floats(low, high)) for _ in range(n)]

@@ -142,9 +142,7 @@ def test_optional_columns_and_samples_without_a_time(save: Save) -> None:
     np.testing.assert_array_equal(one.t, [0.0, 0.1, 0.3])
     np.testing.assert_array_equal(one.speed, [25.0, 25.0, np.nan])
     assert one.valid.tolist() == [True, False, False]
-    assert one.turn_signal is not None
     assert one.turn_signal.tolist() == [1, -1, 0]
-    assert one.yaw_rate is not None
     assert one.yaw_rate.tolist() == [0.01, 0.02, 0.04]
     assert one.curvature is None
 
@@ -248,10 +246,7 @@ REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {
     "latin-1": (PLAIN.encode() + b"b\xe4r,1,0,3.6,25\n", "line 5: the text is not UTF-8"),
     "latin-1 header": (b"B\xe4r," + HEADER.encode(), "line 1: the text is not UTF-8"),
     "utf-16": (PLAIN.encode("utf-16"), "the text is UTF-16; save it as UTF-8"),
-    "gzip inside": (
-        gzip.compress(PLAIN.encode()),
-        "the content is gzip; give it a name that ends in .csv.gz",
-    ),
+    "gzip inside": (gzip.compress(PLAIN.encode()), "the content is gzip; give it a name that ends in .csv.gz"),
     "bad valid": (
         HEADER.replace("speed", "speed,valid") + "a,0,0,3.6,25,maybe\n",
         "line 2: column 'valid' holds 'maybe'; allowed: 0, 1, false, true",

@@ -11,14 +11,7 @@ from scipy import stats
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model import (
-    PHYSICAL_BOUNDS,
-    ModelProvenance,
-    ScenarioModel,
-    SideModel,
-    conditions,
-    load_model,
-)
+from ldctoolkit.scenario_model import PHYSICAL_BOUNDS, ModelProvenance, ScenarioModel, SideModel, conditions, load_model
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 
 

@@ -32,7 +32,6 @@ def wheel(law: Controller, actuator: Actuator) -> list[tuple[np.ndarray, np.ndar
     """(t, delta) of each scenario, at samples, at T and at the end."""
     options = PlantOptions(actuator=actuator)
     out = simulate(law, SCENARIOS, y_s=0.0, dt=DT, options=options, settle=SETTLE, trajectories=True)
-    assert out.trajectories is not None
     rows = []
     for i in range(SCENARIOS.n):
         driven = ~np.isnan(out.trajectories.t[i])

@@ -38,7 +38,6 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
     out = simulate(
         PreviewProportional(**given, convention=convention), scenarios, y_s=0.1, settle=settle, trajectories=True
     )
-    assert out.trajectories is not None
     law = preview_proportional(**given, sign=-1.0 if convention == "consistent" else 1.0)
     crossed = 0
     for i in range(scenarios.n):
@@ -80,7 +79,6 @@ def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: f
     scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
     out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
-    assert out.trajectories is not None
     crossings = 0
     for i in range(2):
         expected = reference.drive(reference.Path.of(scenarios, i), preview_proportional(K_y, K_psi), y_s=0.1, dt=dt)
@@ -148,7 +146,6 @@ def test_an_unstable_law_is_scored_at_the_bound_and_counted(settle: float) -> No
     diverged = out.status == EventStatus.DIVERGED
     assert diverged.sum() > 5
     assert np.isfinite(out.S).all()
-    assert out.trajectories is not None
     for i in np.flatnonzero(diverged):
         # the same run cut off at the last sample inside the bound, then the bound to the end
         path = out.trajectories.x[i, :, 0]
@@ -178,7 +175,6 @@ def test_the_score_before_a_divergence_is_kept(size: float) -> None:
         kick = sign * size
         out = simulate(Stepped(LQR(), lambda delta, k, kick=kick: np.where(k == 20, kick, delta)), scenarios, y_s=0.1)
         assert out.count(EventStatus.DIVERGED) == 1
-        assert sane.trajectories is not None
         path, t = sane.trajectories.x[0, :21, 0], sane.trajectories.t[0, :21]
         rate = sane.trajectories.x[0, :21, 1]
         area = np.trapezoid(path, t) + np.sum(np.diff(t) ** 2 * (rate[:-1] - rate[1:]) / 12)  # Hermite, path > 0
@@ -196,7 +192,6 @@ def test_deepest_is_that_of_the_cubic_through_the_samples_up_to_the_end() -> Non
     # it steers late and hard: the edge goes on outwards, some of them beyond T
     out = simulate(PreviewProportional(K_y=-0.002, K_psi=-0.02), scenarios, y_s=0.1, trajectories=True)
     paths, between, later = out.trajectories, 0, 0
-    assert paths is not None
     for i in np.flatnonzero(out.triggered):
         counted = paths.t[i] <= scenarios.T[i]
         t, edge = paths.t[i, counted], paths.x[i, counted, 0] - 0.85
@@ -214,7 +209,6 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
     hold = Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
     for given in ({"start": "steady"}, {"start": "printed"}, {"start": "printed", "initial_yaw_rate": "zero"}):
         out = simulate(hold, scenarios, y_s=0.0, trajectories=True, **given)
-        assert out.trajectories is not None
         for i in range(2):
             v, T, d_y = scenarios.v_mean[i], scenarios.T[i], scenarios.d_y[i]
             yaw_rate = v * scenarios.c_0[i] + (-8 * d_y / T**2) / v
@@ -247,7 +241,6 @@ def start_of_a_held_wheel(scenarios: Scenarios, **settings: Any) -> tuple[np.nda
     """Lateral acceleration relative to the lane in the first two milliseconds, and that of the recorded path, (m,)."""
     setup = Setup(dt=1e-3, settle=0.0, **settings)
     out = simulate(Constant(f_u=1.0), scenarios, y_s=0.1, setup=setup, trajectories=True)
-    assert out.trajectories is not None
     rows = np.flatnonzero(out.triggered)
     path = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed).take(rows)
     rate = out.trajectories.x[rows, :3, 1]
@@ -280,7 +273,6 @@ def test_the_printed_start_has_no_side_slip() -> None:
     starts = []
     for start in ("printed", "steady"):
         hold = simulate(Constant(f_u=1.0), one, y_s=0.0, dt=1e-4, start=start, trajectories=True)
-        assert hold.trajectories is not None
         starts.append(hold.trajectories.x[0, :3])
     (printed, steady) = starts
     assert steady[0, 2] == pytest.approx(0.133333 + 0.177778 * 0.116181, abs=1e-6)

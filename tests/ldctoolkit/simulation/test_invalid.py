@@ -240,7 +240,6 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
         paths = run(
             Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05, trajectories=[row]
         ).trajectories
-        assert paths is not None
         assert paths.delta[0, 2] == paths.delta[0, 1] != paths.delta[0, 3]
 
 

@@ -174,7 +174,6 @@ def run(law: Controller, options: PlantOptions, scenarios: Scenarios, **more: An
 
 
 def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    assert out.trajectories is not None
     driven = ~np.isnan(out.trajectories.t[i])
     return tuple(getattr(out.trajectories, name)[i, driven] for name in ("t", "x", "delta"))  # type: ignore[return-value]
 
@@ -259,7 +258,6 @@ def test_half_the_substep_has_a_sixteenth_of_the_error(case: str, monkeypatch: p
     def states(reach: float) -> np.ndarray:
         monkeypatch.setattr(takeover, "_REACH", reach)
         paths = run(LQR(), CASES[case], slow, dt=0.2).trajectories
-        assert paths is not None
         return paths.x
 
     finest = states(1 / 64)

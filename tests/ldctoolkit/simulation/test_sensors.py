@@ -70,7 +70,6 @@ def watch(scenarios: Scenarios, sensors: Sensors, *, seed: int = 0, **options: A
     )  # fmt: skip
     assert out.triggered.all()
     seen, paths = witness.seen.arrays(), out.trajectories
-    assert paths is not None
     at_samples = [np.flatnonzero(np.abs(paths.t[0] - t) < 1e-9)[0] for t in seen.t[:, 0]]
     return seen, paths.x[:, at_samples].transpose(1, 0, 2)
 

@@ -36,12 +36,7 @@ def test_every_entry_is_rajamanis(p: VehicleParameters, v: float) -> None:
         ],
     ]
     book_B = [0, 2 * Caf / m, 0, 2 * Caf * lf / Iz]
-    book_E = [
-        0,
-        -(2 * Caf * lf - 2 * Car * lr) / (m * v) - v,
-        0,
-        -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v),
-    ]
+    book_E = [0, -(2 * Caf * lf - 2 * Car * lr) / (m * v) - v, 0, -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v)]
     np.testing.assert_allclose(A, book_A, rtol=1e-14)
     np.testing.assert_allclose(B, book_B, rtol=1e-14)
     np.testing.assert_allclose(E, book_E, rtol=1e-14)

@@ -136,9 +136,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ldctoolkit", "models"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    assert process.stdout is not None
     process.stdout.close()
-    assert process.stderr is not None
     message = process.stderr.read().decode()
     process.stderr.close()
     assert process.wait(600) == 1

@@ -89,12 +89,9 @@ def test_bounds_and_transforms(folder: Path) -> None:
     assert sides["sigma_y"] == (0.0, None, "none")
     assert sides["v_mean"] == (4.0, None, "none")
     low = sides["T"][0]  # read off the data, not beyond the criteria of the extraction
-    assert low is not None
     assert 0.5 <= low < smallest
     assert sides["T"][2] == "logit"
     low, high, _ = sides["a_mean"]
-    assert low is not None
-    assert high is not None
     # uniform between -0.2 and 0.2: the ends within 4 mean gaps of 150 values
     assert abs(low + 0.2) < 4 * 0.4 / 150
     assert abs(high - 0.2) < 4 * 0.4 / 150

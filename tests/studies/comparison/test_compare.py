@@ -155,7 +155,6 @@ def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     assert comparison.differences == ()
     assert not comparison.any_worse
     winners = comparison.cases[0].winners
-    assert winners is not None
     assert winners.verdict is Verdict.SAME
     assert winners.same_design
 
@@ -318,7 +317,6 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
             bootstrap=300,
         )
         winners = comparison.cases[0].winners
-        assert winners is not None
         alarms += winners.verdict is not Verdict.UNTOLD
     assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
 
@@ -333,7 +331,6 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     comparison = compare(old, finished(better, rows=[4, 5], of=6))
     assert len(comparison.cases[0]) == 0
     winners = comparison.cases[0].winners
-    assert winners is not None
     best_old, best_new = scores.mean(axis=1).argmin(), better.mean(axis=1).argmin()
     assert (winners.old, winners.new) == (old.results.designs[best_old], comparison.only_new[best_new])
     assert winners.difference == pytest.approx((better[best_new] - scores[best_old]).mean())
@@ -358,16 +355,13 @@ def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
 
     comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
     first, second = (case.winners for case in comparison.cases)
-    assert first is not None
     assert (first.fresh, first.scenarios, first.old) == (True, 300, old.results.designs[2])
     assert first.difference == pytest.approx(-0.5)
     assert first.verdict is Verdict.BETTER
     # no finalist is among the best of the other case, whose winner met the study's own scenarios only
-    assert second is not None
     assert (second.fresh, second.scenarios) == (False, 400)
     assert second.old in old.results.designs[:2]
     one_sided = compare(with_fresh(old, fresh), new).cases[0].winners
-    assert one_sided is not None
     assert not one_sided.fresh
 
 
@@ -388,17 +382,13 @@ def test_the_winner_meets_the_requirements(scores: np.ndarray) -> None:
     status[best, 0] = EventStatus.TIMED_OUT
     new = finished(scores, status=status, ranking={"require": ["timed_out <= 0"]})
     winners = compare(old, new).cases[0].winners
-    assert winners is not None
     assert (winners.old, winners.new) == (old.results.designs[best], old.results.designs[second])
 
 
 def test_failed_designs(scores: np.ndarray) -> None:
     every = study_of(4).designs
     old = changed(finished(scores[:3], of=4, rows=[0, 1, 2]), failed=(FailedDesign(every[3], "it raised"),))
-    new = changed(
-        finished(scores[[1, 3]], of=4, rows=[1, 3]),
-        failed=(FailedDesign(every[0], "it raises now"),),
-    )
+    new = changed(finished(scores[[1, 3]], of=4, rows=[1, 3]), failed=(FailedDesign(every[0], "it raises now"),))
     comparison = compare(old, new)
     assert [one.reason for one in comparison.new_failures] == ["it raises now"]
     assert [one.design for one in comparison.repaired] == [every[3]]

@@ -65,9 +65,7 @@ def test_laws_of_one_table_are_those_of_one_table_each() -> None:
 
 def test_a_gain_with_a_condition_keeps_its_default_otherwise() -> None:
     found = block(
-        law="linear_mpc",
-        gains={"blocks": [0, 3, 5], "solver": ["osqp", "daqp"]},
-        when={"blocks": {"solver": "osqp"}},
+        law="linear_mpc", gains={"blocks": [0, 3, 5], "solver": ["osqp", "daqp"]}, when={"blocks": {"solver": "osqp"}}
     ).designs()
     assert [(gains(d)["solver"], gains(d)["blocks"]) for d in found] == [
         ("osqp", 0),
@@ -333,10 +331,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         {"law": ["toy", "boom"], "gains": {"K": 0, "on": [True, False]}, "when": {"K": {"on": True}}},
         "when.K.on: no gain of 'boom', which has 'K'; allowed: a gain of the same law",
     ),
-    (
-        {"gains": {"N": [3, 4], "on": [True, False]}, "when": {"N": {"on": 1}}},
-        "when.N.on: 1 is not among gains.on",
-    ),
+    ({"gains": {"N": [3, 4], "on": [True, False]}, "when": {"N": {"on": 1}}}, "when.N.on: 1 is not among gains.on"),
 ]
 
 

@@ -111,10 +111,7 @@ def test_studies_take_sets_by_name(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------ margins
 
 
-SETUPS = {
-    "ideal": Setup(),
-    "lag and delay": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.1))),
-}
+SETUPS = {"ideal": Setup(), "lag and delay": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.1)))}
 
 
 @pytest.mark.parametrize("name", SETUPS)
@@ -125,7 +122,6 @@ def test_margins_are_those_of_the_review(name: str, controller: Any) -> None:
     v = np.array([10.0, 25.0, 40.0])
     gain, phase = design_margins([controller], setup, v)
     loop = review(controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v).loop
-    assert loop is not None
     assert (gain[0] > 0).tolist() == loop.stable.tolist()
     for i in np.flatnonzero(loop.stable):
         assert 20 * math.log10(gain[0, i]) == pytest.approx(loop.gain_margin[i], abs=0.1)

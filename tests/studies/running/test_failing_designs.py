@@ -301,8 +301,7 @@ def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
 
 
 @pytest.mark.parametrize(
-    ("workers", "block_size", "K"),
-    [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)],
+    ("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)]
 )
 def test_each_design_is_asked_whether_it_keeps_state(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]

@@ -41,12 +41,7 @@ def reference(make_study: MakeStudy, tmp_path: Path) -> StudyResults:
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        {"workers": 2, "block_size": 3},
-        {"executor": "serial", "block_size": 2},
-    ],
-    ids=str,
+    "settings", [{"workers": 2, "block_size": 3}, {"executor": "serial", "block_size": 2}], ids=str
 )
 def test_no_number_depends_on_how_the_work_is_split(
     settings: dict[str, object], make_study: MakeStudy, reference: StudyResults, tmp_path: Path

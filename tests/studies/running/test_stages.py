@@ -47,7 +47,6 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     study = study_of(make_study)
     results = run_study(study, directory=tmp_path, workers=1)
     fresh = results.fresh
-    assert fresh is not None
     # three finalists, and the baseline, so that the gain is known on fresh scenarios too
     assert "none" in [design.law for design in fresh.designs]
     assert 3 <= len(fresh.designs) <= 4
@@ -55,7 +54,6 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     best = rank_study(results, study)[0].designs[0]
     assert best in fresh.designs
     again = read_results(tmp_path)
-    assert again.fresh is not None
     np.testing.assert_array_equal(again.fresh.cases[0].S, fresh.cases[0].S)
     none = study_of(make_study, ranking={"finalists": 0})
     assert run_study(none, directory=tmp_path, workers=1).fresh is None
@@ -91,8 +89,6 @@ def test_damaged_finalists_are_refused_and_repaired(make_study: MakeStudy, tmp_p
     with pytest.raises(StoreError, match=r"finalists/results/part-.*: broken: "):
         read_results(tmp_path)
     fresh = run_study(study, directory=tmp_path, workers=1).fresh
-    assert fresh is not None
-    assert expected is not None
     np.testing.assert_array_equal(fresh.cases[0].S, expected.cases[0].S)
 
 
@@ -118,7 +114,6 @@ def test_the_race_of_other_designs_is_not_believed(
 ) -> None:
     study = study_of(make_study, **RACE)
     results = run_study(study, directory=tmp_path, workers=1)
-    assert results.race is not None
     assert results.race.dropped
     assert read_results(tmp_path).race == results.race
     best = rank_study(results, study)[0].designs[0]
@@ -138,7 +133,6 @@ def test_the_race_of_other_designs_is_not_believed(
 def test_a_race_keeps_its_baseline_and_says_when_others_went(make_study: MakeStudy, tmp_path: Path) -> None:
     study = study_of(make_study, **RACE)
     results = run_study(study, directory=tmp_path, workers=1)
-    assert results.race is not None
     assert "none" in [design.law for design in results.designs]
     for one in results.race.dropped:
         assert one.low > 0

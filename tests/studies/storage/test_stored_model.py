@@ -26,7 +26,6 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_run_leaves_its_model(folder: Path) -> None:
     model = read_model(folder, read_manifest(folder))
-    assert model is not None
     assert model.content_hash == load_model("reference").content_hash == read_manifest(folder).model_hash
     assert model.provenance == load_model("reference").provenance
     before = (folder / MODEL).read_bytes()

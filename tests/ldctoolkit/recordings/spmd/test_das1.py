@@ -86,8 +86,6 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.lane_width, [4.0, 3.75, 4.0, 4.0, nan, -4.0, 3.5, 3.5])
     np.testing.assert_array_equal(one.valid, [True, False, False, False, False, False, True, True])
     np.testing.assert_allclose(one.speed, [10, 10, 10, 10, 9, nan, 9, nan])
-    assert one.yaw_rate is not None
-    assert one.heading is not None
     np.testing.assert_allclose(one.yaw_rate, [np.pi, np.pi, np.pi, np.pi, nan, nan, np.pi, nan])
     np.testing.assert_allclose(one.heading, -np.pi / 2 * np.array([1, 1, 1, 1, 1, nan, 1, nan]))
     np.testing.assert_array_equal(one.turn_signal, [0, 1, -1, 0, 0, 0, 0, 0])
