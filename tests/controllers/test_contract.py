@@ -117,8 +117,7 @@ def test_a_design_in_a_study_file_is_the_same_design(name: str, tmp_path: Path) 
         if declared.name != "convention":  # which follows the case unless it is given
             assert getattr(read.controller(), declared.name) == getattr(design, declared.name)
     (again,) = Study.from_dict(Study.from_toml(tmp_path / "s.toml").content()).designs
-    assert again == read
-    assert again.id == read.id
+    assert (again, again.id) == (read, read.id)
 
 
 @pytest.mark.parametrize("name", ZOO)

@@ -156,8 +156,7 @@ def test_ipopt_finds_the_same_plan(design: NonlinearMPC) -> None:
     bound = 0
     for i in range(n):
         U, cost = ipopt(design, plant, i, x[i], preview.yaw_rate[i], prev[i], state.U[i])
-        assert delta[i] == pytest.approx(U[0], abs=1e-6)
-        assert state.cost[i] == pytest.approx(cost, rel=1e-6)
+        assert (delta[i], state.cost[i]) == (pytest.approx(U[0], abs=1e-6), pytest.approx(cost, rel=1e-6))
         change = np.diff(U, prepend=prev[i])
         bound += np.abs(change).max() > design.rate_max * DT - 1e-7 or np.abs(U).max() > design.delta_max - 1e-7
     assert bound >= 1, "limits must bind for this to test anything"

@@ -70,9 +70,7 @@ def test_the_last_change_of_the_command_is_known_from_the_second_step_on() -> No
     first, state, _ = law.step(np.zeros(1), *nothing, np.array([0.05]), law.init(1))
     second, state, _ = law.step(np.zeros(1), *nothing, np.array([0.03]), state)
     third, _, _ = law.step(np.zeros(1), *nothing, np.array([0.03]), state)
-    assert first[0] == 0.0
-    assert second[0] == pytest.approx(0.008, abs=1e-16)
-    assert third[0] == 0.0
+    assert (first[0], second[0], third[0]) == (0.0, pytest.approx(0.008, abs=1e-16), 0.0)
 
 
 @pytest.mark.parametrize("vehicle", [VehicleParameters(), OTHER])

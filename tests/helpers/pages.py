@@ -48,8 +48,7 @@ class Page(HTMLParser):
         self._section = ""
         self.feed(html)
         self.close()
-        assert self._open == []
-        assert len(self.ids) == len(set(self.ids))
+        assert (self._open, len(self.ids)) == ([], len(set(self.ids)))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self._seen(tag, {key: value or "" for key, value in attrs})

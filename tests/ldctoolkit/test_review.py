@@ -72,8 +72,7 @@ def test_planted_an_initial_angle_beyond_the_limits() -> None:
     found = review(LinearMPC(delta_max=0.02, rate_max=0.1), speeds=[10.0, 20.0])
     fault = named(found, "initial_angle")
     needed = float(BicycleModel().steady_state([10.0]).delta[0]) * 0.2
-    assert fault.severity == "fault"
-    assert fault.value == pytest.approx(needed, rel=1e-12)
+    assert (fault.severity, fault.value) == ("fault", pytest.approx(needed, rel=1e-12))
     assert f"for {math.ceil((needed - 0.02) / 0.005)} samples (its horizon is 20 samples)" in fault.sentence
     assert named(found, "angle_in_bend").severity == "fault"
     assert not names(review(LinearMPC(), speeds=[10.0, 20.0]))
@@ -173,8 +172,7 @@ def test_margins_below_their_thresholds() -> None:
     value = float(review(LQR(), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
     warned = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
     finding = named(warned, "gain_margin")
-    assert finding.severity == "warning"
-    assert finding.value == pytest.approx(value)
+    assert (finding.severity, finding.value) == ("warning", pytest.approx(value))
     assert f"a gain margin of {value:.3g} dB; allowed: at least {value + 1:.3g} dB" in finding.sentence
     assert "Raise r_delta" in finding.sentence
     faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))

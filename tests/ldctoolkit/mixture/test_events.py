@@ -74,8 +74,7 @@ def test_values_on_a_bound_move_inside():
     x[9, 1], x[10, 1] = 30.0, 0.0
     before = x.copy()
     found = inside_bounds(Events(x, w), lower, upper)
-    assert found.varies.tolist() == [True, True, True, False]
-    assert found.moved.tolist() == [2, 2, 0, 0]
+    assert (found.varies.tolist(), found.moved.tolist()) == ([True, True, True, False], [2, 2, 0, 0])
     assert found.events.weight is w
     y = found.events.x
     off = (x[:, :3] != lower[:3]) & (x[:, :3] != upper[:3])

@@ -103,15 +103,13 @@ def test_equals_the_count_by_hand(seed, count):
             hand["samples"],
             hand["usable"],
         )
-        assert account.read_ns == round(hand["read"] * 1e9)
-        assert account.valid_ns == round(hand["valid"] * 1e9)
+        assert (account.read_ns, account.valid_ns) == (round(hand["read"] * 1e9), round(hand["valid"] * 1e9))
         assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == dict(hand["widths"])
         told = Counter()
         for row, side in enumerate(("left", "right")):
             told[side, "departure"] = int(account.departures[row])
             told.update({(side, reason): int(account.refused[row, i]) for i, reason in enumerate(REASONS)})
-        assert +told == hand["found"]
-        assert account.candidates.sum() == sum(hand["found"].values())
+        assert (+told, account.candidates.sum()) == (hand["found"], sum(hand["found"].values()))
 
 
 def alike(found: Any) -> Any:

@@ -54,8 +54,7 @@ def test_labels_become_columns_and_come_back(tmp_path):
     assert columns_of(found.departures) == wanted
     write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
     frame = pl.read_parquet(tmp_path / "d.parquet")
-    assert frame.columns == [*COLUMNS, *wanted]
-    assert frame["lane_scale"].dtype == pl.Float64
+    assert (frame.columns, frame["lane_scale"].dtype) == ([*COLUMNS, *wanted], pl.Float64)
     departures, provenance = read_departures(tmp_path / "d.parquet")
     assert columns_of(departures) == wanted
     assert [column.values.dtype.kind for column in departures.extra] == ["U", "f", "U", "U"]

@@ -68,8 +68,7 @@ def test_the_nominal_width(seen, tmp_path):
     assert scale_of(right) == []
     write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
     departures, provenance = read_departures(tmp_path / "d.parquet")
-    assert provenance.preparation == preparation
-    assert departures.extra[-1].name == "lane_scale"
+    assert (provenance.preparation, departures.extra[-1].name) == (preparation, "lane_scale")
     assert departures.extra[-1].values.tolist() == scale_of(found)
 
 

@@ -262,9 +262,7 @@ def test_planted_departures_come_back(data, rate, side, n):
     ]  # fmt: skip
     found = extract_departures(drives, vehicle_width=WIDTH)
     d = found.departures
-    assert len(d) == n
-    assert found.refused.total == 0
-    assert d.side.tolist() == [side] * n
+    assert (len(d), found.refused.total, d.side.tolist()) == (n, 0, [side] * n)
     # A crossing lies between a straight line of slope s and a parabola s tau - k tau^2. The chord over a step h passes
     # the crossing at most 4/27 k h^2 too low, with a slope of s - k h or more. At constant speed s = 4 d_y/T and
     # k = s/T; the speeds here change s by up to 19 % and k by up to 60 %: the time is off by less than 0.4 h^2/T

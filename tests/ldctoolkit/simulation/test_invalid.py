@@ -230,8 +230,7 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
     for value in (np.nan, np.inf, -np.inf):
         out = run(Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05)
         assert_counted(out, np.zeros(30, dtype=bool))
-        assert out.failed_solves.sum() == 1
-        assert out.count(EventStatus.SOLVER_FAILED) == 1
+        assert (out.failed_solves.sum(), out.count(EventStatus.SOLVER_FAILED)) == (1, 1)
         (row,) = np.flatnonzero(out.failed_solves)
         others = np.delete(np.arange(30), row)
         kept = values(out)
@@ -260,8 +259,7 @@ def test_the_last_command_of_all_counts_too() -> None:
 def test_a_scenario_that_failed_and_left_counts_as_left() -> None:
     law = Stepped(Constant((0.5, 0.0, 2.0, 0.0)), lambda delta, k: np.where(k == 1, np.nan, delta))
     out = run(law, Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), PlantOptions())
-    assert out.failed_solves[0] == 1
-    assert out.status[0] == EventStatus.DIVERGED
+    assert (out.failed_solves[0], out.status[0]) == (1, EventStatus.DIVERGED)
 
 
 def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:

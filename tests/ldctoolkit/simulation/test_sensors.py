@@ -139,8 +139,7 @@ def test_delay_and_rate_are_exact(period: int, delay: float) -> None:
     for k in range(seen.t.shape[0]):
         sample = math.floor((k - delay) / period) * period
         if sample >= 0:
-            assert seen.x[k, 0, 0] == true[sample, 0, 0]
-            assert seen.x[k, 0, 2] == true[sample, 0, 2]
+            assert (seen.x[k, 0, 0], seen.x[k, 0, 2]) == (true[sample, 0, 0], true[sample, 0, 2])
         else:
             e_y, e_psi = recorded(scenarios, t_s + sample * DT)
             assert seen.x[k, 0, 0] == pytest.approx(e_y, abs=1e-14)

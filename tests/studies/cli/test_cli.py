@@ -139,8 +139,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     process.stdout.close()
     message = process.stderr.read().decode()
     process.stderr.close()
-    assert process.wait(600) == 1
-    assert message == ""
+    assert (process.wait(600), message) == (1, "")
 
 
 def test_an_interrupt_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,8 +188,7 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     finally:
         process.kill()
     assert process.returncode == 130, error
-    assert error == "ldc: interrupted\n"
-    assert out == ""
+    assert (error, out) == ("ldc: interrupted\n", "")
     # what was finished is there, and what was being computed is not half there
     assert re.search(r"\d+ of 303 designs are not complete \(\d+ % of", bad("rank", "o", cwd=folder))
 

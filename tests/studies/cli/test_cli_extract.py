@@ -212,8 +212,7 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
     assert (provenance.reader, provenance.criteria.vehicle_width, provenance.preparation.step) == ("made", 1.8, 0.1)
     (folder / "a.csv").write_text(recordings(0))
     code, _, err = ldc("a.csv", "-o", "d.parquet", "--format", "made")
-    assert code == 2
-    assert err == "ldc: error: a.csv: is not made up\n"
+    assert (code, err) == (2, "ldc: error: a.csv: is not made up\n")
 
 
 @pytest.mark.parametrize(("problems", "told"), [(1, 1), (20, 20), (21, 21), (1500, 21)])
@@ -224,9 +223,7 @@ def test_the_first_twenty_problems_are_told(
     (folder / "a.made").write_text("x")
     code, _, err = ldc("a.made", "-o", "d.parquet")
     lines = [line for line in err.splitlines() if "is wrong" in line or "problems" in line]
-    assert code == 3
-    assert len(lines) == told
-    assert lines[0] == "ldc: warning: a.made, line 1: is wrong"
+    assert (code, len(lines), lines[0]) == (3, told, "ldc: warning: a.made, line 1: is wrong")
     if problems > 20:
         assert lines[-1].startswith(f"ldc: warning: and {problems - 20:,} more problems, {problems:,} in all")
     assert len(read_departures("d.parquet")[1].problems) == problems

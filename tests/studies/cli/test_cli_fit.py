@@ -62,8 +62,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert "ldc: warning: left: c_0 is 0 in every event" in done.stderr
     assert not (folder / "m.html").exists()
     card = json.loads((folder / "m.json").read_text())["provenance"]
-    assert card["source"]["refused"]["gap"] == 3
-    assert card["source"]["criteria"]["min_speed"] == 4.0
+    assert (card["source"]["refused"]["gap"], card["source"]["criteria"]["min_speed"]) == (3, 4.0)
     assert card["settings"] == {
         "criterion": "held_out", "slack": None, "indifference": 0.0, "prior_strength": 20.0, "tol": 1e-4, "n_init": 1,
         "max_iter": 500,

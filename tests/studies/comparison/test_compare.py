@@ -144,8 +144,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     i = np.abs(new[0] - scores[0]).argmax()
     assert (S.largest_at[0], S.largest[0]) == (i, (new - scores)[0, i])
     assert comparison.any_worse
-    assert comparison.cases[0].order[0] == 0
-    assert comparison.cases[0].order[-1] == 3
+    assert (comparison.cases[0].order[0], comparison.cases[0].order[-1]) == (0, 3)
     assert "1 better, 1 worse, 1 not separated, 1 the same" in comparison.summary
 
 
@@ -273,8 +272,7 @@ def test_what_cannot_be_driven_counts_for_nobody(scores: np.ndarray) -> None:
     new = scores.copy()
     new[1, 3] = np.nan
     comparison = compare(finished(scores, source="old"), finished(new, status=status))
-    assert verdicts(comparison) == ["same"] * 4
-    assert comparison.shared.n == 399
+    assert (verdicts(comparison), comparison.shared.n) == (["same"] * 4, 399)
     assert comparison.cases[0].S.S_old[0] == pytest.approx(np.delete(scores[0], 3).mean())
     assert any("1 shared scenario cannot be driven" in warning for warning in comparison.warnings)
 
@@ -553,11 +551,9 @@ def test_files_hold_every_row(tmp_path: Path, scores: np.ndarray) -> None:
     for row, i in zip(rows, comparison.cases[0].order, strict=False):
         assert row["design_new"] == comparison.cases[0].designs[i].id
         assert float(row["difference_m_s"]) == S.difference[i]
-        assert float(row["difference_high_m_s"]) == S.high[i]
-        assert row["verdict"] == S.verdict[i]
+        assert (float(row["difference_high_m_s"]), row["verdict"]) == (S.high[i], S.verdict[i])
     assert rows[3]["largest_change_scenario"] == ""
     assert int(rows[0]["largest_change_scenario"]) == np.abs(new - scores)[comparison.cases[0].order[0]].argmax()
     content = json.loads(json.dumps(comparison_content(comparison), allow_nan=False))
     assert content["worse"] is True
-    assert content["summary"] == comparison.summary
-    assert len(content["rows"]) == len(rows)
+    assert (content["summary"], len(content["rows"])) == (comparison.summary, len(rows))

@@ -41,8 +41,7 @@ GOOD = ("good",) * 5
 def test_parts_in_this_process_are_as_the_library_extracts_them(made: Made, content: Content) -> None:
     source = made(*GOOD)
     found = run_extraction(source, workers=1)
-    assert content(found) == content(extract_departures(source))
-    assert len(found.departures) == 30
+    assert (content(found), len(found.departures)) == (content(extract_departures(source)), 30)
     assert found.recordings == 15
     assert texts(found) == ["file 9: is empty", *(f"part {i}, line 7: is left out" for i in range(5))]
     assert found.provenance.criteria.vehicle_width == 1.8
@@ -84,8 +83,7 @@ def test_what_a_part_raises_is_a_problem_of_that_part(made: Made, tmp_path: Path
     found = run_extraction(made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet")
     assert found.recordings == 6
     told = [text for text in texts(found) if "line 7" not in text]
-    assert told[0] == "file 9: is empty"
-    assert told[1] == "part 1: ZeroDivisionError: a reader's own fault"
+    assert (told[0], told[1]) == ("file 9: is empty", "part 1: ZeroDivisionError: a reader's own fault")
     assert told[2].startswith("part 2: ")
     assert "nothing here can be used" in told[2]
     assert len(told) == 3
@@ -114,8 +112,7 @@ def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: 
     told: list[tuple[int, int]] = []
     source = made(*how)
     found = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
-    assert times(source) == [1, 1, 2, 1]
-    assert told == [(200, 400), (300, 400), (400, 400)]
+    assert (times(source), told) == ([1, 1, 2, 1], [(200, 400), (300, 400), (400, 400)])
     assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 

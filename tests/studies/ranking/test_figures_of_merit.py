@@ -124,8 +124,7 @@ def test_a_figure_that_a_design_lacks_meets_nothing() -> None:
 )
 def test_the_text_reads_back_to_the_same(name: str, operator: str, limit: float) -> None:
     one = parse_requirement(f"{name} {operator} {limit!r}")
-    assert parse_requirement(one.text) == one
-    assert one.limit == limit
+    assert (parse_requirement(one.text), one.limit) == (one, limit)
 
 
 @given(st.text(max_size=30))

@@ -71,8 +71,7 @@ def test_the_first_stays_winner_where_fresh_scenarios_do_not_part_it_from_a_bett
     assert ranking.index.tolist() == [1, 2, 0, 3]
     assert ranking.fresh_S[1] < ranking.fresh_S[0]
     assert ranking.fresh_difference_high[1] > 0
-    assert ranking.fresh_best == 1
-    assert ranking.winner == 0
+    assert (ranking.fresh_best, ranking.winner) == (1, 0)
     # the search's own figures are as without fresh ones
     results = results_of(scores, (0, 1, 2, 3))
     alone = Ranking.of(results, results.cases[0])
@@ -112,8 +111,7 @@ def test_fresh_differences_are_paired_and_simultaneous(scores: np.ndarray, again
 def test_the_baseline_is_a_finalist_only_in_the_set_of_best(scores: np.ndarray, again: np.ndarray) -> None:
     again[3] -= 9.0
     ranking = rank(scores, again, (1, 2, 3))
-    assert ranking.fresh_best == 1
-    assert ranking.winner == 0
+    assert (ranking.fresh_best, ranking.winner) == (1, 0)
     assert np.isnan(ranking.fresh_difference[2:]).all()
     assert np.isnan(ranking.optimism[2:]).all()
     assert ranking.fresh_S[3] == pytest.approx(again[3].mean())
@@ -221,8 +219,7 @@ def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.n
     fresh = dataclasses.replace(results_of(again[[2, 0]], (2, 0)), failed=(FailedDesign(design(1), "boom"),))
     results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), fresh=fresh)
     ranking = Ranking.of(results, results.cases[0])
-    assert ranking.winner == 1
-    assert ranking.fresh_difference[1] == 0.0
+    assert (ranking.winner, ranking.fresh_difference[1]) == (1, 0.0)
 
 
 def test_a_case_that_was_not_raced_has_no_winner_and_says_so(scores: np.ndarray, again: np.ndarray) -> None:

@@ -106,8 +106,7 @@ def test_weights_depend_on_the_seed_only() -> None:
 def test_equal_scores_share_a_rank_and_keep_the_study_order() -> None:
     S = np.random.default_rng(2).gamma(2.0, 1.0, 60)
     ranking = rank(results_of(np.stack([S + 1.0, S, S, S]), left=30))
-    assert ranking.index.tolist() == [1, 2, 3, 0]
-    assert ranking.rank.tolist() == [1, 1, 1, 4]
+    assert (ranking.index.tolist(), ranking.rank.tolist()) == ([1, 2, 3, 0], [1, 1, 1, 4])
     assert ranking.set_of_best.tolist() == [True, True, True, False]
     assert ranking.difference[:3].tolist() == [0.0, 0.0, 0.0]
 
@@ -127,12 +126,9 @@ def test_failures_count_in_means_and_are_told() -> None:
     case.failed_solves[1, 0] = 7
     ranking = rank(results)
     # S without control is 3 and 41: what failed counts as that, the rest as it is
-    assert ranking.S.tolist() == [2.5, 21.0]
-    assert ranking.S_left.tolist() == [3.0, 1.0]
-    assert ranking.diverged.tolist() == [0, 1]
-    assert ranking.solver_failed.tolist() == [1, 0]
-    assert ranking.failed_solves.tolist() == [7, 0]
-    assert ranking.triggered.tolist() == [0.5, 1.0]
+    assert (ranking.S.tolist(), ranking.S_left.tolist()) == ([2.5, 21.0], [3.0, 1.0])
+    assert (ranking.diverged.tolist(), ranking.solver_failed.tolist()) == ([0, 1], [1, 0])
+    assert (ranking.failed_solves.tolist(), ranking.triggered.tolist()) == ([7, 0], [0.5, 1.0])
 
 
 def test_scores_that_are_not_finite_are_refused() -> None:
@@ -345,17 +341,14 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
     peaks = results.cases[0].companions.a_y_peak
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
-    assert ranking.index.tolist() == [2, 0, 3, 1]
-    assert ranking.rank.tolist() == [1, 2, 3, 0]
-    assert ranking.ranked == 3
+    assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)
     assert ranking.unmet == ((), (), (), ("a_y_peak_p95 <= 3",))
     assert ranking.difference[0] == 0.0
     assert ranking.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
     assert ranking.set_of_best.tolist() == [True, False, False, False]
     assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
     # 0 is worse by S, better by its peak; 3 is worse in both
-    assert ranking.pareto.tolist() == [True, True, False, False]
-    assert ranking.winner == 0
+    assert (ranking.pareto.tolist(), ranking.winner) == ([True, True, False, False], 0)
     write_csv([ranking], tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         last = list(csv.DictReader(stream))[-1]
@@ -365,8 +358,7 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
 
 def test_requirements_that_nobody_meets_rank_nobody_and_say_so(scores: np.ndarray) -> None:
     ranking = rank(results_of(scores, left=150, law="toy"), require=("S <= 1e-3", "ay_max < 1e-3"))  # type: ignore[arg-type]
-    assert ranking.rank.tolist() == [0, 0, 0, 0]
-    assert ranking.S.tolist() == sorted(scores.mean(axis=1))
+    assert (ranking.rank.tolist(), ranking.S.tolist()) == ([0, 0, 0, 0], sorted(scores.mean(axis=1)))
     assert not ranking.set_of_best.any()
     assert not ranking.best_frequency.any()
     assert ranking.winner is None

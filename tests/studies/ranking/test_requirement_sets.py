@@ -154,8 +154,7 @@ def test_no_control_alone_is_no_winner() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 9.0, 8.0, 7.0])
     ranking, found = ranked(results, "comfort")
     assert ranking.winner is None
-    assert found.title == "None of 3 designs meets the limits"
-    assert found.nearest[0] == 3
+    assert (found.title, found.nearest[0]) == ("None of 3 designs meets the limits", 3)
     assert "misses Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times)." in found.sentences[0]
     assert found.try_next == ("The nearest design stands at an end of its sweep: try r_delta above 10000.",)
     assert not found.usable

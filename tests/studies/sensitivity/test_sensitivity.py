@@ -378,8 +378,7 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
     assert 0.95 * scipy.stats.t.ppf(0.975, df) < critical[0] < 1.1 * scipy.stats.t.ppf(1 - 0.025 / len(critical), df)
     # nine designs and the winner, which is driven once more to see that nothing has changed
     assert counts == [(i, 10) for i in range(1, 11)]
-    assert found["a"].unit == "1"
-    assert found["y_s"].unit == "m"
+    assert (found["a"].unit, found["y_s"].unit) == ("1", "m")
 
 
 def test_driven_designs_count_as_stored_ones_do() -> None:

@@ -39,11 +39,9 @@ def test_planted_departures_are_given_back(tmp_path: Path, first: int) -> None:
     found = extracted(READER.open([tmp_path])).departures
     assert found.n == len(das1.PLANTED)
     for i, one in enumerate(das1.PLANTED):
-        assert found.side[i] == one.side
-        assert found.recording[i] == "10107/60"
+        assert (found.side[i], found.recording[i]) == (one.side, "10107/60")
         assert found.start_time[i] == pytest.approx(first / 100.0 + one.start, abs=0.1)
-        assert found.T[i] == pytest.approx(one.T, abs=0.1)
-        assert found.d_y[i] == pytest.approx(one.d_y, abs=0.01)
+        assert (found.T[i], found.d_y[i]) == (pytest.approx(one.T, abs=0.1), pytest.approx(one.d_y, abs=0.01))
         c = one.side * das1.curvature_at(np.array([one.start, one.start + one.T]))
         assert np.sign(found.c_0[i]) == np.sign(c[0])
         # the road bends by a sine: near its crest the slope says nothing
@@ -77,9 +75,7 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
     (tmp_path / "DataLane.csv").write_text(lane)
     (tmp_path / "DataWsu.csv").write_text(wsu)
     (one,), problems = read_all(READER.open([tmp_path]))
-    assert problems == []
-    assert one.name == "7/1"
-    assert one.source == "DataLane.csv"
+    assert (problems, one.name, one.source) == ([], "7/1", "DataLane.csv")
     nan = np.nan
     np.testing.assert_allclose(one.t, np.arange(8) * 0.1)
     np.testing.assert_array_equal(one.lane_offset, [0.5, 0.0, 0.5, 0.5, nan, -0.5, -0.25, -0.25])
@@ -225,8 +221,7 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
         partner = tmp_path / "partner.csv"
         partner.write_bytes(das1.text_of(make([drive])))
         (one,), problems = read_all(READER.open([path, partner]))
-        assert problems == []
-        assert one.name == f"{device}/{trip}"
+        assert (problems, one.name) == ([], f"{device}/{trip}")
         assert one.samples == real.height == 19
         np.testing.assert_allclose(one.t, real["Time"].to_numpy() / 100)
         assert np.isfinite(one.speed).all()

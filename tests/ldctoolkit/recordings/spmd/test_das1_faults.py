@@ -43,8 +43,7 @@ def samples(recordings: dict[str, Recording]) -> list[int]:
 
 def test_clean_tables_have_no_problem(tables: tuple[Path, Path]) -> None:
     recordings, problems = read(*tables)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == []
+    assert (samples(recordings), problems) == ([ROWS] * 3, [])
 
 
 def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
@@ -277,8 +276,7 @@ def test_many_faulty_lines_are_counted(tables: tuple[Path, Path]) -> None:
 
     edit(tables[0], change)
     recordings, problems = read(*tables)
-    assert samples(recordings) == [ROWS - 99, ROWS, ROWS]
-    assert len(problems) == 42
+    assert (samples(recordings), len(problems)) == ([ROWS - 99, ROWS, ROWS], 42)
     assert problems[20] == "DataLane.csv: 29 more lines do not begin with a trip's numbers"
     assert problems[41] == "DataLane.csv, line 42: 30 more lines like line 2, to line 100"
 
@@ -373,8 +371,7 @@ def test_what_is_no_file(tables: tuple[Path, Path], tmp_path: Path) -> None:
     assert READER.recognise([pipe]) == READER.recognise([loop]) == "1 of DataLane by name alone"
     assert READER.recognise([folder]) == ""
     recordings, problems = read(tmp_path)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == []
+    assert (samples(recordings), problems) == ([ROWS] * 3, [])
 
 
 def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Path]) -> None:

@@ -144,8 +144,7 @@ def test_what_is_usable(write: Write) -> None:
         LaneTrack_Lane_Width=width,
     )  # fmt: skip
     recordings, problems = read(write(lines))
-    assert problems == []
-    assert np.flatnonzero(~recordings["10/1"].valid).tolist() == [3, 5, 6, 7, 10]
+    assert (problems, np.flatnonzero(~recordings["10/1"].valid).tolist()) == ([], [3, 5, 6, 7, 10])
 
 
 def test_speed_signals_and_heading(write: Write) -> None:
@@ -158,8 +157,7 @@ def test_speed_signals_and_heading(write: Write) -> None:
     }
     one = read(write(lines_of(1, **cells)))[0]["10/1"]
     np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
-    assert one.turn_signal[:4].tolist() == [0, 1, -1, 0]
-    assert np.isnan(one.heading).sum() == 9
+    assert (one.turn_signal[:4].tolist(), np.isnan(one.heading).sum()) == ([0, 1, -1, 0], 9)
 
 
 def check(problems: list[Problem], place: str, words: str) -> None:
@@ -191,8 +189,7 @@ def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -
     recordings, problems = read(write([*rows, *lines_of(2)]))
     check(problems, place, words)
     assert all(one.file == "HV_Primary.csv" for one in problems)
-    assert recordings["10/1"].samples == 29
-    assert recordings["10/2"].samples == 30
+    assert (recordings["10/1"].samples, recordings["10/2"].samples) == (29, 30)
 
 
 def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(write: Write) -> None:

@@ -128,8 +128,7 @@ def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], 
 @pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
 def test_every_allowed_number_of_cells_alone(line: bytes, compiled_from: int) -> None:
     found = read_cells(line * 3, COLUMNS, ("d", "a"), cells=(4, 6), compiled_from=compiled_from)
-    assert found["d"].tolist() == [4.0] * 3
-    assert found["a"].tolist() == [1.0] * 3
+    assert (found["d"].tolist(), found["a"].tolist()) == ([4.0] * 3, [1.0] * 3)
     assert found.faults == ()
 
 

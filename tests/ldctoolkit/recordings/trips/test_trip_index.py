@@ -86,8 +86,7 @@ def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: 
     stretches, faults = by_hand(text)
     assert list(found.stretches) == stretches
     assert [fault.line for fault in found.faults] == faults[:20]
-    assert found.more_faults == len(faults[20:])
-    assert found.bytes == len(HEADER + text)
+    assert (found.more_faults, found.bytes) == (len(faults[20:]), len(HEADER + text))
     assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 
