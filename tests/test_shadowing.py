@@ -1,7 +1,5 @@
 """`controllers` and `studies` are general names: a user's own folders of that name are not taken for the toolkit's."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

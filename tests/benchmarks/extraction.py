@@ -9,8 +9,6 @@ Run it on a machine that does nothing else; it prints, and asserts nothing of ti
 exit code is 1 if the second start gives another table. ``--rows`` 1e6 is a quick look.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os

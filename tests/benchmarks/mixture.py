@@ -5,8 +5,6 @@ would use otherwise. Events are drawn from the bundled model `reference`. Ratios
 `make bench`. The choice of K over 1 to 15 on both sides takes some minutes; `--no-selection` leaves it out.
 """
 
-from __future__ import annotations
-
 import argparse
 import platform
 import subprocess

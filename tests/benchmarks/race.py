@@ -7,8 +7,6 @@ including the decisions, and whether the full study's winner is kept. Then races
 rank, on the same tables: the harder case. `--seeds 20` by default, half a minute each.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import sys

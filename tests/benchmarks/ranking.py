@@ -7,8 +7,6 @@ companions, a requirement and the Pareto front. Each shape runs in a process of 
 Times are processor time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import resource
 import subprocess

@@ -6,8 +6,6 @@ minutes; ``report_size.py DIR`` measures a study that is there. Memory is also t
 the parts take. A machine that does something else gives other times.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import subprocess

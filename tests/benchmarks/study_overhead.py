@@ -5,8 +5,6 @@ run: the time inside the compiled loop over the wall time of `run_study`, one pr
 before it is timed, so that nothing compiles. The named reference of the second part is the same study in one process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Every registered law keeps the contract that a third party's law is asked to keep."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Laws for steering by themselves: each brings departures of both signs of curvature back, at 11 to 38 m/s."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Limits and move blocking of the linear MPC against a QP built from rolled-out paths, in Clarabel, and as driven."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """LQI against python-control on the augmented plant, and what integral action is for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import control

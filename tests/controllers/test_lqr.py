@@ -1,7 +1,5 @@
 """LQR gains and feedforward against python-control and a bend."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

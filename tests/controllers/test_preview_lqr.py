@@ -1,7 +1,5 @@
 """Preview LQR against Riccati equations with a shift register, the MPC without limits, and a bend that begins."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import control

@@ -1,7 +1,5 @@
 """Pure pursuit against the geometry of the arc, of circular lanes, and an integral of the lane by quadrature."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

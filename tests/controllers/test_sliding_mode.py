@@ -1,7 +1,5 @@
 """Super-twisting: the implicit step by itself and against the differential equation, the sampled plant, the limit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

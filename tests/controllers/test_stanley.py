@@ -1,7 +1,5 @@
 """The Stanley law against the published formula in the publication's own signs, on a circular lane."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Signals go in as SI numbers with the signs of ISO 8855, and come out rounded as
 the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

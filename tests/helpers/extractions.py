@@ -1,7 +1,5 @@
 """Extractions for the page's tests: invented departures, accounts that fit to them, drawn ones with noise."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

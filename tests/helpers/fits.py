@@ -1,7 +1,5 @@
 """Models and departures for tests of fits and of their pages."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

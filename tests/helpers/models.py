@@ -1,7 +1,5 @@
 """A small scenario model, built without a fit."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A page as a reader's browser parses it: sections, tables, links and what its script is given."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """A race on a table of scores that is known in full."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from studies.racing.race import race_round

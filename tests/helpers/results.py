@@ -1,7 +1,5 @@
 """Results of a study whose scores are given, for tests of what is made of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

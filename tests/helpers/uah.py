@@ -1,7 +1,5 @@
 """Trips in the schema of UAH-DriveSet, made by code, with departures planted in bends."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """The eight parameters, both ways, against brute force."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The reduction, and shares whose answers are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

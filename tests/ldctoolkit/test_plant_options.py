@@ -1,7 +1,5 @@
 """Plant options: every wrong value is named with what is allowed; NumPy numbers are numbers; nothing is ignored."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenario model files: what comes back, and how a bad file, a bad path and a bad value are refused."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """What notebooks show of rankings, results, comparisons and outcomes: right numbers, escaped, no script."""
 
-from __future__ import annotations
-
 import dataclasses
 import html
 import re

@@ -1,7 +1,5 @@
 """Recordings to be read by every reader, sound at first and then damaged, and what must hold whatever comes of it."""
 
-from __future__ import annotations
-
 from helpers.fuzz.check import check, recognise
 from helpers.fuzz.damage import WORDS, damaged, files_changed
 from helpers.fuzz.sound import DEPARTURES, SOUND

@@ -1,7 +1,5 @@
 """What must hold whatever the files hold: an `LdcError`, or departures that are numbers and meet the criteria."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import signal

@@ -3,8 +3,6 @@
 A damage is an operation with numbers that say where; so it is shown in short, and made smaller when it finds a fault.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io

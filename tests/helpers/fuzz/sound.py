@@ -1,7 +1,5 @@
 """Small sound files of every format, with departures in them: the more of them stay, the deeper the damage is felt."""
 
-from __future__ import annotations
-
 import gzip
 import io
 

@@ -1,7 +1,5 @@
 """Measured drives as the tables DataLane and DataWsu."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

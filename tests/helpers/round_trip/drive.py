@@ -7,8 +7,6 @@ cubics that leave one departure with its slope and enter the next with that one'
 speed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -15,8 +15,6 @@ h is a smooth random mode less its own straight line over the samples, hence a_m
 deviation sigma_v.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The diagnosis as a whole: what it warns of, what it compares, what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -187,8 +185,7 @@ def test_both_sides_and_progress() -> None:
     assert (found.left.label, found.right.label) == ("left", "right")
     assert found.left.names == ("T", "d_y")
     assert found.left.joint is not None
-    assert steps[0] == ("left: margins", 0, 8)
-    assert steps[-1] == ("done", 8, 8)
+    assert (steps[0], steps[-1]) == (("left: margins", 0, 8), ("done", 8, 8))
     assert [done for _, done, _ in steps] == sorted({done for _, done, _ in steps})
 
 
@@ -212,6 +209,5 @@ def test_the_reference_model_describes_its_own_events() -> None:
     model = load_model("reference")
     rows = departures_of(model, 2000).matrix()[:2000]
     found = diagnose(model.left_side, rows, n_model=50_000)
-    assert found.warnings == ()
-    assert sum(one.events for one in found.components) == pytest.approx(2000)
+    assert (found.warnings, sum(one.events for one in found.components)) == ((), pytest.approx(2000))
     assert found.joint is not None

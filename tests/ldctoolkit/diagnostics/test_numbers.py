@@ -1,7 +1,5 @@
 """Each figure of the diagnosis against another way to it."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 
@@ -154,8 +152,7 @@ def test_strips_count_and_integrate() -> None:
     model = independent().distribution
     x, _ = model.sample(4000, 9)
     found, far = strips(model, ("a", "b"), x, np.full(4000, 1 / 4000), 4000.0)
-    assert [(s.name, s.end) for s in found] == [("a", "lower")]
-    assert far == (("b", "upper"),)
+    assert ([(s.name, s.end) for s in found], far) == ([("a", "lower")], (("b", "upper"),))
     (strip,) = found
     assert strip.data == pytest.approx(np.mean(x[:, 0] <= strip.edge))
     assert strip.data == pytest.approx(0.05, abs=1e-9)
@@ -221,8 +218,7 @@ def test_the_joint_density_is_numpys_histogram() -> None:
 def test_bins_end_at_a_bound_that_is_close() -> None:
     x = np.random.default_rng(1).exponential(size=5000)
     edges = bin_edges(x, x, 0.0, INF, 40)
-    assert edges[0] == 0.0
-    assert edges[-1] == pytest.approx(np.quantile(x, 0.997))
+    assert (edges[0], edges[-1]) == (0.0, pytest.approx(np.quantile(x, 0.997)))
     assert bin_edges(x, x, -50.0, INF, 40)[0] == pytest.approx(np.quantile(x, 0.003))
     assert bin_of(np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0]), edges).tolist() == [-1, 0, 39, -1]
 

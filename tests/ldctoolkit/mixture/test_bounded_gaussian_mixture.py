@@ -1,7 +1,5 @@
 """Truncated EM against known truths, its rules, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, truncnorm

@@ -1,7 +1,5 @@
 """Bounds read off the data: ends of known distributions, over seeds; ties, zeros, few rows, bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Mixtures under conditions against filtering, quadrature and formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp, multivariate_normal, norm, truncnorm

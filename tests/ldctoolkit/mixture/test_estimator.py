@@ -1,7 +1,5 @@
 """The estimator's conventions: parameters, weights, going on from a fit, progress, and what a fit leaves alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Events of a fit: blocks, profiles, sums; values on a bound moved inside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Sentences about a fit: each defect is named, a sound fit is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The fit against known truths at N = 50,000, d = 8, K = 10: distance to the truth, and strips at the bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

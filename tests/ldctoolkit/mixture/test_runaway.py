@@ -1,7 +1,5 @@
 """Data on which a fit may run away or break: a sound model or a clear refusal, never NaN, never a hang."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Choice of K: criteria against brute force, the rule on made-up curves, equal numbers in any number of processes."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 
@@ -301,9 +299,7 @@ def test_an_interrupt_ends_the_workers():
 def test_progress(n_jobs, first):
     seen = []
     select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
-    assert seen[0] == (first, 0, 3)
-    assert [s[1] for s in seen] == [0, 1, 2, 3]
-    assert seen[-1] == ("done", 3, 3)
+    assert (seen[0], [s[1] for s in seen], seen[-1]) == ((first, 0, 3), [0, 1, 2, 3], ("done", 3, 3))
 
 
 def test_a_seed_may_be_a_generator():

@@ -1,7 +1,5 @@
 """Moves out of local optima: their bounds hold, and they lead to the optimum that k-means starts miss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

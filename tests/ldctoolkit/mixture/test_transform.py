@@ -1,7 +1,5 @@
 """Maps of bounded columns onto the line: inverse, slope, density, and what they gain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

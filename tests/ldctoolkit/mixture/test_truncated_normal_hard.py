@@ -5,8 +5,6 @@ the variables are independent, so probability and moments are a Gauss-Legendre s
 integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize, minimize_scalar

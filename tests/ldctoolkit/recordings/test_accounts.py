@@ -1,7 +1,5 @@
 """Accounts against counts by hand, and the same for any split of the work."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections import Counter

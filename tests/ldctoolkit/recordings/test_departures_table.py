@@ -1,7 +1,5 @@
 """The departures table: what comes back, and how a bad one is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

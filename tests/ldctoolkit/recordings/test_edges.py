@@ -1,7 +1,5 @@
 """Criteria exactly on their edges. All times and offsets are exact in binary, and so are durations and mean speeds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

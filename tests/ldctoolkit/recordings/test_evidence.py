@@ -1,7 +1,5 @@
 """Warnings in words: what sets each one off, and what does not."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Columns that travel along with departures: into the table, back, through joins and into a fit."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -58,8 +56,7 @@ def test_labels_become_columns_and_come_back(tmp_path):
     departures, provenance = read_departures(tmp_path / "d.parquet")
     assert columns_of(departures) == wanted
     assert [column.values.dtype.kind for column in departures.extra] == ["U", "f", "U", "U"]
-    assert provenance == found.provenance
-    assert provenance.problems == ("x.csv, line 3: what",)
+    assert (provenance, provenance.problems) == (found.provenance, ("x.csv, line 3: what",))
     assert columns_of(departures.take([2])) == {name: values[2:] for name, values in wanted.items()}
 
 

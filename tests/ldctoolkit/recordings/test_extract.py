@@ -1,7 +1,5 @@
 """Hand-made recordings: each rule of the extraction, and each reason for refusing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -38,8 +36,7 @@ def test_a_departure_by_hand():
     # a straight line survives interpolation and regression exactly
     np.testing.assert_allclose(d.c_0, 1e-3 + 1e-4 * d.start_time, atol=1e-15)
     np.testing.assert_allclose(d.dc, 1e-4 * d.T, atol=1e-15)
-    assert found.hours == pytest.approx(9.9 / 3600.0)
-    assert found.warnings == ()
+    assert (found.hours, found.warnings) == (pytest.approx(9.9 / 3600.0), ())
 
 
 def test_regressions_equal_numpy_on_the_recorded_samples():

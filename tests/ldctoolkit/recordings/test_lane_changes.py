@@ -1,7 +1,5 @@
 """Lane changes in all the ways that sources show them; none of them is a departure."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

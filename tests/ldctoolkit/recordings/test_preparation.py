@@ -1,7 +1,5 @@
 """Scale, yaw rate and common step of recordings."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -55,8 +53,7 @@ def test_the_nominal_width(seen, tmp_path):
     wrong = dataclasses.replace(true, lane_offset=true.lane_offset / factor, lane_width=true.lane_width / factor)
     preparation = Preparation(nominal_lane_width=3.5)
     prepared = prepare(wrong, preparation)
-    assert prepared.lane_scale == pytest.approx(factor)
-    assert np.median(prepared.lane_width) == pytest.approx(3.5)
+    assert (prepared.lane_scale, np.median(prepared.lane_width)) == (pytest.approx(factor), pytest.approx(3.5))
     np.testing.assert_allclose(prepared.lane_offset, true.lane_offset)
 
     right = extract_departures([true], vehicle_width=1.8)

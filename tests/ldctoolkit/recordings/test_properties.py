@@ -1,7 +1,5 @@
 """Properties of the extraction, and an independent, sample-by-sample extraction to compare with."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable

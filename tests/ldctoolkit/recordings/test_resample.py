@@ -1,7 +1,5 @@
 """Resampling against a walk through every window, and what must never be made up."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import tracemalloc

@@ -1,7 +1,5 @@
 """Readers by name: those that come along, those of third parties, and which one knows a folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import re
@@ -258,8 +256,7 @@ def test_files_given_by_themselves_are_no_problem_of_the_other_reader(tmp_path: 
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     source = open_recordings([tmp_path / name for name in files]).source
-    assert [file.name for file in source.files] == list(files)
-    assert source.problems == ()
+    assert ([file.name for file in source.files], source.problems) == (list(files), ())
 
 
 def test_if_every_reader_fails_the_first_one_tells(tmp_path: Path) -> None:
@@ -284,5 +281,4 @@ def test_the_sample_folders() -> None:
     assert open_recordings(sample / "two-month" / "HV_Primary.csv").reader.name == "spmd-das2"
     for folder in ("two-month", "one-day"):
         found = extract_departures(open_recordings(sample / folder))
-        assert found.problems == ()
-        assert found.provenance.reader == "spmd-das1 + spmd-das2"
+        assert (found.problems, found.provenance.reader) == ((), "spmd-das1 + spmd-das2")

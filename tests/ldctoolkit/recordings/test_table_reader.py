@@ -1,7 +1,5 @@
 """Plain recording tables as a source: the same departures as before, and faults that cost one recording or one file."""
 
-from __future__ import annotations
-
 import dataclasses
 import gzip
 import hashlib
@@ -326,8 +324,7 @@ def test_a_file_that_cannot_be_used(fault: str, save: Save, tmp_path: Path) -> N
     with pytest.raises(RecordingError, match=rf"^{name}.*{words}"):
         READER.open([bad])
     recordings, problems = read(bad, save(HEADER + A), tmp_path / "none.csv")
-    assert list(recordings) == ["a"]
-    assert [problem.file for problem in problems] == [name, "none.csv"]
+    assert (list(recordings), [problem.file for problem in problems]) == (["a"], [name, "none.csv"])
     assert words in problems[0].what
     assert not any(str(tmp_path) in problem.file for problem in problems)
 

@@ -1,7 +1,5 @@
 """The limits of the warnings that docs/recordings.md names, on both sides of each."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What docs/scenario-model.md shows and says is so."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Scenarios under conditions: against brute-force filtering, nested, sides apart; and what cannot be met."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

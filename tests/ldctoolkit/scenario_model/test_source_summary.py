@@ -1,7 +1,5 @@
 """What a model's file keeps of its departures: right numbers, none of the departures, back from a file bit by bit."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

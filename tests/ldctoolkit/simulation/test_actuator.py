@@ -1,7 +1,5 @@
 """The wheel's angle after a command that jumps once, against the analytic answer, in both loops."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

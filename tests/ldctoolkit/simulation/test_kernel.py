@@ -1,7 +1,5 @@
 """The compiled loops against each other and against the plain reference; the same bits however the work is cut up."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

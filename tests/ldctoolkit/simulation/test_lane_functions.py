@@ -1,7 +1,5 @@
 """Functions that the lanes of the compiled loops share, against NumPy and scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline

@@ -1,7 +1,5 @@
 """Counter-based draws: published vectors, distributions, independence of neighbours, independence of order."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

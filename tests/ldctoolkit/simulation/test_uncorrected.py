@@ -1,7 +1,5 @@
 """Recorded paths: closed forms against quadrature and differences, residuals against what they must reduce to."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Error dynamics, discretisation and steady cornering against independent routes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The nonlinear plant: compiled against CasADi, its linearisation, its symmetry, its tyres, another library's model."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from typing import Any

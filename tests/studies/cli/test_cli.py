@@ -1,7 +1,5 @@
 """The command line as people meet it: exit codes, one message for wrong input, no traces of failure."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging

@@ -1,7 +1,5 @@
 """``ldc compare`` as people meet it: exit codes, tables, files, one message for wrong input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """``ldc extract`` as people meet it: formats, what was left out, exit codes, restart."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

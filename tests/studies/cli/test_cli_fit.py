@@ -1,7 +1,5 @@
 """``ldc fit``, ``ldc sample --given``, ``ldc models``; one message for what is wrong."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -84,8 +82,7 @@ def test_bounds_and_transforms(folder: Path) -> None:
     sides = side_of(folder / "b.json")
     departures, _ = read_departures(folder / "d.parquet")
     smallest = departures.T[departures.side == LEFT].min()
-    assert sides["d_y"] == (0.0, 3.0, "none")
-    assert sides["sigma_y"] == (0.0, None, "none")
+    assert (sides["d_y"], sides["sigma_y"]) == ((0.0, 3.0, "none"), (0.0, None, "none"))
     assert sides["v_mean"] == (4.0, None, "none")
     low = sides["T"][0]  # read off the data, not beyond the criteria of the extraction
     assert 0.5 <= low < smallest

@@ -1,7 +1,5 @@
 """``ldc rank`` as people meet it: the study's own ranking again, other settings, races, one message for wrong input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

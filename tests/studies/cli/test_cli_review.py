@@ -1,7 +1,5 @@
 """``ldc review`` and the listing of ``ldc controllers``."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -74,8 +72,7 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     assert "LQR, y_s=0.1, 0.2 m, r_delta=30\nfault: " in out
     found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
     assert [len(entry["ids"]) for entry in found] == [1, 2, 2]
-    assert [entry["law"] for entry in found] == ["none", "lqr", "lqr"]
-    assert found[0]["loop"] == {}
+    assert ([entry["law"] for entry in found], found[0]["loop"]) == (["none", "lqr", "lqr"], {})
     assert "phase_margin" in {finding["name"] for finding in found[1]["findings"] if finding["severity"] == "fault"}
     assert all(finding["severity"] != "fault" for finding in found[2]["findings"])
     assert len(found[2]["loop"]["v_m_s"]) == 13

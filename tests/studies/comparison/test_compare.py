@@ -1,7 +1,5 @@
 """Two studies compared: shared scenarios, verdicts and their error rates, failures, refusals."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io
@@ -150,8 +148,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
 
 def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     comparison = compare(finished(scores, source="old"), finished(scores.copy()))
-    assert verdicts(comparison) == ["same"] * 4
-    assert comparison.differences == ()
+    assert (verdicts(comparison), comparison.differences) == (["same"] * 4, ())
     assert not comparison.any_worse
     winners = comparison.cases[0].winners
     assert winners.verdict is Verdict.SAME
@@ -404,9 +401,7 @@ def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarr
     race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
     raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
     comparison = compare(finished(scores, source="old"), raced)
-    assert len(comparison.cases[0]) == 3
-    assert comparison.given_up == (every[3],)
-    assert comparison.only_old == ()
+    assert (len(comparison.cases[0]), comparison.given_up, comparison.only_old) == (3, (every[3],), ())
     assert comparison.differences == ("race: not set -> True",)
 
 

@@ -91,8 +91,7 @@ def test_conditions_leave_exactly_the_designs_that_differ(on: list[bool], N: lis
         ).id
         for n, o, c in itertools.product(N, on, ("as_printed", "consistent"))
     }
-    assert len(found) == len(wanted)
-    assert {d.id for d in found} == wanted
+    assert (len(found), {d.id for d in found}) == (len(wanted), wanted)
 
 
 def test_conditions_hold_in_a_sample_too() -> None:

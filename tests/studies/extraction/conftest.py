@@ -1,7 +1,5 @@
 """A source whose parts are made up: what they hold is known, and they can misbehave."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

@@ -1,7 +1,5 @@
 """What was found in a part goes into a file and comes back bit for bit; anything else is refused in one way."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """What makes the parts of an extraction another's: a change anywhere in the code that decides the numbers."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import sys

@@ -94,8 +94,7 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
     words = r"\(4 problems in all\)" if len(how) > 1 else "nothing here can be used$"
     with pytest.raises(NothingReadError, match=f"^file 9: is empty; part 0: .*{words}") as told:
         run_extraction(made(*how), workers=1, output=tmp_path / "d.parquet")
-    assert len(told.value.problems) == 1 + len(how)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+    assert (len(told.value.problems), [path.name for path in tmp_path.iterdir()]) == (1 + len(how), ["notes"])
 
 
 def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:
@@ -310,8 +309,7 @@ def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
     with on(Mortal(lambda task: task.number in deadly), monkeypatch):
         found = run_extraction(source)
     told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
-    assert told == [f"part {i}" for i in sorted(deadly)]
-    assert found.recordings == 3 * (6 - len(deadly))
+    assert (told, found.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
 
 
 def test_one_death_among_many_workers_ends_nothing(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:

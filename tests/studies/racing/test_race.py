@@ -1,7 +1,5 @@
 """Racing: rounds, nested scenarios, and that the best design stays while most scenario runs are left out."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

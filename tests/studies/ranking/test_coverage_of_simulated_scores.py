@@ -1,7 +1,5 @@
 """How often intervals hold on scores of the closed loop, whose differences are far more skewed than the scores."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

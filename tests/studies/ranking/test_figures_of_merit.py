@@ -1,7 +1,5 @@
 """Metrics of a design by name, and requirements on them."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

@@ -165,8 +165,7 @@ def test_the_winner_meets_requirements_on_fresh_scenarios_too(
     limit = float(again[2].mean()) + 0.1
     ranking = rank(scores, again, (1, 2), require=(f"S <= {limit!r}",))
     text = f"S <= {limit!r}"
-    assert ranking.fresh_unmet[:2] == ((text,), ())
-    assert ranking.winner == 1
+    assert (ranking.fresh_unmet[:2], ranking.winner) == (((text,), ()), 1)
     assert ranking.warnings[0] == f"Design # 1 misses {text} on the fresh scenarios and is not the winner."
     write_csv([ranking], tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:

@@ -1,7 +1,5 @@
 """Ranking: means, paired differences, intervals against independent routes, ties, warnings, the CSV."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import math
@@ -279,8 +277,7 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
     write_csv([ranking, ranking], tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 4
-    assert [row["rank"] for row in rows] == ["1", "2", "1", "2"]
+    assert (len(rows), [row["rank"] for row in rows]) == (4, ["1", "2", "1", "2"])
     assert [float(row["S_m_s"]) for row in rows[:2]] == ranking.S.tolist()
     by_law = {row["law"]: row for row in rows}
     assert float(by_law["lqr"]["gain_r_delta_1_per_rad2"]) == 1 / 3
@@ -310,8 +307,7 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
     one, two = (Ranking.of(r, r.cases[0], **settings) for r in (results, other))  # type: ignore[arg-type]
-    assert one.designs == two.designs
-    assert two.index.tolist() == [order.tolist().index(i) for i in one.index]
+    assert (one.designs, two.index.tolist()) == (two.designs, [order.tolist().index(i) for i in one.index])
     for field in dataclasses.fields(Ranking):
         if field.name not in ("index", "release"):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
@@ -342,8 +338,7 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
     assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)
-    assert ranking.unmet == ((), (), (), ("a_y_peak_p95 <= 3",))
-    assert ranking.difference[0] == 0.0
+    assert (ranking.unmet, ranking.difference[0]) == (((), (), (), ("a_y_peak_p95 <= 3",)), 0.0)
     assert ranking.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
     assert ranking.set_of_best.tolist() == [True, False, False, False]
     assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]

@@ -1,7 +1,5 @@
 """ranking.md as a Markdown reader understands it: cells, numbers, escaped text, what is listed."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import re

@@ -1,7 +1,5 @@
 """Named sets of requirements, margins as metrics, and the verdict that follows from them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -90,8 +88,7 @@ def test_designs_that_meet_all_come_first_by_S() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 4.0, 2.0, 1.0], jerk_added_peak=[0, 9.0, 4.0, 2.0])
     ranking, found = ranked(results, "comfort")
     assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 3, 0, 1)]
-    assert ranking.rank.tolist() == [1, 2, 3, 0]
-    assert [len(some) for some in ranking.missed] == [0, 0, 0, 2]
+    assert (ranking.rank.tolist(), [len(some) for some in ranking.missed]) == ([1, 2, 3, 0], [0, 0, 0, 2])
     assert (
         found.title
         == f"Best design that meets the limits: LQR, y_s = 0.1 m{', r_delta = 1000' if LQR().r_delta != 1000 else ''}"

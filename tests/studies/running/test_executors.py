@@ -1,7 +1,5 @@
 """Where a study runs makes no difference: one process, two, a Dask cluster over TCP; the same rows and rankings."""
 
-from __future__ import annotations
-
 import concurrent.futures
 import contextlib
 import dataclasses

@@ -1,7 +1,5 @@
 """Running and storing studies: the same bits however they are run, resumed, or read back."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable, Iterator
@@ -132,8 +130,7 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     for folder in ("a", "b"):
         run_study(study, directory=tmp_path / folder, workers=1, block_size=2)  # else the clock decides
     (one,), (other,) = (list((tmp_path / folder / "results").iterdir()) for folder in ("a", "b"))
-    assert one.name == other.name
-    assert one.read_bytes() == other.read_bytes()
+    assert (one.name, one.read_bytes()) == (other.name, other.read_bytes())
     schema = pl.read_parquet_schema(one)
     assert [schema[column] for column in COMPANION_COLUMNS.values()] == [pl.Float64()] * len(COMPANION_COLUMNS)
     assert schema["S_departure_m_s"] == pl.Float64()

@@ -1,7 +1,5 @@
 """What is left behind by a run that was stopped between its stages, or of other settings, is never taken for new."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

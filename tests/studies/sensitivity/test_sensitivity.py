@@ -345,8 +345,7 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
     winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
     counts: list[tuple[int, int]] = []
     found = by_name(winner_profile(results, study, winner, case=case, points=5, advance=lambda *c: counts.append(c)))
-    assert list(found) == ["y_s", "a", "N"]
-    assert found["y_s"].values == (0.1, 0.15, 0.2, 0.25, 0.3)
+    assert (list(found), found["y_s"].values) == (["y_s", "a", "N"], (0.1, 0.15, 0.2, 0.25, 0.3))
     assert found["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
     # whole, and even on a logarithmic scale
     assert found["N"].values == (2, 3, 4, 6, 8)
@@ -415,8 +414,7 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
     )
     results = driven(study, study.designs[:2])
     found = by_name(winner_profile(results, study, study.designs[0], points=3))
-    assert found["on"].values == (True, False)
-    assert found["on"].stored.tolist() == [True, False]
+    assert (found["on"].values, found["on"].stored.tolist()) == ((True, False), [True, False])
     assert np.isfinite(found["on"].S).all()
     # 1.6 is the middle of the range; the end is there although 2.9 is in the study and close to it
     assert found["c"].values == (0.0, 1.6, 2.9, 3.2)
@@ -481,8 +479,7 @@ def test_a_range_ends_where_the_study_file_says(more: dict[str, Any]) -> None:
     assert found["y_s"].at == 1
     assert (found["a"].values[0], found["a"].values[-1]) == (-1.0, 1.0)
     assert (found["N"].values[0], found["N"].values[-1]) == (2, 9)
-    assert {type(value) for value in found["N"].values} == {int}
-    assert set(found["on"].values) == {True, False}
+    assert ({type(value) for value in found["N"].values}, set(found["on"].values)) == ({int}, {True, False})
     assert len(set(found["y_s"].values)) == len(found["y_s"].values)
 
 

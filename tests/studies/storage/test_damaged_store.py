@@ -1,7 +1,5 @@
 """Full disks, folders that cannot be written, files that were cut or changed: told in one line, and repaired."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """A study that is too large for memory: its companions are read from the parts when they are asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from pathlib import Path

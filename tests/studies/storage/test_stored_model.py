@@ -1,7 +1,5 @@
 """The model in a study's folder: there after a run, checked on reading, lost without harm."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Study files: what they stand for, and what each mistake says."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -383,8 +381,7 @@ def test_a_grid_is_the_whole_product_in_the_order_written(y_s: list[float], K: l
     study = Study.from_dict({"name": "a", "design": [block]})
     found = [(d.y_s, dict(d.gains)["q_y_rate"], dict(d.gains)["horizon"]) for d in study.designs]
     wanted = list(dict.fromkeys(itertools.product(y_s, K, N)))
-    assert found == wanted
-    assert len({d.id for d in study.designs}) == len(found)
+    assert (found, len({d.id for d in study.designs})) == (wanted, len(found))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """A study written as TOML is the same study when it is read again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

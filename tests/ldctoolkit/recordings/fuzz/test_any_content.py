@@ -36,8 +36,7 @@ def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int
     for format_ in (reader, "auto"):
         opened = making.open_recordings([tmp_path], format=format_)
         found = making.extract_departures(opened)
-        assert opened.reader.name == reader
-        assert found.problems == ()
+        assert (opened.reader.name, found.problems) == (reader, ())
         assert found.departures.n == making.DEPARTURES[reader]
 
 

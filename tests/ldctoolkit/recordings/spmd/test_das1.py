@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pickle
 from collections.abc import Iterable
 from pathlib import Path
@@ -115,8 +113,7 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     recordings, problems = read_all(whole)
     assert len(whole.parts) == 2  # two lane tables
     assert [one.name for one in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
-    assert problems == []
-    assert whole.problems == ()
+    assert (problems, whole.problems) == ([], ())
     found = extracted(whole).departures
     assert found.n > 50
     largest = [part.bytes for part in SpmdDas1(part_bytes=1).open([tmp_path]).parts]  # one trip each
@@ -193,8 +190,7 @@ def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_bytes(b"\x89PNG")
     assert READER.recognise([tmp_path]) == "1 of DataLane, 1 of DataWsu"
     source = READER.open([tmp_path])
-    assert source.problems == ()
-    assert [one.name for one in source.files] == ["DataLane.csv", "DataWsu.csv"]
+    assert (source.problems, [one.name for one in source.files]) == ((), ["DataLane.csv", "DataWsu.csv"])
     assert [one.bytes for one in source.files] == [(inner / one.name).stat().st_size for one in source.files]
     assert READER.recognise([tmp_path / "DataFrontTargets.csv"]) == ""
     assert READER.recognise([tmp_path / "picture.png", inner]) == "1 of DataLane, 1 of DataWsu"

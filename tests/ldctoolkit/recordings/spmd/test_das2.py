@@ -1,7 +1,5 @@
 """The reader spmd-das2: shapes of the table, planted departures, what is usable, every fault by file and line."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from collections.abc import Callable, Sequence

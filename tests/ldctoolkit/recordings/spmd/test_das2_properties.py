@@ -1,7 +1,5 @@
 """HV_Primary against plain Python."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -84,8 +82,7 @@ text = st.builds(
 def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...], compiled_from: int) -> None:
     found = read_cells(text, COLUMNS, wanted, compiled_from=compiled_from)
     rows, bad = by_hand(text, wanted)
-    assert found.row.tolist() == [row for row, _ in rows]
-    assert sorted(fault.row for fault in found.faults) == bad
+    assert (found.row.tolist(), sorted(fault.row for fault in found.faults)) == ([row for row, _ in rows], bad)
     for i, name in enumerate(wanted):
         np.testing.assert_array_equal(found[name], [values[i] for _, values in rows])
 
