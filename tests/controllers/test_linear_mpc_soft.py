@@ -313,9 +313,7 @@ def test_behind_an_actuator_it_plans_on_what_is_on_its_way(lag: float, delay: fl
         pytest.param(20, 6, [0, 1, 2, 5, 9, 14], {"a_y_max": 1.5}, marks=pytest.mark.slow),
     ],
 )
-def test_blocked_moves_equal_another_solver(
-    horizon: int, blocks: int, starts: list[int], soft: dict[str, float]
-) -> None:
+def test_blocked_moves_equal_other_solver(horizon: int, blocks: int, starts: list[int], soft: dict[str, float]) -> None:
     design = LinearMPC(horizon=horizon, blocks=blocks, r_delta=30.0, delta_max=0.05, **soft)
     assert block_starts(horizon, blocks).tolist() == starts
     plant, x, preview, prev = situations(16, horizon, seed=4)

@@ -31,9 +31,7 @@ def weights(design: PreviewLQR) -> np.ndarray:
     ("design", "vehicle"),
     grid(DESIGNS, [VehicleParameters(), HEAVY], (DESIGNS[1], VehicleParameters()), (DESIGNS[3], HEAVY)),
 )
-def test_gains_equal_the_riccati_recursion_on_the_register_of_yaw_rates(
-    design: PreviewLQR, vehicle: VehicleParameters
-) -> None:
+def test_gains_equal_the_recursion_on_the_register_of_yaw_rates(design: PreviewLQR, vehicle: VehicleParameters) -> None:
     """The problem as it is stated: states (x, r_0 .. r_N), the register shifts and holds its last entry, the cost is
     that of the deviations, no change of variables. Holding is an uncontrollable eigenvalue 1, at which solvers of the
     algebraic equation refuse, but the deviations of a held bend cost nothing, so the recursion from P = 0 converges. It

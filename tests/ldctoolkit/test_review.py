@@ -361,7 +361,7 @@ class Raising(Controller):
 @pytest.mark.parametrize(
     ("error", "told"), [(RuntimeError("no map"), "RuntimeError: no map"), (SystemExit(3), "SystemExit: 3")]
 )
-def test_a_law_that_raises_or_exits_is_named(
+def test_laws_that_raise_are_named(
     where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Raising, "error", error)

@@ -134,9 +134,7 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
         (None, "^format 'flat': open fails with AttributeError: "),
     ],
 )
-def test_a_reader_that_opens_nothing_is_named(
-    install: Callable[..., None], tmp_path: Path, error: Exception | None, words: str
-) -> None:
+def test_readers_that_open_nothing(install: Any, tmp_path: Path, error: Exception | None, words: str) -> None:
     class Failing(FlatReader):
         def open(self, paths: Sequence[Path]) -> Any:
             if error is not None:

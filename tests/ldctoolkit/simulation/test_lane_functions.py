@@ -29,9 +29,7 @@ def test_arc_tangent_sine_cosine_and_decay() -> None:
         (0.1, -0.3, 0.2, 0.4),
     ],
 )
-def test_the_integral_of_the_absolute_value_is_that_of_the_quartic(
-    x_0: float, x_1: float, n_0: float, n_1: float
-) -> None:
+def test_the_integral_of_the_absolute_value_is_the_quartics(x_0: float, x_1: float, n_0: float, n_1: float) -> None:
     """One crossing, over and back, none: against a fine sum on a cubic, which is a quartic without its last term."""
     h = 0.4
     curve = CubicHermiteSpline([0.0, h], [x_0, n_0], [x_1, n_1])

@@ -214,9 +214,7 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
 
 
 @pytest.mark.parametrize(("problems", "told"), [(1, 1), (20, 20), (21, 21), (1500, 21)])
-def test_the_first_twenty_problems_are_told(
-    folder: Path, ldc: Ldc, third_party: Callable[..., None], problems: int, told: int
-) -> None:
+def test_twenty_problems_are_told(folder: Path, ldc: Ldc, third_party: Any, problems: int, told: int) -> None:
     third_party(MadeReader(problems=problems))
     (folder / "a.made").write_text("x")
     code, _, err = ldc("a.made", "-o", "d.parquet")
@@ -361,9 +359,7 @@ def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> N
     assert sorted(path.name for path in folder.iterdir()) == ["a.parquet", "d.parquet"]
 
 
-def test_workers_are_processes_only_where_there_is_much_to_read(
-    folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
     from studies.extraction import runner
     from studies.running.executors.protocol import SerialExecutor

@@ -139,9 +139,7 @@ def test_what_is_made_of_the_result_comes_before_the_parts_go(made: Made, tmp_pa
     assert not folder.exists()
 
 
-def test_one_part_removes_what_another_extraction_left(
-    made: Made, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_part_removes_what_another_run_left(made: Made, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     output = tmp_path / "d.parquet"
     folder = stopped(made, output)
     assert folder.is_dir()
@@ -177,7 +175,7 @@ def stopped(made: Made, output: Path, **named: Any) -> Path:
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part", "another"])
-def test_a_damaged_part_is_read_again(
+def test_damaged_parts(
     made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ) -> None:
     output = tmp_path / "d.parquet"
@@ -302,9 +300,7 @@ def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("deadly", [{0}, {3}, {1, 2}, {0, 1, 2, 3, 4}])
-def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
-    made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]
-) -> None:
+def test_parts_at_fault_are_found_beside_others(made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]) -> None:
     source = made(*GOOD, "good")
     with on(Mortal(lambda task: task.number in deadly), monkeypatch):
         found = run_extraction(source)
@@ -312,7 +308,7 @@ def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
     assert (told, found.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
 
 
-def test_one_death_among_many_workers_ends_nothing(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_death_among_many_is_no_end(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more parts than may be lost one after the other."""
     with on(Mortal(lambda task: task.number == 0, workers=30), monkeypatch):
         found = run_extraction(made(*["good"] * 70))

@@ -63,9 +63,7 @@ def t_width(values: np.ndarray) -> float:
     return float(scipy.stats.t.isf(0.025, values.size - 2) * error)
 
 
-def test_the_first_stays_winner_where_fresh_scenarios_do_not_part_it_from_a_better_one(
-    scores: np.ndarray, again: np.ndarray
-) -> None:
+def test_the_first_stays_winner_where_fresh_scenarios_part_it_from_none(scores: np.ndarray, again: np.ndarray) -> None:
     """Taking the smallest fresh score would choose by luck once more."""
     ranking = rank(scores, again)
     assert ranking.index.tolist() == [1, 2, 0, 3]
@@ -129,9 +127,7 @@ def test_optimism_is_that_of_two_independent_samples(scores: np.ndarray, again: 
     assert ranking.optimism_low[0] < 0 < ranking.optimism_high[0]
 
 
-def test_optimism_against_a_baseline_that_is_a_law_leaves_the_draw_of_scenarios_out(
-    scores: np.ndarray, again: np.ndarray
-) -> None:
+def test_optimism_against_a_baseline_leaves_the_draw_of_scenarios_out(scores: np.ndarray, again: np.ndarray) -> None:
     again += 1.0  # all designs meet harder scenarios: nobody was optimistic
     plain, paired = rank(scores, again), rank(scores, again, baseline=design(0).id)
     assert plain.optimism_low[0] > 0
@@ -157,9 +153,7 @@ def test_what_is_lost_covers_what_two_draws_do() -> None:
     assert 0.90 <= inside / 200 <= 0.99
 
 
-def test_the_winner_meets_requirements_on_fresh_scenarios_too(
-    scores: np.ndarray, again: np.ndarray, tmp_path: Path
-) -> None:
+def test_the_winner_meets_requirements_on_fresh_ones_too(scores: np.ndarray, again: np.ndarray, tmp_path: Path) -> None:
     again[1] += 0.4
     again[2] += 0.2
     limit = float(again[2].mean()) + 0.1
@@ -204,9 +198,7 @@ def test_a_solvers_tolerance_makes_no_winner(by: float, winner: int) -> None:
     assert choose_winner(resampled, both, both, 0.95) == winner
 
 
-def test_a_first_that_was_no_finalist_stays_the_winner_without_a_fresh_score(
-    scores: np.ndarray, again: np.ndarray
-) -> None:
+def test_a_first_that_was_no_finalist_stays_winner_without_a_fresh_score(scores: np.ndarray, again: np.ndarray) -> None:
     """Finalists come from the primary case; the best of another one need not be among them."""
     ranking = rank(scores, again, (2, 0))
     assert ranking.winner == 0

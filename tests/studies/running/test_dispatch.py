@@ -137,9 +137,7 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
 
 
 @pytest.mark.slow
-def test_one_death_among_many_workers_ends_nothing(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_death_among_many_is_no_end(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more tasks than may be lost one after the other."""
     use(monkeypatch, Deadly(1, {1.0: {3}}, workers=30))
     results = run_study(small_study(make_study, [0.1 * i for i in range(40)]), directory=tmp_path, block_size=1)
@@ -147,9 +145,7 @@ def test_one_death_among_many_workers_ends_nothing(
     assert int((results.cases[0].status == EventStatus.CRASHED).sum()) == 1
 
 
-def test_a_study_of_nothing_but_a_deadly_design_says_so(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_of_one_deadly_design(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = small_study(make_study, [1], design=[{"law": "small", "y_s": 0.0, "gains": {"K": 1}}])
     for _ in range(2):
         use(monkeypatch, Deadly(0, {1.0: set(range(17))}))
@@ -157,9 +153,7 @@ def test_a_study_of_nothing_but_a_deadly_design_says_so(
             run_study(study, directory=tmp_path)
 
 
-def test_workers_that_cannot_live_are_told_from_designs_that_kill(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dying_workers_kill_no_designs(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     executor = Deadly(0, {})
     monkeypatch.setattr(executor, "deadly", lambda task: True)
     use(monkeypatch, executor)

@@ -98,9 +98,7 @@ def assert_same(one: StudyResults, other: StudyResults, study: Study) -> None:
 
 
 @pytest.mark.slow
-def test_serial_processes_and_a_dask_cluster_give_the_same_bits(
-    study: Study, tmp_path: Path, stored_rows: Callable[..., Any]
-) -> None:
+def test_serial_processes_and_dask_are_equal(study: Study, tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     """With any block size; the rows of both stores, the study's and its finalists', and the rankings."""
     reference = run_study(study, directory=tmp_path / "serial", executor="serial")
     ways: dict[str, dict[str, Any]] = {
@@ -275,9 +273,7 @@ def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> Non
     assert [ended.done for ended in executor.wait()] == [done]
 
 
-def test_a_run_without_workers_warns_and_ends(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_no_workers(client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
     executor = connected()
     executor.start(a_task())
@@ -300,9 +296,7 @@ def test_a_run_without_workers_warns_and_ends(
         executor.wait()
 
 
-def test_a_task_is_late_only_where_nothing_else_took_the_time(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_is_late_where_nothing_else_took_the_time(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
     """A limit of 10 s and four attempts: 41 s alone are too long; 39 s, or 41 s beside another task, tell nothing."""
     now = 0.0
     monkeypatch.setattr(dask_cluster.time, "monotonic", lambda: now)

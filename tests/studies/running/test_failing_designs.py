@@ -180,9 +180,7 @@ def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, mo
     assert len(read_results(tmp_path).designs) == 2
 
 
-def test_a_design_that_fails_in_one_convention_is_in_no_case(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failing_in_one_case_is_in_none(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def prepare(self: Controller, plant: Plant) -> BrokenLaw:
         if plant.model.convention == "as_printed":
             raise ValueError("a misprint")
@@ -195,9 +193,7 @@ def test_a_design_that_fails_in_one_convention_is_in_no_case(
     assert failed.reason.startswith("in the convention as_printed: ValueError: a misprint (")
 
 
-def test_what_is_no_fault_of_a_law_ends_the_study(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from studies.running.simulate_designs import Simulator
 
     def broken_takeover(*settings: Any) -> None:
@@ -318,9 +314,7 @@ def test_each_design_is_asked_whether_it_keeps_state(
 
 
 @pytest.mark.parametrize(("yaw_rate", "plant"), [("path", {}), ("zero", {"speed": "profile"})])
-def test_a_law_without_memory_passes_on_every_plant(
-    make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]
-) -> None:
+def test_laws_without_memory_pass(make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]) -> None:
     simulation = {"initial_yaw_rate": yaw_rate, "settle": 1.0}
     designs = [{"law": law, "y_s": 0.05} for law in ("stanley", "pid", "linear_mpc")]
     study = make_study(design=designs, simulation=simulation, plant=plant)

@@ -192,9 +192,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
     assert 500.0 < times[0]["law_seconds"] < 600.0
 
 
-def test_times_are_kept_when_a_study_resumes(
-    make_study: MakeStudy, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_times_are_kept_on_resuming(make_study: MakeStudy, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     study = make_study(design=[{"law": "failing", "y_s": [0.0, 0.1]}])
     run_study(study, directory=tmp_path, workers=1)
     path = tmp_path / "timing.json"
@@ -220,9 +218,7 @@ def test_times_are_kept_when_a_study_resumes(
         assert np.isnan(read_results(tmp_path).cases[0].law_time).all()
 
 
-def test_scenarios_that_cannot_be_driven_are_stored_as_such(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_undrivable_is_stored(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Regenerated speed that falls below the floor: NaN and a status, and the ranking tells."""
     from ldctoolkit.scenario_model import ScenarioModel
 
@@ -373,7 +369,7 @@ def test_another_model_or_version_is_refused(make_study: MakeStudy, reference: S
             run_study(make_study(), directory=tmp_path / "reference")
 
 
-def test_a_folder_from_before_the_steady_start_is_read_as_printed(
+def test_folders_before_steady_starts_are_printed(
     make_study: MakeStudy, reference: StudyResults, tmp_path: Path
 ) -> None:
     path = tmp_path / "reference" / "manifest.json"
@@ -417,9 +413,7 @@ def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy
         run_study(make_study(), directory=tmp_path / "file")
 
 
-def test_the_manifest_says_what_ran_and_nothing_about_who(
-    reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_manifest_tells_what_ran(reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from studies.storage.manifest import _command
 
     text = (tmp_path / "reference" / "manifest.json").read_text()

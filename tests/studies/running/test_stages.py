@@ -107,9 +107,7 @@ RACE = {
 
 
 @pytest.mark.slow
-def test_the_race_of_other_designs_is_not_believed(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_races_are_not_believed(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = study_of(make_study, **RACE)
     results = run_study(study, directory=tmp_path, workers=1)
     assert results.race.dropped

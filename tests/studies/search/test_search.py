@@ -358,9 +358,7 @@ def test_designs_that_fail_have_no_margins_and_wrong_ones_are_refused() -> None:
     assert len(search.ask()) == 2
 
 
-def test_a_run_asks_for_what_its_own_values_and_margins_lead_to(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable[..., Study], tmp_path: Path) -> None:
     """Told by hand from the ranking of what ran: S, and how far S <= 0.9 and reduction > 0 are missed, as parts."""
     study = make_study(
         design=[{"law": "none"}, {"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": [10, 5000]}}],

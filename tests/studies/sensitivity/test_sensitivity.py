@@ -437,9 +437,7 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
         ([0.0, 1.0, 2.0], lambda a: -0.1 * a + a * np.array([5.0, -5.0] * 3), None),  # chance
     ],
 )
-def test_the_end_of_a_range_is_told_where_s_goes_on_falling(
-    a: list[float], S: Callable[[float], Any], end: float | None
-) -> None:
+def test_the_end_of_a_range_is_told_where_s_falls(a: list[float], S: Callable[[float], Any], end: float | None) -> None:
     study = study_of({"law": "waves", "gains": {"a": a, "on": [False, True]}})
     results = results_of(study, lambda d: S(float(gain_value(d, "a"))))
     best = min(study.designs, key=lambda d: float(np.mean(S(float(gain_value(d, "a"))))))

@@ -49,9 +49,7 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="tmpfs is Linux's")
-def test_a_full_disk_is_told_and_what_fitted_is_kept(
-    make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any]
-) -> None:
+def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Path, stored_rows: Any) -> None:
     """A real one; then the same study with room goes on from what was stored."""
     designs = [
         {"law": "preview_proportional", "y_s": 0.1, "gains": {"K_y": {"from": -0.04, "to": -0.002, "count": 60}}}

@@ -223,9 +223,7 @@ def test_identity_follows_numbers_and_not_words(make_study: Callable[..., Study]
     assert make_study(design=[{"law": "none"}]).hash != study.hash
 
 
-def test_conditions_on_scenarios_are_read_and_decide_the_numbers(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_conditions_on_scenarios_decide_the_numbers(make_study: Callable[..., Study], tmp_path: Path) -> None:
     """A study without conditions has the identity that it had before there were any."""
     plain = make_study()
     assert plain.identity()["scenarios"] == {"left": 7, "right": 5}
@@ -325,9 +323,7 @@ def test_the_plant_is_ideal_unless_the_study_says_otherwise(make_study: Callable
     assert not make_study(plant={"sensors": {"kalman": {}}}).plant.ideal  # a filter with its defaults is a filter
 
 
-def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_plant_and_horizon_decide_numbers_and_go_through_json(make_study: Callable[..., Study], tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(EVERY_OPTION)
     study = Study.from_toml(tmp_path / "s.toml")
     again = Study.from_dict(json.loads(json.dumps(study.content())))
