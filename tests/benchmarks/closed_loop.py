@@ -77,11 +77,9 @@ def numpy_tables(over: Takeover) -> Any:
 
 
 def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: bool) -> np.ndarray:
-    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy.
-
-    Struct of arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A
-    step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
-    """
+    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy. Struct of
+    arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A step in
+    which e_y changes its sign is split by a straight line. Without companions the loop ends at T."""
     law = linear_law(design, over)
     dt, v, p = over.setup.dt, over.plant.v, over.triggered
     edge, l_f = over.setup.vehicle.edge_offset, over.setup.vehicle.l_f

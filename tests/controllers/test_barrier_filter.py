@@ -140,8 +140,7 @@ def command(design: BarrierFilter, plant: Plant, x: np.ndarray, r: np.ndarray, p
 @pytest.mark.parametrize(("gamma_1", "gamma_2", "delta_max"), [(0.2, 0.3, 0.1), (0.05, 0.9, 0.03), (1.0, 1.0, 1.0)])
 def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: float, delta_max: float) -> None:
     """Clarabel on the QP with both barriers and the limit written out one by one; at tolerances of 1e-12 on the square
-    of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad.
-    """
+    of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad."""
     design = BarrierFilter(inner="lqr", gamma_1=gamma_1, gamma_2=gamma_2, delta_max=delta_max)
     plant, x, r, prev = situations(150, seed=1, size=0.8)
     delta = command(design, plant, x, r, prev)
@@ -202,8 +201,7 @@ def departures(n: int, seed: int, side: int = 1) -> Scenarios:
 def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float) -> None:
     """From psi >= 0 at the trigger, on the ideal plant, with an angle that suffices. psi >= 0 holds at every sample, up
     to the corner that the curvature has at T, inside one of them; |e_y| <= e_y_max also in between, up to what the bend
-    of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
-    """
+    of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures."""
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
     scenarios = departures(500, seed=2)
     out = simulate(design, scenarios, settle=8.0, trajectories=True)
@@ -248,8 +246,7 @@ def test_outside_the_corridor_it_comes_back_exponentially() -> None:
 @pytest.mark.parametrize("dt", some([0.01, 0.05, 0.1], 0.05))
 def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
     """With one condition held as an equation the four states go on as a linear system; its modes decay at all speeds
-    and settings, so the filter does not buy the corridor with a growing oscillation.
-    """
+    and settings, so the filter does not buy the corridor with a growing oscillation."""
     v = np.exp(np.linspace(0.0, np.log(90.0), 25))
     plant = Plant.build(BicycleModel(), v, dt)
     for gamma_1 in (0.02, 0.2, 0.6, 1.0):

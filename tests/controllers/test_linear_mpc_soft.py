@@ -33,11 +33,9 @@ def situations(n: int, horizon: int, seed: int, size: float = 1.0) -> tuple[Plan
 
 @dataclasses.dataclass
 class Case:
-    """One MPC problem, everything by rolling the plant out.
-
-    `sent` are the commands on their way, the oldest first: one more than whole samples of delay. `past` has a before
-    and after each of the samples in [-0.5 s, 0), and before now.
-    """
+    """One MPC problem, everything by rolling the plant out. `sent` are the commands on their way, the oldest first: one
+    more than whole samples of delay. `past` has a before and after each of the samples in [-0.5 s, 0), and before
+    now."""
 
     design: LinearMPC
     plant: Plant
@@ -403,9 +401,7 @@ def test_acceleration_and_jerk_stay_within_their_limits(solver: str, actuator: A
 )
 def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float, delay: float) -> None:
     """Wherever a linear program finds commands that keep it, whatever the takeover does to a_y; 1 % for the kink at T.
-
-    At its defaults the law, which knows lag and delay, leaves no departure.
-    """
+    At its defaults the law, which knows lag and delay, leaves no departure."""
     scenarios, options = (
         load_model("reference").sample(n, n, seed=1),
         PlantOptions(actuator=Actuator(lag=lag, delay=delay)),

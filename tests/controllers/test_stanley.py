@@ -24,10 +24,8 @@ def command(
 @pytest.mark.parametrize("radius", [300.0, -250.0])
 @pytest.mark.parametrize("vehicle", [VehicleParameters(), OTHER])
 def test_the_published_formula_on_a_circular_lane(radius: float, vehicle: VehicleParameters) -> None:
-    """Offset and heading from the geometry of the circle, signs as published: from the vehicle to the path.
-
-    The law takes the lane beside the front axle to second order in l_f/R and e_psi: at most 2e-5 rad here.
-    """
+    """Offset and heading from the geometry of the circle, signs as published: from the vehicle to the path. The law
+    takes the lane beside the front axle to second order in l_f/R and e_psi: at most 2e-5 rad here."""
     gains = {"k": 2.0, "k_soft": 1.5, "k_d_yaw": 0.12, "k_d_steer": 0.3}
     v, e_y, e_psi, e_psi_rate = 15.0, 0.4, -0.02, 0.03
     delta_1, delta_2 = 0.02, 0.012  # measured now and one period earlier

@@ -61,11 +61,9 @@ def values(out: Outcome | Run) -> dict[str, np.ndarray]:
 
 
 def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), between: float = 5e-4) -> None:
-    """Two routes to the same numbers within what the Runge-Kutta loop promises: S to 1e-5, the rest to 1e-4.
-
-    Extremes between samples and the time back inside come from polynomials through the ends of a sample or a substep,
-    and may be `between` apart.
-    """
+    """Two routes to the same numbers within what the Runge-Kutta loop promises: S to 1e-5, the rest to 1e-4. Extremes
+    between samples and the time back inside come from polynomials through the ends of a sample or a substep, and may be
+    `between` apart."""
     np.testing.assert_allclose(out.S[rows], expected.S[rows], rtol=1e-5, atol=1e-9)
     for name in METRICS:
         ours, theirs = getattr(out.companions, name)[rows], getattr(expected.companions, name)[rows]

@@ -41,10 +41,8 @@ class Planted:
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """One trip at the times of both tables.
-
-    `time` is in centiseconds, everything else in SI units: offset, yaw rate and heading positive to the left.
-    """
+    """One trip at the times of both tables. `time` is in centiseconds, everything else in SI units: offset, yaw rate
+    and heading positive to the left."""
 
     device: int
     trip: int

@@ -28,9 +28,7 @@ class Table:
 
 class Page(HTMLParser):
     """A page, or a part of one; refuses tags that are not closed in order, identifiers twice and links to nothing.
-
-    `text` holds the text of each section without that of its drawings, which is in `drawn`.
-    """
+    `text` holds the text of each section without that of its drawings, which is in `drawn`."""
 
     def __init__(self, html: str) -> None:
         super().__init__()

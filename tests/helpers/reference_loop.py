@@ -78,11 +78,9 @@ class Vehicle:
 
 @dataclasses.dataclass(frozen=True)
 class Path:
-    """The recorded departure in the road frame: y, speed, and the lane's curvature, all with their derivatives.
-
-    `c_0` and `dc` are positive to the left; `a` and `b` are the amplitudes of the residuals' modes 1, 2, ..., those of
-    y in the outward direction.
-    """
+    """The recorded departure in the road frame: y, speed, and the lane's curvature, all with their derivatives. `c_0`
+    and `dc` are positive to the left; `a` and `b` are the amplitudes of the residuals' modes 1, 2, ..., those of y in
+    the outward direction."""
 
     side: int
     T: float
@@ -208,12 +206,9 @@ def drive(
     rtol: float = 1e-13,
 ) -> Drive:
     """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
-    it lag and delays too.
-
-    Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, `curvature_draw`, and
-    `noise`, a frame's number -> its two standard normal numbers; none without it. With
-    `rtol` above 1e-12 the metrics beside S are left out.
-    """
+    it lag and delays too. Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`,
+    `curvature_draw`, and `noise`, a frame's number -> its two standard normal numbers; none without it. With `rtol`
+    above 1e-12 the metrics beside S are left out."""
     options = PlantOptions() if options is None else options
     vehicle = Vehicle() if vehicle is None else vehicle
     true = vehicle if true is None else true
@@ -706,10 +701,8 @@ def _change(
     left: bool,
     recorded: Callable[[np.ndarray, bool], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Change over half a second before each time, of what is linear between samples and jumps at them.
-
-    Before the first it is constant, or as recorded.
-    """
+    """Change over half a second before each time, of what is linear between samples and jumps at them. Before the first
+    it is constant, or as recorded."""
 
     def at(s: float) -> float:
         if s < t[0] - 1e-9 or (left and s < t[0] + 1e-9):

@@ -40,11 +40,8 @@ def check(
     table: Path | None = None,
     small_parts: bool = False,
 ) -> str:
-    """Extract, and check what came; tells in a word what it was.
-
-    With a `table` the departures are written, too; with `small_parts` a reader that puts trips together reads each by
-    itself.
-    """
+    """Extract, and check what came; tells in a word what it was. With a `table` the departures are written, too; with
+    `small_parts` a reader that puts trips together reads each by itself."""
     with warnings.catch_warnings(), _limited():
         warnings.simplefilter("error")
         try:

@@ -78,10 +78,8 @@ def grid(names, shapes, quick):
     ),
 )
 def test_density_piled_up_at_a_bound(name, d, n, K):
-    """With the default prior a maximum exists, and the fit says that it got there; 5 to 230 passes were measured.
-
-    One event in a thousand makes up a Cauchy margin's spread: its maximum may lie below the least ln P.
-    """
+    """With the default prior a maximum exists, and the fit says that it got there; 5 to 230 passes were measured. One
+    event in a thousand makes up a Cauchy margin's spread: its maximum may lie below the least ln P."""
     X = margin(name, (n, d))
     model = fitted(X, K)
     check_sound(model, X)

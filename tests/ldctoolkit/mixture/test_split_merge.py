@@ -83,10 +83,8 @@ def shortfall(model: BoundedGaussianMixture, true: BoundedGaussianMixture, X: np
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 0, 1, 3])
 def test_moves_lead_out_of_local_optima(seed: int) -> None:
-    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does.
-
-    A fit from the truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open.
-    """
+    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does. A fit from the
+    truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open."""
     true, X = groups(seed)
     model = BoundedGaussianMixture(8, lower=0.0, n_init=2, random_state=0)
     assert shortfall(model.fit(X), true, X) < 1e-3

@@ -13,11 +13,9 @@ STEP = 0.125
 
 
 def fate(beyond: int, *, criteria: dict[str, Any] | None = None, **columns: Any) -> str:
-    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused.
-
-    It starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide,
-    the vehicle 2 m, the speed 16 m/s.
-    """
+    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused. It
+    starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide, the
+    vehicle 2 m, the speed 16 m/s."""
     y = np.full(beyond + 12, -0.25)
     y[5:-5] = 0.0
     y[6:-6] = 0.25

@@ -24,10 +24,8 @@ SETTINGS = examples(60)
 
 
 def random_drives(seed: int, with_lane: bool, yaw: bool = False) -> list[Recording]:
-    """Recordings that wander over both lines, with holes, gaps, lane changes, jumps and turn signals.
-
-    Numbers are multiples of 1/64, so sums of times are exact and samples on the line do occur.
-    """
+    """Recordings that wander over both lines, with holes, gaps, lane changes, jumps and turn signals. Numbers are
+    multiples of 1/64, so sums of times are exact and samples on the line do occur."""
     rng = np.random.default_rng(seed)
     lengths = rng.integers(1, 60, rng.integers(1, 8))
     n = int(lengths.sum())

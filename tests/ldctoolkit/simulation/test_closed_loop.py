@@ -29,10 +29,8 @@ def preview_proportional(K_y: float, K_psi: float, T_lp: float = 0.0, sign: floa
     [("consistent", 1.3), pytest.param("consistent", 0.0, marks=pytest.mark.slow), ("as_printed", 0.0)],
 )
 def test_preview_proportional_equals_the_reference(convention: str, settle: float) -> None:
-    """Left and right, driven in ISO road coordinates by scipy: S to 1e-12 (1e-8 with a sign change).
-
-    The path comes from the Runge-Kutta loop: to 1e-4 of its range.
-    """
+    """Left and right, driven in ISO road coordinates by scipy: S to 1e-12 (1e-8 with a sign change). The path comes
+    from the Runge-Kutta loop: to 1e-4 of its range."""
     given = {"K_y": -0.03, "K_psi": -0.25, "T_lp": 1.3}
     scenarios = make_scenarios(20, seed=4).take([0, 2, 4, 7, 9, 11, 13])
     out = simulate(
@@ -72,10 +70,8 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
     ],
 )
 def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: float, K_y: float, K_psi: float) -> None:
-    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do.
-
-    Such scenarios take substeps on the ideal plant too; their bound is 1e-5, what is seen here far less.
-    """
+    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do. Such
+    scenarios take substeps on the ideal plant too; their bound is 1e-5, what is seen here far less."""
     scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
     out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
@@ -265,10 +261,8 @@ def test_a_held_wheel_keeps_the_acceleration_of_the_path(option: str) -> None:
 
 
 def test_the_printed_start_has_no_side_slip() -> None:
-    """By hand: A[1, 2] = 320 m/s^2, beta = r (l_r/v - l_f m v/(2 C_ar L)) = -0.177778*0.116181; 10 m/s, y = 0.
-
-    Printed: 320*atan(0.133333) - 32*1.333333 - 0.64*0.177778 - 160*0.051709 = -8.637.
-    """
+    """By hand: A[1, 2] = 320 m/s^2, beta = r (l_r/v - l_f m v/(2 C_ar L)) = -0.177778*0.116181; 10 m/s, y = 0. Printed:
+    320*atan(0.133333) - 32*1.333333 - 0.64*0.177778 - 160*0.051709 = -8.637."""
     one = Scenarios.from_arrays(T=[1.5], d_y=[0.5], v_mean=[10.0])
     starts = []
     for start in ("printed", "steady"):

@@ -195,8 +195,7 @@ def test_the_filter_knows_rates_that_differencing_does_not() -> None:
 @pytest.mark.parametrize(("delay", "late", "first"), [(0.0, 0, 0), (0.07, 2, 20)])
 def test_the_filter_with_true_frames_on_the_true_model_is_the_truth(delay: float, late: int, first: int) -> None:
     """It knows the model, the command, a lane without a kink, and how late frames are: nothing to correct but a start
-    on a recorded path, which is not driven by the model.
-    """
+    on a recorded path, which is not driven by the model."""
     seen, true = watch(alike(2, dc=0.0, T=4.0), Sensors(delay=delay, kalman=KalmanFilter()))
     error = seen.x[first + late :] - true[first : true.shape[0] - late]
     assert (np.abs(error) < 1e-5 * np.abs(true).max(axis=(0, 1))).all()

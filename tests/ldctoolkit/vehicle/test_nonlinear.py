@@ -175,11 +175,9 @@ def drive(p: VehicleParameters, v: float, delta: Any, end: float, mu: float, tim
 
 
 def commonroad(p: VehicleParameters, shift: float) -> Any:
-    """The other library's vehicle with our mass, inertia, lengths and axle stiffnesses.
-
-    Its axle stiffness is -p_ky1 times the axle's load, p_ky1 one number for both axles: with static loads this makes a
-    neutral vehicle. For another one the load is shifted: `shift` is longitudinal acceleration times height [m^2/s^2].
-    """
+    """The other library's vehicle with our mass, inertia, lengths and axle stiffnesses. Its axle stiffness is -p_ky1
+    times the axle's load, p_ky1 one number for both axles: with static loads this makes a neutral vehicle. For another
+    one the load is shifted: `shift` is longitudinal acceleration times height [m^2/s^2]."""
     other = setup_vehicle_parameters(vehicle_id=2)
     other.a, other.b, other.m, other.I_z, other.h_s = p.l_f, p.l_r, p.m, p.I_z, shift
     other.tire.p_ky1 = -2 * (p.C_af + p.C_ar) / (p.m * GRAVITY)
@@ -211,13 +209,11 @@ NEUTRAL = VehicleParameters(C_af=8e4 * 1.47 / 1.43, C_ar=8e4)
     ("p", "mu"), grid([NEUTRAL, OTHER, VehicleParameters()], [0.9, 1e6], (OTHER, 0.9), (VehicleParameters(), 1e6))
 )
 def test_a_lane_change_equals_commonroads_single_track_model(p: VehicleParameters, mu: float) -> None:
-    """Two models of one vehicle: what differs is of third order in the steering angle.
-
-    `vehicle_dynamics_st` has tyres linear in alpha = delta - beta - l_f omega/v and keeps the speed of the centre of
-    gravity constant, so m v (beta' + omega) = F_f + F_r with no cos delta. Ours keeps the component along the vehicle
-    constant and has v_y = v tan beta, arctangents, cos delta and the tyres' bend. Every one of these is odd and differs
-    from the first order by a third order; the bend of the tyres goes away as mu grows.
-    """
+    """Two models of one vehicle: what differs is of third order in the steering angle. `vehicle_dynamics_st` has tyres
+    linear in alpha = delta - beta - l_f omega/v and keeps the speed of the centre of gravity constant, so m v (beta' +
+    omega) = F_f + F_r with no cos delta. Ours keeps the component along the vehicle constant and has v_y = v tan beta,
+    arctangents, cos delta and the tyres' bend. Every one of these is odd and differs from the first order by a third
+    order; the bend of the tyres goes away as mu grows."""
     v, end = 20.0, 3.0
     times, frequency = np.linspace(0.0, end, 61), 2 * math.pi / 2.0
     differences, sizes = [], []

@@ -193,10 +193,8 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
 
 @pytest.mark.slow
 def test_the_report_names_a_width_that_contradicts_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A departure depends on the vehicle's width: a model found with another one is a warning, not a footnote.
-
-    The stored command holds no absolute path, in whatever form one was given.
-    """
+    """A departure depends on the vehicle's width: a model found with another one is a warning, not a footnote. The
+    stored command holds no absolute path, in whatever form one was given."""
     model = load_model("reference")
     provenance = dataclasses.replace(model.provenance, source={"criteria": {"vehicle_width": 1.8}})
     dataclasses.replace(model, provenance=provenance).save(tmp_path / "m.json")

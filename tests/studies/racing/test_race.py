@@ -132,10 +132,8 @@ def test_differences_of_a_solvers_tolerance_part_nothing(by: float, kept: bool) 
 @pytest.mark.parametrize("kept", [True, False])
 def test_what_was_not_met_yet_is_taken_off_by_hand(kept: bool) -> None:
     """Half of the scenarios have 1 m s, half 9; the other design d m s more in the first ones and as much in the rest.
-
     Four rounds decide, so that the error is 0.05 / 4. The capped difference is d or 0: Student's bound of it, less
-    log(80) / m of the largest, d. What is left scales with d, and 1e-6 m s decides.
-    """
+    log(80) / m of the largest, d. What is left scales with d, and 1e-6 m s decides."""
     m = 400
     easy = np.arange(m) % 4 < 3
     base = np.where(easy, 1.0, 9.0)
@@ -239,9 +237,7 @@ def test_a_race_keeps_the_winner_of_the_full_study_and_saves_runs(seed: int) -> 
 
 def rare_failures(seed: int) -> np.ndarray:
     """Design 0 never fails, the 39 others lose 3 m s in two departures of a hundred, and are a little worse in truth.
-
-    After 100 scenarios some of them have met no failure, and look better by 0.05 m s beyond any doubt of a t test.
-    """
+    After 100 scenarios some of them have met no failure, and look better by 0.05 m s beyond any doubt of a t test."""
     rng = np.random.default_rng(seed)
     scores = rng.gamma(2.0, 0.5, 2000) + 0.2 * rng.random((40, 2000))
     scores[1:] += 3.0 * (rng.random((39, 2000)) < 0.02) - 0.05
@@ -271,11 +267,9 @@ def naive(scores: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
-    """All designs have one true mean, design 0 among them: it may be given up in at most one race of twenty.
-
-    300 races: 15 expected where the error of 5 % is used up; the limit is its 99.9 % quantile, 28. A race that asks
-    each pair by itself goes far beyond it on the same tables.
-    """
+    """All designs have one true mean, design 0 among them: it may be given up in at most one race of twenty. 300 races:
+    15 expected where the error of 5 % is used up; the limit is its 99.9 % quantile, 28. A race that asks each pair by
+    itself goes far beyond it on the same tables."""
     side = sides(200, 200)
     lost = lost_naively = 0
     for seed in range(300):

@@ -38,10 +38,8 @@ def scores_of(departures: int) -> np.ndarray:
 
 
 def coverage(scores: np.ndarray, n: int, repetitions: int) -> tuple[float, float, float, float]:
-    """Share of draws of n departures in which all means, all differences to the baseline and to the best hold.
-
-    The fourth is that of the truly best one in the set of best. The truth is the mean over all departures.
-    """
+    """Share of draws of n departures in which all means, all differences to the baseline and to the best hold. The
+    fourth is that of the truly best one in the set of best. The truth is the mean over all departures."""
     truth, half = scores.mean(axis=1), scores.shape[1] // 2
     held = np.zeros(4)
     for repetition in range(repetitions):

@@ -23,12 +23,10 @@ CONFIDENCE = 0.95
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """Designs with known mean S, and scenarios drawn for them.
-
-    S >= 0 is a scenario's own depth, which all designs share in their own measure, plus three further traits of the
-    scenario that designs react to differently, plus what is between this design and this scenario alone. All are
-    skewed (2, and 6.6 for the last), left departures are worse than right ones, and S correlates between designs.
-    """
+    """Designs with known mean S, and scenarios drawn for them. S >= 0 is a scenario's own depth, which all designs
+    share in their own measure, plus three further traits of the scenario that designs react to differently, plus what
+    is between this design and this scenario alone. All are skewed (2, and 6.6 for the last), left departures are worse
+    than right ones, and S correlates between designs."""
 
     mean: np.ndarray
     depth: np.ndarray
@@ -89,10 +87,8 @@ def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 
 @pytest.mark.slow
 def test_coverage_at_1000_scenarios() -> None:
-    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each.
-
-    docs/ranking.md has the figures of some thousand repetitions.
-    """
+    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each. docs/ranking.md
+    has the figures of some thousand repetitions."""
     found = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
     assert 0.93 <= found.S <= 0.97
     assert 0.93 <= found.baseline <= 0.97

@@ -52,10 +52,8 @@ def small() -> Iterator[None]:
 
 
 class Deadly:
-    """Runs up to `workers` tasks at a time, ends them in any order, and dies where the plan says so.
-
-    `plan` names the design (by its K) and the rows that end a worker.
-    """
+    """Runs up to `workers` tasks at a time, ends them in any order, and dies where the plan says so. `plan` names the
+    design (by its K) and the rows that end a worker."""
 
     name = "processes"
     isolated = True

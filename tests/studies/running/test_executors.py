@@ -58,10 +58,8 @@ def study(make_study: MakeStudy) -> Study:
 def cluster(
     folder: Path, workers: int = 2, scheduler: tuple[str, ...] = (), later: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them.
-
-    With `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line.
-    """
+    """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them. With
+    `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

@@ -20,10 +20,8 @@ SHAPES_OF = {reader: tuple(range(len(shapes))) for reader, shapes in making.SOUN
 
 
 def fixed(examples: int) -> settings:
-    """Examples that follow from the code alone: without a seed or a store of earlier ones.
-
-    They are not the same in every run: hypothesis also takes numbers out of the modules that are loaded.
-    """
+    """Examples that follow from the code alone: without a seed or a store of earlier ones. They are not the same in
+    every run: hypothesis also takes numbers out of the modules that are loaded."""
     return settings(
         max_examples=examples, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck)
     )
