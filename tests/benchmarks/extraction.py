@@ -67,18 +67,12 @@ def write_big(folder: Path, rows: int) -> int:
             pieces = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
             drives = [
                 das1.Drive(
-                    device=10100 + (trip + i) // 200,
-                    trip=trip + i,
-                    time=10 * np.arange(one.stop - one.start),
-                    lane_offset=offset[one],
-                    lane_width=3.6,
-                    speed=speed[one],
-                    yaw_rate=yaw_rate[one],
-                    heading=heading[one],
-                    quality=quality[one],
+                    device=10100 + (trip + i) // 200, trip=trip + i, time=10 * np.arange(one.stop - one.start),
+                    lane_offset=offset[one], lane_width=3.6, speed=speed[one], yaw_rate=yaw_rate[one],
+                    heading=heading[one], quality=quality[one],
                 )
                 for i, one in enumerate(pieces)
-            ]
+            ]  # fmt: skip
             lane.write(das1.text_of(das1.lane_frame(drives), bom=done == 0, header=done == 0))
             wsu.write(das1.text_of(das1.wsu_frame(drives), header=done == 0))
             done += m

@@ -56,15 +56,9 @@ def race(study: Study, scenarios: Scenarios, seed: int, full: np.ndarray) -> tup
         S[np.ix_(left, new)] = scores(study, [study.designs[i] for i in left], scenarios.take(new))
         runs += left.size * new.size
         decision = race_round(
-            S[np.ix_(left, rows)],
-            scenarios.side[rows],
-            round=number,
-            rounds=len(rounds),
-            seed=seed,
-            confidence=study.ranking.confidence,
-            samples=study.ranking.bootstrap,
-            started=len(study.designs),
-        )
+            S[np.ix_(left, rows)], scenarios.side[rows], round=number, rounds=len(rounds), seed=seed,
+            confidence=study.ranking.confidence, samples=study.ranking.bootstrap, started=len(study.designs),
+        )  # fmt: skip
         left, before = left[decision.keep], rows
         alive.append(int(left.size))
     difference = np.nanmax(np.abs(S - full))

@@ -181,13 +181,9 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
 def departures(n: int, seed: int, side: int = 1) -> Scenarios:
     rng = np.random.default_rng(seed)
     return Scenarios.from_arrays(
-        side=np.full(n, side),
-        T=rng.uniform(1.5, 6, n),
-        d_y=rng.uniform(0.3, 0.9, n),
-        v_mean=rng.uniform(6, 38, n),
-        c_0=rng.normal(0, 1e-3, n),
-        dc=rng.normal(0, 1e-3, n),
-    )
+        side=np.full(n, side), T=rng.uniform(1.5, 6, n), d_y=rng.uniform(0.3, 0.9, n), v_mean=rng.uniform(6, 38, n),
+        c_0=rng.normal(0, 1e-3, n), dc=rng.normal(0, 1e-3, n),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -306,13 +302,9 @@ class EveryWeight(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         one = np.sqrt(plant.v / 20.0)[:, None]  # another for every scenario
         return LinearLaw(
-            F=one * [-0.02, -0.03, -0.2, -0.01],
-            preview_times=np.array([0.0, 0.4]),
-            G_yaw_rate=one * [0.05, 0.02],
-            G_heading=one * [0.0, 0.1],
-            f_u=0.3 * one[:, 0],
-            f_i=-0.004 * one[:, 0],
-        )
+            F=one * [-0.02, -0.03, -0.2, -0.01], preview_times=np.array([0.0, 0.4]), G_yaw_rate=one * [0.05, 0.02],
+            G_heading=one * [0.0, 0.1], f_u=0.3 * one[:, 0], f_i=-0.004 * one[:, 0],
+        )  # fmt: skip
 
 
 def test_every_weight_of_a_linear_law_inside_counts() -> None:
@@ -377,15 +369,13 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             r"barrier_filter\.inner: 'none'; allowed: a law that steers, the recorded path",
         ),
         (
-            {"inner": "barrier_filter"},
-            InputError,
+            {"inner": "barrier_filter"}, InputError,
             r"barrier_filter\.inner: 'barrier_filter'; allowed: a law other than",
         ),
         ({"inner": 3}, InputError, r"barrier_filter\.inner: 3; allowed: text"),
         ({"inner_gains": None}, InputError, r"barrier_filter\.inner_gains: None; allowed: text"),
         (
-            {"inner_gains": "K_x=-0.1"},
-            UnknownNameError,
+            {"inner_gains": "K_x=-0.1"}, UnknownNameError,
             r"inner_gains: preview_proportional\.K_x: no such gain; did you",
         ),
         ({"inner_gains": "K_y"}, InputError, r"inner_gains: 'K_y'; allowed: gain=value, separated by commas"),
@@ -399,18 +389,16 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             r"inner_gains: preview_proportional\.K_y: 0\.5; allowed: .* from -1 to 0",
         ),
         (
-            {"inner_gains": "convention=new"},
-            InputError,
+            {"inner_gains": "convention=new"}, InputError,
             r"preview_proportional\.convention: 'new'; allowed: as_printed",
         ),
         ({"inner": "drifting", "inner_gains": "cut=yes"}, InputError, r"drifting\.cut: 'yes'; allowed: true or false"),
         (
-            {"inner": "drifting", "inner_gains": "broken_at=1.5"},
-            InputError,
+            {"inner": "drifting", "inner_gains": "broken_at=1.5"}, InputError,
             r"drifting\.broken_at: 1\.5; .* whole number",
         ),
     ],
-)
+)  # fmt: skip
 def test_mistakes_are_named(given: dict[str, Any], error: type[LdcError], message: str) -> None:
     with pytest.raises(error, match=message):
         BarrierFilter(**given)

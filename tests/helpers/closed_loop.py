@@ -20,14 +20,9 @@ METRICS = tuple(COMPANION_UNITS)
 
 
 def takeover(
-    scenarios: Scenarios,
-    options: PlantOptions | None = None,
-    *,
-    y_s: float = 0.1,
-    dt: float = 0.05,
-    settle: float = 3.0,
-    seed: int = 0,
-) -> Takeover:
+    scenarios: Scenarios, options: PlantOptions | None = None, *, y_s: float = 0.1, dt: float = 0.05,
+    settle: float = 3.0, seed: int = 0,
+) -> Takeover:  # fmt: skip
     """What `drive` takes, for the default vehicle."""
     setup = Setup(options=options or PlantOptions(), seed=seed, dt=dt, settle=settle)
     return Takeover.build(scenarios, setup, y_s=y_s)
@@ -37,14 +32,10 @@ def make_scenarios(n: int, seed: int = 0) -> Scenarios:
     rng = np.random.default_rng(seed)
     v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(6)
     return Scenarios.from_arrays(
-        side=np.where(rng.random(n) < 0.5, 1, -1),
-        T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
-        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2),
-        v_mean=v,
-        a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
-        c_0=rng.normal(0, 0.5, n) / v**2,
-        dc=rng.normal(0, 0.3, n) / v**2,
-    )
+        side=np.where(rng.random(n) < 0.5, 1, -1), T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
+        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2), v_mean=v, a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
+        c_0=rng.normal(0, 0.5, n) / v**2, dc=rng.normal(0, 0.3, n) / v**2,
+    )  # fmt: skip
 
 
 def with_residuals(scenarios: Scenarios) -> Scenarios:

@@ -65,15 +65,10 @@ def curvature_at(t: np.ndarray) -> np.ndarray:
 
 # left and right, in a left bend that tightens and opens, and in a right bend
 PLANTED = (
-    Planted(1, 8.03, 2.31, 0.31),
-    Planted(-1, 17.45, 1.9, 0.27),
-    Planted(1, 38.9, 3.1, 0.42),
-    Planted(-1, 48.31, 2.0, 0.22),
-    Planted(1, 68.02, 1.25, 0.18),
-    Planted(-1, 79.6, 4.2, 0.35),
-    Planted(1, 98.77, 0.8, 0.12),
-    Planted(-1, 107.15, 2.6, 0.5),
-)
+    Planted(1, 8.03, 2.31, 0.31), Planted(-1, 17.45, 1.9, 0.27), Planted(1, 38.9, 3.1, 0.42),
+    Planted(-1, 48.31, 2.0, 0.22), Planted(1, 68.02, 1.25, 0.18), Planted(-1, 79.6, 4.2, 0.35),
+    Planted(1, 98.77, 0.8, 0.12), Planted(-1, 107.15, 2.6, 0.5),
+)  # fmt: skip
 
 
 def planted_drive(
@@ -105,15 +100,10 @@ def lane_frame(drives: Sequence[Drive]) -> pl.DataFrame:
     quality = _columns(drives, "quality", int)
     zero = np.zeros(offset.size)
     columns = (
-        _columns(drives, "device", int),
-        _columns(drives, "trip", int),
-        _columns(drives, "time", int),
+        _columns(drives, "device", int), _columns(drives, "trip", int), _columns(drives, "time", int),
         np.round(np.round((offset - 0.5 * width) * 256) / 256, 6),
-        np.round(np.round((offset + 0.5 * width) * 256) / 256, 6),
-        zero,
-        quality,
-        quality,
-    )
+        np.round(np.round((offset + 0.5 * width) * 256) / 256, 6), zero, quality, quality,
+    )  # fmt: skip
     return pl.DataFrame(dict(zip(LANE_COLUMNS, columns, strict=True)))
 
 

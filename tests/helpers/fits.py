@@ -24,12 +24,9 @@ def make_model(**provenance: object) -> ScenarioModel:
     summary = SideSummary(400, (1, 2, 3), (-120.0, -950.5, -930.0), (0.1, 1.2, 1.25), True, (("d_y", 2),), 0.0)
     side = SideModel(mixture, NAMES, CONSTANTS)
     settings = {
-        "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]},
-        "software": "ldctoolkit 0.1.0",
-        "seed": 7,
-        "left": summary,
-        "right": summary,
-    }
+        "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]}, "software": "ldctoolkit 0.1.0", "seed": 7,
+        "left": summary, "right": summary,
+    }  # fmt: skip
     return ScenarioModel(side, side, ModelProvenance(**(settings | provenance)))  # type: ignore[arg-type]
 
 
@@ -46,15 +43,10 @@ def varied_departures(n: int = 200, seed: int = 0, **changed: object) -> Departu
     rng = np.random.default_rng(seed)
     m = 2 * n
     columns = {
-        "T": np.clip(np.exp(rng.normal(0.7, 0.5, m)), 0.51, 9.9),
-        "d_y": rng.gamma(3.0, 0.07, m),
-        "sigma_y": rng.gamma(3.0, 0.02, m),
-        "v_mean": rng.normal(25.0, 4.0, m),
-        "a_mean": rng.normal(0.0, 0.3, m),
-        "sigma_v": rng.gamma(4.0, 0.01, m),
-        "c_0": rng.normal(0.0, 1e-3, m),
-        "dc": rng.normal(0.0, 5e-4, m),
-    } | changed
+        "T": np.clip(np.exp(rng.normal(0.7, 0.5, m)), 0.51, 9.9), "d_y": rng.gamma(3.0, 0.07, m),
+        "sigma_y": rng.gamma(3.0, 0.02, m), "v_mean": rng.normal(25.0, 4.0, m), "a_mean": rng.normal(0.0, 0.3, m),
+        "sigma_v": rng.gamma(4.0, 0.01, m), "c_0": rng.normal(0.0, 1e-3, m), "dc": rng.normal(0.0, 5e-4, m),
+    } | changed  # fmt: skip
     return Departures(
         side=np.repeat([LEFT, RIGHT], n),
         **{name: np.broadcast_to(np.asarray(columns[name], dtype=float), m).copy() for name in PARAMETER_NAMES},

@@ -16,14 +16,8 @@ def race(
         runs, before = runs + designs.size * (m - before), m
         rows = prefix_rows(side, m)
         decision = race_round(
-            scores[np.ix_(designs, rows)],
-            side[rows],
-            round=number,
-            rounds=len(rounds),
-            seed=seed,
-            confidence=confidence,
-            samples=samples,
-            started=d,
-        )
+            scores[np.ix_(designs, rows)], side[rows], round=number, rounds=len(rounds), seed=seed,
+            confidence=confidence, samples=samples, started=d,
+        )  # fmt: skip
         designs = designs[decision.keep]
     return np.isin(np.arange(d), designs), runs / (d * n)

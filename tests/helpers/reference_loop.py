@@ -191,20 +191,10 @@ class Drive:
 
 
 def drive(
-    path: Path,
-    law: Law,
-    *,
-    options: PlantOptions | None = None,
-    vehicle: Vehicle | None = None,
-    true: Vehicle | None = None,
-    y_s: float = 0.2,
-    dt: float = 0.05,
-    settle: float = 0.0,
-    curvature_draw: float = 0.0,
-    noise: Mapping[int, np.ndarray] | None = None,
-    known: bool = True,
-    rtol: float = 1e-13,
-) -> Drive:
+    path: Path, law: Law, *, options: PlantOptions | None = None, vehicle: Vehicle | None = None,
+    true: Vehicle | None = None, y_s: float = 0.2, dt: float = 0.05, settle: float = 0.0, curvature_draw: float = 0.0,
+    noise: Mapping[int, np.ndarray] | None = None, known: bool = True, rtol: float = 1e-13,
+) -> Drive:  # fmt: skip
     """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
     it lag and delays too. Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`,
     `curvature_draw`, and `noise`, a frame's number -> its two standard normal numbers; none without it. With `rtol`
@@ -221,20 +211,11 @@ def drive(
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
-        t_s=t_s,
-        S=absolute_area(departure),
-        S_recorded=S_recorded,
-        x_T=loop.x_T,
-        x_end=loop.rows_x[-1],
-        t=np.array(loop.rows_t),
-        x=np.array(loop.rows_x),
-        delta=np.array(loop.rows_delta),
-        a_y=np.array(loop.rows_a_y),
-        seen=np.array(loop.seen),
-        commands=path.side * np.array(loop.commands),
-        margin=loop.margin,
+        t_s=t_s, S=absolute_area(departure), S_recorded=S_recorded, x_T=loop.x_T, x_end=loop.rows_x[-1],
+        t=np.array(loop.rows_t), x=np.array(loop.rows_x), delta=np.array(loop.rows_delta), a_y=np.array(loop.rows_a_y),
+        seen=np.array(loop.seen), commands=path.side * np.array(loop.commands), margin=loop.margin,
         companions=_companions(path, departure, loop) if rtol < 1e-12 else {},
-    )
+    )  # fmt: skip
 
 
 class _Loop:
@@ -695,12 +676,9 @@ def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, fl
 
 
 def _change(
-    t: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    left: bool,
+    t: np.ndarray, before: np.ndarray, after: np.ndarray, left: bool,
     recorded: Callable[[np.ndarray, bool], np.ndarray] | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Change over half a second before each time, of what is linear between samples and jumps at them. Before the first
     it is constant, or as recorded."""
 

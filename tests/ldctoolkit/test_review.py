@@ -155,13 +155,10 @@ def test_delay_and_lag_are_in_the_loop() -> None:
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"delay": 0.05, "kalman": KalmanFilter()}, False),
-        ({"e_y_noise": 0.05}, True),
-        ({"e_psi_bias": 0.01}, True),
-        ({"e_y_step": 0.01}, True),
-        ({"curvature_gain": -0.1}, True),
+        ({"delay": 0.05, "kalman": KalmanFilter()}, False), ({"e_y_noise": 0.05}, True), ({"e_psi_bias": 0.01}, True),
+        ({"e_y_step": 0.01}, True), ({"curvature_gain": -0.1}, True),
     ],
-)
+)  # fmt: skip
 def test_what_the_loop_holds_of_a_camera_is_not_told_as_left_out(given: dict[str, Any], told: bool) -> None:
     notes = list(plant_notes(PlantOptions(sensors=Sensors(**given))))
     assert [("curvature of the camera" in note.sentence) for note in notes] == [True] * told

@@ -302,15 +302,10 @@ def test_a_linear_law_is_called_by_its_formula() -> None:
     n, p = 5, 3
     plant = Plant.build(BicycleModel(), np.full(n, 20.0), 0.05, lag=0.1, delay=0.07)
     law = LinearLaw(
-        F=rng.normal(size=(n, 4)),
-        preview_times=np.arange(p) * 0.1,
-        G_yaw_rate=rng.normal(size=(n, p)),
-        G_heading=rng.normal(size=(n, p)),
-        f_u=rng.normal(size=n),
-        f_i=rng.normal(size=n),
-        f_past=rng.normal(size=(n, 2)),
-        f_wheel=rng.normal(size=n),
-    )
+        F=rng.normal(size=(n, 4)), preview_times=np.arange(p) * 0.1, G_yaw_rate=rng.normal(size=(n, p)),
+        G_heading=rng.normal(size=(n, p)), f_u=rng.normal(size=n), f_i=rng.normal(size=n),
+        f_past=rng.normal(size=(n, 2)), f_wheel=rng.normal(size=n),
+    )  # fmt: skip
     called, x, last = LinearSteps.of(law, plant), rng.normal(size=(3, n, 4)), rng.normal(size=(3, n))
     preview = type("P", (), {"yaw_rate": rng.normal(size=(n, p)), "heading": rng.normal(size=(n, p))})()
     state = called.init(n)

@@ -7,18 +7,6 @@ from helpers.fuzz.write import PATHS, PLACES, open_again, put_places, write
 from ldctoolkit.recordings import extract_departures, open_recordings
 
 __all__ = [
-    "DEPARTURES",
-    "PATHS",
-    "PLACES",
-    "SOUND",
-    "WORDS",
-    "check",
-    "damaged",
-    "extract_departures",
-    "files_changed",
-    "open_again",
-    "open_recordings",
-    "put_places",
-    "recognise",
-    "write",
-]
+    "DEPARTURES", "PATHS", "PLACES", "SOUND", "WORDS", "check", "damaged", "extract_departures", "files_changed",
+    "open_again", "open_recordings", "put_places", "recognise", "write",
+]  # fmt: skip

@@ -333,12 +333,7 @@ def _renamed(name: str) -> tuple[str, ...]:
     folder, _, last = name.rpartition("/")
     stem, _, suffix = last.partition(".")
     names = (
-        f"{stem}_2.{suffix}",
-        f"{stem}.{suffix}.gz",
-        stem,
-        f"more/{last}",
-        last.upper(),
-        f"\u00e9 {last}",
+        f"{stem}_2.{suffix}", f"{stem}.{suffix}.gz", stem, f"more/{last}", last.upper(), f"\u00e9 {last}",
         "RAW_GPS.txt",
-    )
+    )  # fmt: skip
     return tuple(f"{folder}/{one}" if folder else one for one in (*names, "a.parquet", "DataLane.csv"))

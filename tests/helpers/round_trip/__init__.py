@@ -11,15 +11,6 @@ from .planted import Planted, plant
 from .sensors import Measured, Noise, measure
 
 __all__ = [
-    "Comparison",
-    "Drive",
-    "Measured",
-    "Noise",
-    "Planted",
-    "compare",
-    "drive",
-    "kolmogorov",
-    "measure",
-    "plant",
+    "Comparison", "Drive", "Measured", "Noise", "Planted", "compare", "drive", "kolmogorov", "measure", "plant",
     "write_tables",
-]
+]  # fmt: skip

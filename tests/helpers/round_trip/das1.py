@@ -26,14 +26,10 @@ def write_tables(folder: Path, measured: Measured) -> list[Path]:
     three, zero, one = (np.full(size, value, dtype=np.int64) for value in (3, 0, 1))
     lane = pl.DataFrame(
         {
-            **key,
-            "LaneDistanceLeft": measured.left,
-            "LaneDistanceRight": measured.right,
-            "LaneHeading": measured.lane_heading,
-            "LaneQualityRight": three,
-            "LaneQualityLeft": three,
+            **key, "LaneDistanceLeft": measured.left, "LaneDistanceRight": measured.right,
+            "LaneHeading": measured.lane_heading, "LaneQualityRight": three, "LaneQualityLeft": three,
         }
-    )
+    )  # fmt: skip
     wsu = pl.DataFrame(
         {
             **key,

@@ -139,19 +139,15 @@ GOOD = np.linspace(0.1, 2.0, 20)[:, None]
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"X": np.ones((20, 2))}, r"X: shape \(20, 2\); allowed: \(n, 1\)"),
-        ({"X": [["a"]]}, "not a table of numbers"),
+        ({"X": np.ones((20, 2))}, r"X: shape \(20, 2\); allowed: \(n, 1\)"), ({"X": [["a"]]}, "not a table of numbers"),
         ({"X": np.where(GOOD > 1.9, np.nan, GOOD)}, "X: x0 = nan in row 19"),
-        ({"X": GOOD[:9]}, "9 of 9 events lie inside"),
-        ({"X": -GOOD}, "0 of 20 events lie inside"),
-        ({"weights": np.ones(3)}, r"weights: shape \(3,\)"),
-        ({"weights": np.full(20, -1.0)}, "weights: -1.0 in row 0"),
-        ({"weights": "heavy"}, "weights: not numbers"),
-        ({"names": ("T", "d_y")}, "names: 2 names; allowed: 1"),
+        ({"X": GOOD[:9]}, "9 of 9 events lie inside"), ({"X": -GOOD}, "0 of 20 events lie inside"),
+        ({"weights": np.ones(3)}, r"weights: shape \(3,\)"), ({"weights": np.full(20, -1.0)}, "weights: -1.0 in row 0"),
+        ({"weights": "heavy"}, "weights: not numbers"), ({"names": ("T", "d_y")}, "names: 2 names; allowed: 1"),
         ({"n_model": 10}, "n_model: 10; allowed: an integer >= 1000"),
         ({"seed": -1}, "seed: -1; allowed: an integer >= 0"),
     ],
-)
+)  # fmt: skip
 def test_bad_input(change: dict[str, object], message: str) -> None:
     given = {"X": GOOD, "n_model": 1000} | change
     with pytest.raises(InputError, match=message):

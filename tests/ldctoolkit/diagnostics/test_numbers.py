@@ -30,13 +30,9 @@ INF = np.inf
 def independent(transform: str | None = None) -> BoundedGaussianMixture:
     """Two components without correlation, so that margins are sums of univariate truncated normals."""
     return BoundedGaussianMixture.from_parameters(
-        [0.3, 0.7],
-        [[0.2, 3.0], [2.0, -1.0]],
-        [np.diag([1.0, 4.0]), np.diag([0.25, 1.0])],
-        lower=[0.0, -INF],
-        upper=[INF, 40.0],
-        transform=transform,
-    )
+        [0.3, 0.7], [[0.2, 3.0], [2.0, -1.0]], [np.diag([1.0, 4.0]), np.diag([0.25, 1.0])], lower=[0.0, -INF],
+        upper=[INF, 40.0], transform=transform,
+    )  # fmt: skip
 
 
 def margin_cdf(x: np.ndarray, j: int) -> np.ndarray:
@@ -51,12 +47,9 @@ def margin_cdf(x: np.ndarray, j: int) -> np.ndarray:
 
 def correlated() -> Distribution:
     return BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4],
-        [[0.0, 0.5], [1.5, 1.0]],
-        [[[1.0, 0.6], [0.6, 0.8]], [[0.5, -0.2], [-0.2, 0.4]]],
-        lower=[0.0, 0.0],
+        [0.6, 0.4], [[0.0, 0.5], [1.5, 1.0]], [[[1.0, 0.6], [0.6, 0.8]], [[0.5, -0.2], [-0.2, 0.4]]], lower=[0.0, 0.0],
         upper=[INF, 3.0],
-    ).distribution
+    ).distribution  # fmt: skip
 
 
 def test_box_share_is_the_univariate_one() -> None:
@@ -184,12 +177,9 @@ def test_a_strip_is_off_beyond_a_fifth_and_four_standard_errors(error: float, de
 
 def test_components_table() -> None:
     model = BoundedGaussianMixture.from_parameters(
-        [0.5, 0.5],
-        [[-3.0, 0.0], [1.0, 1.0]],
-        [[[4.0, 1.8], [1.8, 1.0]], np.eye(2)],
-        lower=[0.0, -INF],
+        [0.5, 0.5], [[-3.0, 0.0], [1.0, 1.0]], [[[4.0, 1.8], [1.8, 1.0]], np.eye(2)], lower=[0.0, -INF],
         upper=[INF, INF],
-    )
+    )  # fmt: skip
     x, _ = model.sample(300, 1)
     weight = np.linspace(0.5, 2.0, 300)
     first, second = components(model.distribution, ("T", "d_y"), x, weight)

@@ -215,14 +215,9 @@ def test_broken_data_and_the_moves_between_short_and_final_run(kind):
 
 @examples(15)
 @given(
-    seed=st.integers(0, 2**16),
-    d=st.integers(1, 3),
-    K=st.integers(1, 4),
-    name=st.sampled_from(sorted(MARGINS)),
-    step=st.sampled_from(["newton", "lee_scott"]),
-    n0=st.sampled_from([0.0, 1.0, 10.0]),
-    upper=st.booleans(),
-)
+    seed=st.integers(0, 2**16), d=st.integers(1, 3), K=st.integers(1, 4), name=st.sampled_from(sorted(MARGINS)),
+    step=st.sampled_from(["newton", "lee_scott"]), n0=st.sampled_from([0.0, 1.0, 10.0]), upper=st.booleans(),
+)  # fmt: skip
 def test_the_penalised_likelihood_never_falls(seed, d, K, name, step, n0, upper):
     X = margin(name, (60 * K, d), seed) @ (np.eye(d) + 0.3 * np.tri(d, k=-1))
     top = X.max(axis=0) * 1.01 if upper else INF

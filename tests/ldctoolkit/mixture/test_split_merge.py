@@ -52,16 +52,9 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
         return end, float(w @ np.logaddexp.reduce(terms, axis=1))
 
     found = best_moves(
-        z,
-        np.ones(z.shape[0]),
-        stats,
-        t,
-        shares(log_terms(z, now)),
-        strength=0.0,
-        points=POINTS,
-        run=run,
+        z, np.ones(z.shape[0]), stats, t, shares(log_terms(z, now)), strength=0.0, points=POINTS, run=run,
         rng=np.random.default_rng(0),
-    )
+    )  # fmt: skip
     assert len(found) >= 5
     gains = [move.gain for move in found]
     assert gains == sorted(gains, reverse=True)

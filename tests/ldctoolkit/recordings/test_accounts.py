@@ -38,19 +38,11 @@ def wander(rng: np.random.Generator, name: str) -> Recording:
     speed[rng.random(n) < 0.01] = np.nan
     labels = (Label("road", str(rng.choice(ROADS))),) if rng.random() < 0.7 else ()
     return Recording(
-        name,
-        t,
-        offset,
-        rng.uniform(2.9, 3.9, n),
-        speed,
-        rng.random(n) > 0.02,
-        curvature=rng.normal(0.0, 1e-3, n) if rng.random() < 0.7 else None,
-        lane=lane if rng.random() < 0.5 else None,
-        turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]),
-        labels=labels,
-        source=str(rng.choice(SOURCES)),
+        name, t, offset, rng.uniform(2.9, 3.9, n), speed, rng.random(n) > 0.02,
+        curvature=rng.normal(0.0, 1e-3, n) if rng.random() < 0.7 else None, lane=lane if rng.random() < 0.5 else None,
+        turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]), labels=labels, source=str(rng.choice(SOURCES)),
         lane_scale=float(rng.choice([1.0, 1.0, 1.25])),
-    )
+    )  # fmt: skip
 
 
 def wandering(seed: int, count: int) -> list[Recording]:

@@ -223,14 +223,11 @@ HELD = {
     "tyres": PlantOptions(tyres=Tyres(model="magic_formula", mu=0.7)),
     "residuals": PlantOptions(residuals=Residuals(y=True, v=True, bandwidth=0.5)),
     "all": PlantOptions(
-        speed="profile",
-        actuator=Actuator(lag=0.1, rate_max=0.5, delay=0.07),
-        mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.8, 1.2), mu=(0.8, 1.1)),
-        tyres=Tyres(model="magic_formula"),
-        sensors=Sensors(delay=0.1, e_psi_noise=0.01),
-        residuals=Residuals(y=True, v=True, bandwidth=0.5),
+        speed="profile", actuator=Actuator(lag=0.1, rate_max=0.5, delay=0.07),
+        mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.8, 1.2), mu=(0.8, 1.1)), tyres=Tyres(model="magic_formula"),
+        sensors=Sensors(delay=0.1, e_psi_noise=0.01), residuals=Residuals(y=True, v=True, bandwidth=0.5),
     ),
-}
+}  # fmt: skip
 
 
 def start_of_a_held_wheel(scenarios: Scenarios, **settings: Any) -> tuple[np.ndarray, np.ndarray]:

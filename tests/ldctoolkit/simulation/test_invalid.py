@@ -288,13 +288,10 @@ def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
 @pytest.mark.parametrize(
     ("options", "design"),
     grid(
-        ["ideal", "profile", "magic formula", "filter", "all"],
-        ["linear", "general"],
-        ("ideal", "linear"),
-        ("ideal", "general"),
-        ("all", "linear"),
+        ["ideal", "profile", "magic formula", "filter", "all"], ["linear", "general"], ("ideal", "linear"),
+        ("ideal", "general"), ("all", "linear"),
     ),
-)
+)  # fmt: skip
 def test_leaving_before_the_end_is_scored_and_after_it_is_not(options: str, design: str) -> None:
     unstable: Controller = Constant((0.03, 0.0, 0.2, 0.0))
     law = unstable if design == "linear" else Stepped(unstable, drops=True)

@@ -26,16 +26,12 @@ ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
 """The ideal plant in effect, driven by the Runge-Kutta loop."""
 
 CLOSED = {
-    "preview": PreviewProportional(),
-    "LQR": LQR(),
-    "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
+    "preview": PreviewProportional(), "LQR": LQR(), "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
     "swings far": PreviewProportional(K_y=-0.12, K_psi=-0.02, T_lp=0.3),
-    "late": PreviewProportional(K_y=-0.002, K_psi=-0.02),
-    "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
-    "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01),
-    "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
+    "late": PreviewProportional(K_y=-0.002, K_psi=-0.02), "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
+    "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01), "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
     "spins": Constant((0.0, 0.0, 3.0, 0.5)),
-}
+}  # fmt: skip
 SLOW = Scenarios.from_arrays(T=[3.0, 6.0, 9.0, 1.3], d_y=[0.3, 0.5, 0.9, 0.6], v_mean=[1.0, 1.5, 3.0, 4.0], c_0=1e-3)
 
 

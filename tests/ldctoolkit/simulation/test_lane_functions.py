@@ -22,13 +22,10 @@ def test_arc_tangent_sine_cosine_and_decay() -> None:
 @pytest.mark.parametrize(
     ("x_0", "x_1", "n_0", "n_1"),
     [
-        (0.3, -0.5, -0.2, -0.4),
-        (-0.1, 0.2, 0.4, -0.3),
-        (0.02, -1.0, 0.03, 1.2),
-        (0.4, -0.1, 0.3, -0.2),
+        (0.3, -0.5, -0.2, -0.4), (-0.1, 0.2, 0.4, -0.3), (0.02, -1.0, 0.03, 1.2), (0.4, -0.1, 0.3, -0.2),
         (0.1, -0.3, 0.2, 0.4),
     ],
-)
+)  # fmt: skip
 def test_the_integral_of_the_absolute_value_is_the_quartics(x_0: float, x_1: float, n_0: float, n_1: float) -> None:
     """One crossing, over and back, none: against a fine sum on a cubic, which is a quartic without its last term."""
     h = 0.4

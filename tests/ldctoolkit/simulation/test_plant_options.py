@@ -46,25 +46,15 @@ class Everything(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         n = plant.n
         return LinearLaw(
-            F=np.tile(F, (n, 1)),
-            preview_times=np.array(TIMES),
-            G_yaw_rate=np.tile(G_YAW_RATE, (n, 1)),
-            G_heading=np.tile(G_HEADING, (n, 1)),
-            f_u=np.full(n, F_U),
-        )
+            F=np.tile(F, (n, 1)), preview_times=np.array(TIMES), G_yaw_rate=np.tile(G_YAW_RATE, (n, 1)),
+            G_heading=np.tile(G_HEADING, (n, 1)), f_u=np.full(n, F_U),
+        )  # fmt: skip
 
 
 SCENARIOS = Scenarios.from_arrays(
-    side=[-1, 1, 1],
-    T=[1.43, 1.0, 0.83],
-    d_y=[0.45, 0.3, 0.06],
-    v_mean=[27.0, 12.0, 20.0],
-    a_mean=[-0.8, 0.6, 0.0],
-    c_0=[1.2e-3, -2e-3, 1e-3],
-    dc=[-8e-4, 3e-3, 0.0],
-    sigma_y=[0.03, 0.015, 0.0],
-    sigma_v=[0.12, 0.2, 0.0],
-)
+    side=[-1, 1, 1], T=[1.43, 1.0, 0.83], d_y=[0.45, 0.3, 0.06], v_mean=[27.0, 12.0, 20.0], a_mean=[-0.8, 0.6, 0.0],
+    c_0=[1.2e-3, -2e-3, 1e-3], dc=[-8e-4, 3e-3, 0.0], sigma_y=[0.03, 0.015, 0.0], sigma_v=[0.12, 0.2, 0.0],
+)  # fmt: skip
 """The last one never triggers."""
 
 MAGIC = Tyres(model="magic_formula", mu=0.35, shape=1.4)
@@ -140,15 +130,9 @@ SCORED = (
 
 
 def driven(
-    scenarios: Scenarios,
-    options: PlantOptions,
-    i: int,
-    *,
-    dt: float = DT,
-    as_printed: bool = False,
-    law: reference.Law = formula,
-    **more: Any,
-) -> Any:
+    scenarios: Scenarios, options: PlantOptions, i: int, *, dt: float = DT, as_printed: bool = False,
+    law: reference.Law = formula, **more: Any,
+) -> Any:  # fmt: skip
     """The reference's drive of scenario i, with the package's draws."""
     a, b = (), ()
     if not options.residuals.ideal:

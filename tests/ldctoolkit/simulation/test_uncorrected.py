@@ -30,16 +30,10 @@ def mixed(n: int, seed: int = 0) -> Scenarios:
     rng = np.random.default_rng(seed)
     T = rng.uniform(0.5, 10.0, n)
     return Scenarios.from_arrays(
-        T=T,
-        d_y=rng.uniform(0.05, 0.8, n),
-        v_mean=rng.uniform(15.0, 40.0, n),
-        a_mean=rng.uniform(-1.0, 1.0, n),
-        c_0=rng.uniform(-0.004, 0.004, n),
-        dc=rng.uniform(-0.004, 0.004, n),
-        sigma_y=rng.uniform(0.0, 0.08, n),
-        sigma_v=rng.uniform(0.0, 0.6, n),
-        side=rng.choice([-1, 1], n),
-    )
+        T=T, d_y=rng.uniform(0.05, 0.8, n), v_mean=rng.uniform(15.0, 40.0, n), a_mean=rng.uniform(-1.0, 1.0, n),
+        c_0=rng.uniform(-0.004, 0.004, n), dc=rng.uniform(-0.004, 0.004, n), sigma_y=rng.uniform(0.0, 0.08, n),
+        sigma_v=rng.uniform(0.0, 0.6, n), side=rng.choice([-1, 1], n),
+    )  # fmt: skip
 
 
 FEW = mixed(12)

@@ -53,14 +53,9 @@ def axle_forces(motion: Any, v: float, p: VehicleParameters, mu: float, shape: f
 
 
 vehicles = st.builds(
-    VehicleParameters,
-    C_af=st.floats(3e4, 2e5),
-    C_ar=st.floats(3e4, 2e5),
-    l_f=st.floats(0.8, 2.0),
-    l_r=st.floats(0.8, 2.0),
-    m=st.floats(700.0, 3000.0),
-    I_z=st.floats(800.0, 6000.0),
-)
+    VehicleParameters, C_af=st.floats(3e4, 2e5), C_ar=st.floats(3e4, 2e5), l_f=st.floats(0.8, 2.0),
+    l_r=st.floats(0.8, 2.0), m=st.floats(700.0, 3000.0), I_z=st.floats(800.0, 6000.0),
+)  # fmt: skip
 # e_y_rate, e_psi, e_psi_rate, delta, r: everything that is mirrored
 motions = st.tuples(*(st.floats(-size, size) for size in (5.0, 0.5, 1.0, 0.6, 0.6)))
 speeds, friction, shapes = st.floats(2.0, 60.0), st.floats(0.05, 1.5), st.floats(1.0, 2.0)

@@ -117,16 +117,9 @@ def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], m
 def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
     (folder / "a.csv").write_text(recordings(0, 30))
     words = {
-        "--vehicle-width": 1.7,
-        "--step": 0.2,
-        "--nominal-lane-width": 3.5,
-        "--yaw-rate-factor": -1,
-        "--min-duration": 0.6,
-        "--max-duration": 9,
-        "--min-speed": 6,
-        "--max-gap": 0.5,
-        "--max-jump": 0.7,
-    }
+        "--vehicle-width": 1.7, "--step": 0.2, "--nominal-lane-width": 3.5, "--yaw-rate-factor": -1,
+        "--min-duration": 0.6, "--max-duration": 9, "--min-speed": 6, "--max-gap": 0.5, "--max-jump": 0.7,
+    }  # fmt: skip
     flat = [word for pair in words.items() for word in pair]
     assert ldc("a.csv", "-o", "d.parquet", *flat)[0] == 0
     departures, provenance = read_departures("d.parquet")
@@ -386,12 +379,9 @@ FAULTS = {
     "spmd-das1": ("DataLane.csv", b"7,1,", b"x,1,", r"DataLane\.csv, line 2: it begins with 'x,1'"),
     "spmd-das2": ("HV_Primary.csv", b"\n7,1,", b"\nx,1,", r"HV_Primary\.csv, line 2: it begins with 'x,1'"),
     "uah-driveset": (
-        "PROC_LANE_DETECTION.txt",
-        b" 2 \n",
-        b" x \n",
-        r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
+        "PROC_LANE_DETECTION.txt", b" 2 \n", b" x \n", r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("source", FAULTS)

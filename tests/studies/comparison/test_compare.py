@@ -42,16 +42,9 @@ def study_of(d: int, **parts: Any) -> Study:
 
 
 def finished(
-    S: np.ndarray,
-    *,
-    source: str = "here",
-    scenarios: Scenarios | None = None,
-    status: np.ndarray | None = None,
-    cases: Sequence[CaseResults] | None = None,
-    rows: Sequence[int] | None = None,
-    of: int | None = None,
-    **parts: Any,
-) -> FinishedStudy:
+    S: np.ndarray, *, source: str = "here", scenarios: Scenarios | None = None, status: np.ndarray | None = None,
+    cases: Sequence[CaseResults] | None = None, rows: Sequence[int] | None = None, of: int | None = None, **parts: Any,
+) -> FinishedStudy:  # fmt: skip
     """A study whose scores are given; `rows` are the positions of its designs among `of` of them."""
     study = study_of(len(S) if of is None else of, **parts)
     designs = tuple(study.designs[i] for i in (range(len(S)) if rows is None else rows))

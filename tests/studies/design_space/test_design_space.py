@@ -68,11 +68,8 @@ def test_a_gain_with_a_condition_keeps_its_default_otherwise() -> None:
         law="linear_mpc", gains={"blocks": [0, 3, 5], "solver": ["osqp", "daqp"]}, when={"blocks": {"solver": "osqp"}}
     ).designs()
     assert [(gains(d)["solver"], gains(d)["blocks"]) for d in found] == [
-        ("osqp", 0),
-        ("daqp", 0),
-        ("osqp", 3),
-        ("osqp", 5),
-    ]
+        ("osqp", 0), ("daqp", 0), ("osqp", 3), ("osqp", 5),
+    ]  # fmt: skip
 
 
 @given(

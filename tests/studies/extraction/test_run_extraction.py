@@ -185,12 +185,9 @@ def test_damaged_parts(
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 1
     contents = {
-        "cut": data[:-9],
-        "flipped": bytes(flipped),
-        "emptied": b"",
-        "not a part": b"hello",
+        "cut": data[:-9], "flipped": bytes(flipped), "emptied": b"", "not a part": b"hello",
         "another": other.read_bytes(),
-    }
+    }  # fmt: skip
     part.write_bytes(contents[damage])
     source = made("good", "good", "interrupted")
     found = run_extraction(source, workers=1, output=output)
@@ -202,13 +199,9 @@ def test_damaged_parts(
 
 @pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest", "program", "versions"])
 def test_parts_of_another_extraction_are_never_used(
-    made: Made,
-    content: Content,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch,
     change: str,
-) -> None:
+) -> None:  # fmt: skip
     output = tmp_path / "d.parquet"
     folder = stopped(made, output)
     source = made(

@@ -102,13 +102,9 @@ def use(monkeypatch: pytest.MonkeyPatch, executor: Deadly) -> None:
     [(1, 1), *(pytest.param(seed, k, marks=pytest.mark.slow) for seed in range(2, 8) for k in (None, 1, 3))],
 )
 def test_the_same_scenarios_are_found_whatever_ran_beside_them(
-    make_study: MakeStudy,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stored_rows: Callable[..., Any],
-    seed: int,
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any], seed: int,
     block_size: int | None,
-) -> None:
+) -> None:  # fmt: skip
     """Two designs with a few scenarios at fault, one with too many; the rest as in one process."""
     plan = {1.0: {3}, 2.0: {0, 12}, 4.0: {2, 7, 8, 9, 13}}
     study = small_study(make_study, [0, 1, 2, 3, 4])
@@ -161,12 +157,9 @@ def test_dying_workers_kill_no_designs(make_study: MakeStudy, tmp_path: Path, mo
 
 @pytest.mark.parametrize("how", [{"workers": 1, "block_size": 1}, pytest.param({"seed": 1}, marks=pytest.mark.slow)])
 def test_what_is_stored_of_a_failing_design_is_no_accident(
-    make_study: MakeStudy,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stored_rows: Callable[..., Any],
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     how: dict[str, int],
-) -> None:
+) -> None:  # fmt: skip
     """The pieces before the first one that it fails on, however often it is run."""
     study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
     from studies.runner import study_model

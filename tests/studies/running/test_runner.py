@@ -54,12 +54,9 @@ def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyRe
     for case in reference.cases:
         for i, design in enumerate(study.designs):
             outcome = simulate(
-                design.controller(case.case.convention),
-                reference.scenarios,
-                setup=study.setup(case.case.convention),
-                y_s=design.y_s,
-                window=case.case.window,
-            )
+                design.controller(case.case.convention), reference.scenarios, setup=study.setup(case.case.convention),
+                y_s=design.y_s, window=case.case.window,
+            )  # fmt: skip
             np.testing.assert_array_equal(case.S[i], outcome.S)
             np.testing.assert_array_equal(case.S_uncorrected[i], outcome.S_uncorrected)
             np.testing.assert_array_equal(case.status[i], outcome.status)
@@ -387,13 +384,10 @@ def test_folders_before_steady_starts_are_printed(
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "broken"),
-        ("[]", "broken"),
-        ("{}", "broken"),
-        ('{"format_version": 99}', "format 99; this version reads 3"),
-        ('{"format_version": 3}', "broken"),
+        ("{", "broken"), ("[]", "broken"), ("{}", "broken"),
+        ('{"format_version": 99}', "format 99; this version reads 3"), ('{"format_version": 3}', "broken"),
     ],
-)
+)  # fmt: skip
 def test_a_broken_manifest_is_named(content: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text(content)
     with pytest.raises(StoreError, match=rf"manifest\.json: {message}") as caught:

@@ -317,12 +317,9 @@ def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12)
 
 def _outcome(study: Study, design: Design, scenarios: Scenarios, case: Case) -> Any:
     return simulate(
-        design.controller(case.convention),
-        scenarios,
-        setup=study.setup(case.convention),
-        y_s=design.y_s,
+        design.controller(case.convention), scenarios, setup=study.setup(case.convention), y_s=design.y_s,
         window=case.window,
-    )
+    )  # fmt: skip
 
 
 def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:

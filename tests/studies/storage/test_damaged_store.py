@@ -131,12 +131,9 @@ def test_every_flipped_byte_and_every_cut_is_found(finished: Path, data: st.Data
 
 
 def test_only_what_is_bad_is_computed_anew(
-    make_study: MakeStudy,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stored_rows: Callable[..., Any],
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     caplog: pytest.LogCaptureFixture,
-) -> None:
+) -> None:  # fmt: skip
     from studies.running import campaign
     from studies.running.simulate_designs import Simulator
 

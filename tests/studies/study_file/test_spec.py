@@ -167,13 +167,10 @@ def test_several_mistakes_are_counted() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"name = ", "not a TOML file: "),
-        (b"name = 'a'\nname = 'b'", "not a TOML file: "),
-        (b"\xff\xfe", "not a TOML file: "),
-        (b"", "name: missing"),
-        (b"name = 'a'", "design: missing"),
+        (b"name = ", "not a TOML file: "), (b"name = 'a'\nname = 'b'", "not a TOML file: "),
+        (b"\xff\xfe", "not a TOML file: "), (b"", "name: missing"), (b"name = 'a'", "design: missing"),
     ],
-)
+)  # fmt: skip
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "s.toml"
     path.write_bytes(content)

@@ -139,12 +139,9 @@ def fuzz_recognise(reader: str, examples: int) -> Outcomes:
 
 
 FUZZ = {
-    "damaged": fuzz_damaged_files,
-    "elsewhere": fuzz_elsewhere,
-    "bytes": fuzz_bytes,
-    "places": fuzz_places,
+    "damaged": fuzz_damaged_files, "elsewhere": fuzz_elsewhere, "bytes": fuzz_bytes, "places": fuzz_places,
     "recognise": fuzz_recognise,
-}
+}  # fmt: skip
 FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
 SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 500, "places": 80, "recognise": 50}
 

@@ -23,13 +23,9 @@ BOM = b"\xef\xbb\xbf"
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
     def to_file(
-        lines: Sequence[str],
-        name: str = "HV_Primary.csv",
-        *,
-        header: bool = True,
-        start: bytes = b"",
+        lines: Sequence[str], name: str = "HV_Primary.csv", *, header: bool = True, start: bytes = b"",
         end: str = "\r\n",
-    ) -> Path:
+    ) -> Path:  # fmt: skip
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         head = [",".join(das2.COLUMNS)] if header else []
