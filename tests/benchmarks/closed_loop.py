@@ -37,11 +37,9 @@ def scenarios(n: int) -> Scenarios:
     v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(12)
     return Scenarios.from_arrays(
         T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
-        d_y=np.exp(rng.normal(np.log(0.3), 0.5, n)).clip(0.02, 1.0),
-        v_mean=v,
-        a_mean=rng.normal(0, 0.3, n).clip(-0.6, 0.6),
-        c_0=rng.normal(0, 0.5, n) / v**2,
-    )
+        d_y=np.exp(rng.normal(np.log(0.3), 0.5, n)).clip(0.02, 1.0), v_mean=v,
+        a_mean=rng.normal(0, 0.3, n).clip(-0.6, 0.6), c_0=rng.normal(0, 0.5, n) / v**2,
+    )  # fmt: skip
 
 
 def seconds(run: Callable[[], object], repeats: int) -> float:

@@ -79,11 +79,9 @@ def measure(folder: Path) -> None:
     print("| | wall [s] | processor [s] | peak [MiB] | share of the numbers | processor time over polars |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")
     stages = {
-        "polars reads every column": ("-c", POLARS, str(folder)),
-        "`read_results`": ("-c", READ, str(folder)),
-        "and `rank_study`": ("-c", RANK, str(folder)),
-        "`ldc report`": ("-m", "ldctoolkit", "report", str(folder)),
-    }
+        "polars reads every column": ("-c", POLARS, str(folder)), "`read_results`": ("-c", READ, str(folder)),
+        "and `rank_study`": ("-c", RANK, str(folder)), "`ldc report`": ("-m", "ldctoolkit", "report", str(folder)),
+    }  # fmt: skip
     reference = None
     for name, command in stages.items():
         used = cost(*command)

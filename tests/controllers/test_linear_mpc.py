@@ -111,13 +111,11 @@ def test_an_interrupt_during_a_solve_is_an_interrupt() -> None:
 @pytest.mark.parametrize(
     ("horizon", "r_delta", "q_y", "size"),
     [
-        (20, 0.01, 1.0, 1.0),
-        pytest.param(20, 1.0, 1.0, 1.0, marks=pytest.mark.slow),
+        (20, 0.01, 1.0, 1.0), pytest.param(20, 1.0, 1.0, 1.0, marks=pytest.mark.slow),
         pytest.param(60, 1.0, 1.0, 3.0, marks=pytest.mark.slow),
-        pytest.param(40, 1e-3, 1.0, 1.0, marks=pytest.mark.slow),
-        (20, 100.0, 1e4, 1.0),
+        pytest.param(40, 1e-3, 1.0, 1.0, marks=pytest.mark.slow), (20, 100.0, 1e4, 1.0),
     ],
-)
+)  # fmt: skip
 def test_feasible_qps_are_solved_with_extreme_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
     """Weights far beyond what the limits allow; Clarabel on the same QP is the reference."""
     design = LinearMPC(horizon=horizon, r_delta=r_delta, q_y=q_y, delta_max=0.04, rate_max=0.05)

@@ -107,12 +107,10 @@ class Case:
         left, right = np.array(before), np.array(after)
         rows = [(left[-N:], left[-N - 10 : -10])] + ([(right[-N:], right[-N - 10 : -10])] if jumps else [])
         return np.concatenate(cost), {
-            "u": np.array(u),
-            "change": np.diff(u, prepend=on * self.prev),
+            "u": np.array(u), "change": np.diff(u, prepend=on * self.prev),
             "a_y": np.concatenate([new for new, _ in rows]),
-            "jerk": np.concatenate([new - old for new, old in rows]) / 0.5,
-            "e_y": np.array(offset),
-        }
+            "jerk": np.concatenate([new - old for new, old in rows]) / 0.5, "e_y": np.array(offset),
+        }  # fmt: skip
 
     def solve(self, held: np.ndarray, hard_soft: bool = False) -> tuple[float, np.ndarray]:
         """First command and slacks (3,); `held` (N, M) turns moves into commands."""

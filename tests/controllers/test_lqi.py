@@ -68,13 +68,11 @@ def doubled(A: np.ndarray, B: np.ndarray, Q: np.ndarray, r: float) -> np.ndarray
 @pytest.mark.parametrize(
     "design",
     [
-        pytest.param(LQI(q_i=1e-6, q_y=1e6), marks=pytest.mark.slow),
-        LQI(q_y_rate=1e6),
-        LQR(q_y_rate=1e6),
+        pytest.param(LQI(q_i=1e-6, q_y=1e6), marks=pytest.mark.slow), LQI(q_y_rate=1e6), LQR(q_y_rate=1e6),
         pytest.param(LQR(q_psi=1e6, q_y=1e-3), marks=pytest.mark.slow),
     ],
     ids=["q_y", "q_y_rate", "LQR q_y_rate", "LQR q_psi"],
-)
+)  # fmt: skip
 def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
     """Where dlqr's own answers scatter; another method, at 1e-6 of each gain for its own rounding."""
     plant, law = prepared(design, [1.0, 7.0, 20.0, 33.0, 90.0])

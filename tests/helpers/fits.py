@@ -15,12 +15,10 @@ CONSTANTS = (("sigma_y", 0.02), ("sigma_v", 0.1), ("c_0", 0.0), ("dc", 0.0))
 def make_model(**provenance: object) -> ScenarioModel:
     """Two components over four parameters a side, summaries included."""
     mixture = BoundedGaussianMixture.from_parameters(
-        [0.4, 0.6],
-        [[1.5, 0.25, 14.0, 0.0], [3.0, 0.45, 28.0, 0.1]],
-        [np.diag([0.4, 0.01, 9.0, 0.1]), np.diag([1.5, 0.04, 9.0, 0.1])],
-        lower=[0.5, 0.0, 5.0, -9.81],
+        [0.4, 0.6], [[1.5, 0.25, 14.0, 0.0], [3.0, 0.45, 28.0, 0.1]],
+        [np.diag([0.4, 0.01, 9.0, 0.1]), np.diag([1.5, 0.04, 9.0, 0.1])], lower=[0.5, 0.0, 5.0, -9.81],
         upper=[10.0, np.inf, np.inf, 9.81],
-    )
+    )  # fmt: skip
     summary = SideSummary(400, (1, 2, 3), (-120.0, -950.5, -930.0), (0.1, 1.2, 1.25), True, (("d_y", 2),), 0.0)
     side = SideModel(mixture, NAMES, CONSTANTS)
     settings = {

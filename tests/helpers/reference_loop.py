@@ -65,12 +65,10 @@ class Vehicle:
         slip = C_f * l_f + C_r * l_r if self.as_printed else moment
         A = np.array(
             [
-                [0, 1, 0, 0],
-                [0, -(C_f + C_r) / (m * v), (C_f + C_r) / m, -slip / (m * v)],
-                [0, 0, 0, 1],
+                [0, 1, 0, 0], [0, -(C_f + C_r) / (m * v), (C_f + C_r) / m, -slip / (m * v)], [0, 0, 0, 1],
                 [0, -moment / (I_z * v), moment / I_z, -damping / (I_z * v)],
             ]
-        )
+        )  # fmt: skip
         B = np.array([0, C_f / m, 0, C_f * l_f / I_z])
         E = np.array([0, -moment / (m * v) - v, 0, -damping / (I_z * v)])
         return A, B, E
@@ -701,9 +699,7 @@ def _never_triggered(path: Path, recorded: list[Piece], S: float, vehicle: Vehic
     calm = ("opposite_crossing", "a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak", "delta_peak")
     calm += ("delta_rate_peak", "effort", "travel")
     companions = {
-        "deepest": largest(recorded, _edge(path)),
-        "dtle": -largest(recorded, _front(path, vehicle)),
-        "t_back": path.T,
+        "deepest": largest(recorded, _edge(path)), "dtle": -largest(recorded, _front(path, vehicle)), "t_back": path.T,
         **dict.fromkeys(calm, 0.0),
-    }
+    }  # fmt: skip
     return Drive(math.inf, S, S, nothing, nothing, none, np.zeros((0, 4)), none, none, none, none, companions)

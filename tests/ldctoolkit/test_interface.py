@@ -209,8 +209,6 @@ def test_a_design_comes_back() -> None:
 
 
 # laws, for n = 3 scenarios and p = 2 lookahead times
-
-
 def linear(**fields: Any) -> LinearLaw:
     good = {
         "F": np.zeros((3, 4)), "preview_times": np.array([0.0, 1.0]), "G_yaw_rate": np.zeros((3, 2)),

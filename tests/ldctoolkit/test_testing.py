@@ -149,11 +149,9 @@ def K(default: float = -0.02, **more: Any) -> Any:
 
 
 FIELDS: list[Any] = [
-    ("K", float, K()),
-    ("K_i", float, K(-0.002, lower=-0.01, upper=0.01)),
-    ("delta_max", float, K(0.1, lower=0.01, upper=1.0)),
-    ("rate_max", float, K(0.2, lower=0.01, upper=10.0)),
-]
+    ("K", float, K()), ("K_i", float, K(-0.002, lower=-0.01, upper=0.01)),
+    ("delta_max", float, K(0.1, lower=0.01, upper=1.0)), ("rate_max", float, K(0.2, lower=0.01, upper=10.0)),
+]  # fmt: skip
 
 
 def made(how: str, fields: Any = FIELDS, **space: Any) -> type[Controller]:

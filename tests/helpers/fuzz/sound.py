@@ -80,9 +80,7 @@ _CSV, _GZIP, _PARQUET = _table()
 _HEADER, _HEADERLESS = _das2()
 
 SOUND: dict[str, tuple[Files, ...]] = {
-    "table": (_CSV, _GZIP, _PARQUET),
-    "spmd-das1": (_das1(),),
-    "spmd-das2": (_HEADER, _HEADERLESS),
+    "table": (_CSV, _GZIP, _PARQUET), "spmd-das1": (_das1(),), "spmd-das2": (_HEADER, _HEADERLESS),
     "uah-driveset": (_uah(),),
-}
+}  # fmt: skip
 """Files of each format, in each of its shapes."""

@@ -62,8 +62,6 @@ def test_nothing_to_fit():
 
 
 # values on a bound and constant columns
-
-
 def test_values_on_a_bound_move_inside():
     x, w = rows()
     lower, upper = np.array([0.0, 0.0, -INF, 0.0]), np.array([INF, 30.0, INF, 9.0])

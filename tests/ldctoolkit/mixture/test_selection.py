@@ -68,8 +68,6 @@ def test_bic_finds_the_true_k():
 
 
 # ---- criteria
-
-
 @pytest.mark.parametrize("transform", [None, ["log", "none"]])
 def test_criteria_equal_a_brute_force_computation(transform):
     X = two_groups()
@@ -130,8 +128,6 @@ def test_weights_count_as_repeated_rows():
 
 
 # ---- held out
-
-
 @pytest.mark.parametrize("weighted", [False, True])
 def test_held_out_equals_a_split_made_by_hand(weighted):
     X = two_groups()
@@ -169,8 +165,6 @@ def test_held_out_equals_a_split_made_by_hand(weighted):
 
 
 # ---- the rule
-
-
 @pytest.mark.parametrize(
     ("loss", "allowed", "index"),
     [
@@ -231,8 +225,6 @@ def test_indifference_takes_the_smaller_model():
 
 
 # ---- in parallel
-
-
 @pytest.mark.parametrize("criterion", [pytest.param("bic", marks=pytest.mark.slow), "held_out"])
 def test_numbers_do_not_depend_on_processes(criterion):
     X = two_groups()
@@ -310,8 +302,6 @@ def test_a_seed_may_be_a_generator():
 
 
 # ---- what cannot be fitted
-
-
 def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
     found = select_components(two_groups(40), [1, 2, 14], lower=0.0, **QUICK)
     assert found.n_components.tolist() == [1, 2]

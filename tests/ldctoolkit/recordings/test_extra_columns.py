@@ -44,11 +44,9 @@ def test_labels_become_columns_and_come_back(tmp_path):
         Problem("x.csv", "line 3", "what"),
     )
     wanted = {
-        "source": ["D1", "D2", "D2"],
-        "lane_scale": [1.0, 1.0, 1.25],
-        "driver": ["D1", "", ""],
+        "source": ["D1", "D2", "D2"], "lane_scale": [1.0, 1.0, 1.25], "driver": ["D1", "", ""],
         "road": ["motorway", "", "ländlich, „x“"],
-    }
+    }  # fmt: skip
     assert columns_of(found.departures) == wanted
     write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
     frame = pl.read_parquet(tmp_path / "d.parquet")

@@ -293,11 +293,9 @@ def test_broken_gzip_and_parquet(save: Save, tmp_path: Path) -> None:
     broken = {
         "drive.csv.gz: broken gzip": [content[:-9], content[:20] + b"\x00\xff" * 8 + content[36:], content + b"x" * 9],
         "drive.parquet: cannot be read as Parquet: ": [
-            columns[: len(columns) // 2],
-            b"",
-            b"PAR1" + b"x" * 50 + b"PAR1",
+            columns[: len(columns) // 2], b"", b"PAR1" + b"x" * 50 + b"PAR1",
         ],
-    }
+    }  # fmt: skip
     for told, parts in broken.items():
         for part in parts:
             with pytest.raises(RecordingError, match=f"^{re.escape(told)}"):

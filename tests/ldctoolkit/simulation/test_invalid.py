@@ -43,11 +43,9 @@ OPTIONS = {
 }
 SOUND = with_residuals(make_scenarios(N, seed=31))
 DESIGNS: dict[str, Controller] = {
-    "linear": PreviewProportional(),
-    "general": Stepped(PreviewProportional(), drops=True),
-    "solver": LinearMPC(horizon=4),
-    "none": NoControl(),
-}
+    "linear": PreviewProportional(), "general": Stepped(PreviewProportional(), drops=True),
+    "solver": LinearMPC(horizon=4), "none": NoControl(),
+}  # fmt: skip
 BAD_VALUES = [
     {"T": 0.0}, {"T": -1.0}, {"T": np.nan}, {"T": np.inf}, {"T": -np.inf}, {"v_mean": -20.0}, {"v_mean": 0.0},
     {"v_mean": 0.99}, {"v_mean": np.nan}, {"v_mean": np.inf}, {"v_mean": 5.0, "a_mean": 4.0, "T": 2.01},
@@ -153,8 +151,6 @@ def test_a_step_longer_than_the_departure() -> None:
 
 
 # laws that fail
-
-
 @dataclasses.dataclass(frozen=True)
 class SomeGains(Controller):
     """A linear law whose gains are not finite for the rows given."""
@@ -283,8 +279,6 @@ def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
 
 
 # paths that leave
-
-
 @pytest.mark.parametrize(
     ("options", "design"),
     grid(

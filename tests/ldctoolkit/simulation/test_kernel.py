@@ -177,8 +177,6 @@ def test_more_designs_than_go_through_in_one_call() -> None:
 
 
 # edges
-
-
 @pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize("options", ["ideal", "all"])
 @pytest.mark.parametrize("settle", [0.0, 3.0])
@@ -235,8 +233,6 @@ def test_the_trigger_at_the_very_start() -> None:
 
 
 # trajectories
-
-
 @pytest.mark.parametrize(
     ("options", "design"), grid(["ideal", "all"], ["linear", "general"], ("ideal", "linear"), ("all", "general"))
 )

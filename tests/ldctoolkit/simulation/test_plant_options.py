@@ -207,11 +207,9 @@ def of_row(law: LinearLaw, j: int) -> reference.Law:
 
 
 QUICK = [
-    ("late filter", 10, True),
-    ("all, late filter", 10, False),
-    ("mismatch", 20, True),
+    ("late filter", 10, True), ("all, late filter", 10, False), ("mismatch", 20, True),
     ("all, magic formula", 15, True),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(

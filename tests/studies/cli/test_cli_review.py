@@ -169,7 +169,6 @@ def test_a_design_that_raises_does_not_hide_the_others(folder: Path, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LQR, "title", "a [b]c[/b] [/x] :smile:")
     assert reviewed(0, "lqr", "--speed", "20", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 1

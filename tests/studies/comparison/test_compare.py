@@ -74,8 +74,6 @@ def scores() -> np.ndarray:
 
 
 # shared scenarios
-
-
 def test_draws_are_shared_with_seed_and_number_only() -> None:
     model = load_model("reference")
     small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
@@ -117,8 +115,6 @@ def test_what_a_plant_draws(options: PlantOptions, streams: set[RandomStream]) -
 
 
 # verdicts
-
-
 def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     noise = 0.05 * np.random.default_rng(1).normal(size=scores.shape)
     noise -= noise.mean(axis=1, keepdims=True)
@@ -310,8 +306,6 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
 
 
 # designs
-
-
 def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     generator = np.random.default_rng(6)
     better = scores[:2] - 0.3 + 0.05 * generator.normal(size=(2, 400))
@@ -489,8 +483,6 @@ def test_few_shared_scenarios_are_told(scores: np.ndarray, n: int, told: bool) -
 
 
 # refusals and files
-
-
 def test_refusals_of_results(scores: np.ndarray) -> None:
     old = finished(scores, source="old")
     with pytest.raises(InputError, match=r"no scenario in both \(seed: 0 -> 1\)"):

@@ -41,8 +41,6 @@ def gains(design: Design) -> dict[str, Any]:
 
 
 # ---- several laws, conditions
-
-
 def test_a_gain_goes_to_the_laws_that_have_it() -> None:
     found = block(law=["lqr", "linear_mpc"], y_s=[0.1, 0.2], gains={"r_delta": [50, 500], "horizon": [5, 10, 15]})
     wanted = [Design.from_gains("lqr", y_s, {"r_delta": r}) for y_s in (0.1, 0.2) for r in (50, 500)]
@@ -104,8 +102,6 @@ def test_conditions_hold_in_a_sample_too() -> None:
 
 
 # ---- samples
-
-
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (7, 3), (16, 2)])
 def test_points_are_scipys_own(count: int, dimensions: int) -> None:
     lhs = unit_points(SampleSettings(method="latin_hypercube", count=count, seed=7), dimensions)
@@ -210,8 +206,6 @@ def test_without_salib_the_message_says_what_to_install(monkeypatch: pytest.Monk
 
 
 # ---- size, space, round trip
-
-
 @pytest.mark.parametrize(
     "parts",
     [

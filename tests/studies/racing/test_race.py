@@ -36,8 +36,6 @@ def decide(scores: np.ndarray, side: np.ndarray, **changes: Any) -> Decision:
 
 
 # ---- rounds and their scenarios
-
-
 @given(st.integers(1, 1_000_000))
 def test_rounds_rise_and_end_with_all_scenarios(n: int) -> None:
     rounds = schedule(n)
@@ -81,8 +79,6 @@ def test_scenarios_that_are_not_there(m: int) -> None:
 
 
 # ---- one round
-
-
 def test_a_round_gives_up_what_is_clearly_worse() -> None:
     scores = table(np.array([1.5, 1.0, 1.001, 3.0]), 100, seed=4)
     decision = decide(scores, sides(50, 50))
@@ -221,8 +217,6 @@ def test_what_a_round_refuses(scores: np.ndarray, changes: dict[str, Any], messa
 
 
 # ---- whole races
-
-
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
 def test_a_race_keeps_the_winner_of_the_full_study_and_saves_runs(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -281,8 +275,6 @@ def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
 
 
 # ---- the catalog's own race
-
-
 def test_the_sweep_of_the_catalog_is_a_race_of_more_than_250_designs() -> None:
     study = load_study("zoo-sweep")
     assert study.race

@@ -45,8 +45,6 @@ def light(found: Verdict, name: str) -> tuple[str, str]:
 
 
 # ------------------------------------------------------------------------------------------------ sets
-
-
 def test_the_sets_ask_what_the_standards_ask() -> None:
     assert [one.text for one in requirements_of(["comfort"])] == ["a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5"]
     lost, gain, phase = requirements_of(["stable"])
@@ -145,8 +143,6 @@ def test_margins_rank_designs(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ the verdict
-
-
 def test_no_control_alone_is_no_winner() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 9.0, 8.0, 7.0])
     ranking, found = ranked(results, "comfort")

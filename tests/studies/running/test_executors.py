@@ -100,12 +100,10 @@ def test_serial_processes_and_dask_are_equal(study: Study, tmp_path: Path, store
     """With any block size; the rows of both stores, the study's and its finalists', and the rankings."""
     reference = run_study(study, directory=tmp_path / "serial", executor="serial")
     ways: dict[str, dict[str, Any]] = {
-        "serial-1": {"executor": "serial", "block_size": 1},
-        "serial-7": {"executor": "serial", "block_size": 7},
-        "processes": {"workers": 2},
-        "processes-1": {"workers": 2, "block_size": 1},
+        "serial-1": {"executor": "serial", "block_size": 1}, "serial-7": {"executor": "serial", "block_size": 7},
+        "processes": {"workers": 2}, "processes-1": {"workers": 2, "block_size": 1},
         "processes-5": {"workers": 2, "block_size": 5},
-    }
+    }  # fmt: skip
     with cluster(tmp_path) as (address, _):
         ways |= {"dask": {"dask": address}, "dask-1": {"dask": address, "block_size": 1}}
         for name, how in ways.items():

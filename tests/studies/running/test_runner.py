@@ -332,9 +332,7 @@ def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: Stu
         (
             {
                 "simulation": {
-                    "window": ["departure", "control"],
-                    "convention": ["consistent", "as_printed"],
-                    "settle": 1,
+                    "window": ["departure", "control"], "convention": ["consistent", "as_printed"], "settle": 1,
                 }
             },
             r"simulation\.settle: 3\.0 there, 1\.0 now; choose",
@@ -344,7 +342,7 @@ def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: Stu
         ({"plant": {"sensors": {"kalman": {}}}}, r"plant\.sensors\.kalman: not set there, \{'q_y': 0\.5"),
         ({"simulation": {"window": "departure"}}, r"simulation\.window: \['departure', 'control'\] there"),
     ],
-)
+)  # fmt: skip
 def test_a_folder_of_another_study_is_refused(
     other: dict[str, object], message: str, make_study: MakeStudy, reference: StudyResults, tmp_path: Path
 ) -> None:

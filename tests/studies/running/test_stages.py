@@ -21,11 +21,9 @@ FOUR = [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.1, 0.15, 0.2]}]
 
 def study_of(make_study: MakeStudy, **parts: Any) -> Study:
     settings: dict[str, Any] = {
-        "design": FOUR,
-        "simulation": {},
-        "scenarios": {"left": 30, "right": 30},
+        "design": FOUR, "simulation": {}, "scenarios": {"left": 30, "right": 30},
         "ranking": {"bootstrap": 200, "finalists": 3},
-    }
+    }  # fmt: skip
     return make_study(**(settings | parts))
 
 

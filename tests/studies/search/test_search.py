@@ -277,8 +277,6 @@ def test_optunas_own_settings_are_left_as_they_were() -> None:
 
 
 # --- requirements -----------------------------------------------------------------------------------------------------
-
-
 def drive_within(search: Search, objective: Objective, margins: Callable[[Design], tuple[float, ...]]) -> None:
     while batch := search.ask():
         search.tell({d.id: objective(d) for d in batch}, {d.id: margins(d) for d in batch})

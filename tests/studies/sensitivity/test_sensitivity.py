@@ -108,8 +108,6 @@ CUBE = {name: {"from": -math.pi, "to": math.pi} for name in "abc"}
 
 
 # --- the formulas -----------------------------------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 4), min_size=1, max_size=4))
 def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: list[int]) -> None:
     """Every effect by inclusion and exclusion of conditional means; its sum of squares goes to all that are part."""
@@ -146,8 +144,6 @@ def test_samples_that_do_not_fit_are_refused() -> None:
 
 
 # --- blocks of a study ------------------------------------------------------------------------------------------------
-
-
 def only(found: tuple[BlockSensitivity, ...]) -> BlockSensitivity:
     assert len(found) == 1
     return found[0]

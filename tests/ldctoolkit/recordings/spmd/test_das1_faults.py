@@ -39,11 +39,6 @@ def samples(recordings: dict[str, Recording]) -> list[int]:
     return [recordings[name].samples if name in recordings else 0 for name in ("7/1", "7/2", "7/3")]
 
 
-def test_clean_tables_have_no_problem(tables: tuple[Path, Path]) -> None:
-    recordings, problems = read(*tables)
-    assert (samples(recordings), problems) == ([ROWS] * 3, [])
-
-
 def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
     def change(lines: list[bytes]) -> None:
         lines[line - 1] = text

@@ -143,12 +143,10 @@ def test_what_is_usable(write: Write) -> None:
 
 def test_speed_signals_and_heading(write: Write) -> None:
     cells: dict[str, list[Any]] = {
-        "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""],
-        "GPS_Speed": [11.5] * 30,
-        "GPS_Valid": [1] * 20 + [0] * 9 + [1],
-        "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
+        "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""], "GPS_Speed": [11.5] * 30,
+        "GPS_Valid": [1] * 20 + [0] * 9 + [1], "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
         "InVehicle_Turn_Signal_Right": [1, 0, 1] + [0] * 27,
-    }
+    }  # fmt: skip
     one = read(write(lines_of(1, **cells)))[0]["10/1"]
     np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
     assert (one.turn_signal[:4].tolist(), np.isnan(one.heading).sum()) == ([0, 1, -1, 0], 9)

@@ -61,11 +61,9 @@ line = st.one_of(
     st.sampled_from([b"", b"   ", b"\xff,1,2,3", b"1,2,3,\x80", b"1,2,3,4,", b",,,"]),
 )
 text = st.builds(
-    lambda lines, end, last: end.join([*lines, b""] if last else lines),
-    st.lists(line, max_size=12),
-    st.sampled_from([b"\n", b"\r\n"]),
-    st.booleans(),
-)
+    lambda lines, end, last: end.join([*lines, b""] if last else lines), st.lists(line, max_size=12),
+    st.sampled_from([b"\n", b"\r\n"]), st.booleans(),
+)  # fmt: skip
 
 
 @examples(300)
