@@ -6,8 +6,7 @@ counted in each) are those of whole commands. The named reference is polars: the
 `read_csv` and joined with `join_asof`; it finds nothing. Then the command is killed on its way and started again.
 
 Run it on a machine that does nothing else; it prints, and asserts nothing of times and memory. The
-exit code is 1 if the second start gives another table. ``--rows`` 1e6 is a quick look.
-"""
+exit code is 1 if the second start gives another table. ``--rows`` 1e6 is a quick look."""
 
 import argparse
 import hashlib

@@ -4,8 +4,7 @@ For each seed every design is driven on all scenarios: that is the reference. Th
 what it asks for, and has to get the reference's scores within 1e-6 m s: how many scenarios stand beside each other may
 show in the last digits, and in an iterative solver's. Printed are the share of scenario runs, the share of time
 including the decisions, and whether the full study's winner is kept. Then races among designs next to each other in
-rank, on the same tables: the harder case. `--seeds 20` by default, half a minute each.
-"""
+rank, on the same tables: the harder case. `--seeds 20` by default, half a minute each."""
 
 import argparse
 import itertools

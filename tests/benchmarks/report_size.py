@@ -3,8 +3,7 @@
 The reference is polars, which reads every column of the same parts and keeps them. A study of linear laws is run first,
 1,001 designs on 2,000 scenarios; ``--full`` takes 5,000 on 10,000, which needs 3 GB of disk, 8 GB of memory and some
 minutes; ``report_size.py DIR`` measures a study that is there. Memory is also told as a share of what all numbers of
-the parts take. A machine that does something else gives other times.
-"""
+the parts take. A machine that does something else gives other times."""
 
 import dataclasses
 import os

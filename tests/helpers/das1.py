@@ -1,8 +1,7 @@
 """Tables DataLane and DataWsu in the schema of SPMD DAS1, made by code; departures can be planted in them.
 
 Signals go in as SI numbers with the signs of ISO 8855, and come out rounded as
-the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them.
-"""
+the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -4,8 +4,7 @@ Nothing is shared with the package but the frozen options and the law's formula.
 ISO 8855 (a right departure is negative there), and the plant is integrated in the vehicle's own coordinates (e_y,
 e_psi, lateral velocity v_y, yaw rate omega) with the wheel's angle as a fifth state. The integration stops wherever the
 right-hand side is not smooth: at samples, where a delayed command arrives, where the actuator leaves its rate limit,
-and at T.
-"""
+and at T."""
 
 from __future__ import annotations
 

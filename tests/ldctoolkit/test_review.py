@@ -358,9 +358,7 @@ class Raising(Controller):
 @pytest.mark.parametrize(
     ("error", "told"), [(RuntimeError("no map"), "RuntimeError: no map"), (SystemExit(3), "SystemExit: 3")]
 )
-def test_laws_that_raise_are_named(
-    where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_raising_laws_are_named(where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Raising, "error", error)
     with pytest.raises(LdcError, match=rf"controller 'raising': {where} raised {told} \(test_review\.py, line \d+\)"):
         review(Raising(where=where))

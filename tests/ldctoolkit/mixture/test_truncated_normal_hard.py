@@ -2,8 +2,7 @@
 
 The reference: x_i = mu_i + sum_q lambda_iq f_q + sqrt(1 - |lambda_i|^2) e_i with one or two common factors f. Given f
 the variables are independent, so probability and moments are a Gauss-Legendre sum over f of products of one-dimensional
-integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice.
-"""
+integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,6 @@
 """Every deterministic plant option, alone and together, against an independent closed loop; both loops alike.
 
-The reference integrates each departure with scipy to 1e-13, in other coordinates and in the road frame.
-"""
+The reference integrates each departure with scipy to 1e-13, in other coordinates and in the road frame."""
 
 from __future__ import annotations
 

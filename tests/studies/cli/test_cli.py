@@ -86,7 +86,6 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
         (["fit", "none.parquet", "-o", "m.json"], "none.parquet"),
         (["fit", "s.toml", "-o", "m.json"], "s.toml"),
         (["fit", "s.toml", "-o", "m.json", "--components", "3:1"], "allowed: K or FIRST:LAST"),
-        (["extract", "none.csv", "-o", "d.parquet"], "none.csv"),
         (["extract", "s.toml", "-o", "d.parquet"], "s.toml"),
         (["extract", "s.toml", "-o", "d.csv"], "must end in .parquet"),
         (["extract", "s.toml", "-o", "d.parquet", "--vehicle-width", "wide"], "allowed: a number"),

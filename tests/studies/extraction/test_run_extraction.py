@@ -175,7 +175,7 @@ def stopped(made: Made, output: Path, **named: Any) -> Path:
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part", "another"])
-def test_damaged_parts(
+def test_damage_is_told(
     made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ) -> None:
     output = tmp_path / "d.parquet"

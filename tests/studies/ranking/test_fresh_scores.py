@@ -47,13 +47,11 @@ def again() -> np.ndarray:
     return np.stack([common + shift + 0.1 * generator.normal(size=400) for shift in (0.5, 0.006, 0.0, 2.0)])
 
 
-def rank(
-    scores: np.ndarray, again: np.ndarray, finalists: tuple[int, ...] = (1, 2, 0, 3), **settings: object
-) -> Ranking:
+def rank(scores: np.ndarray, again: np.ndarray, finalists: tuple[int, ...] = (1, 2, 0, 3), **more: object) -> Ranking:
     results = results_of(scores, (0, 1, 2, 3))
     fresh = results_of(again[list(finalists)], finalists)
     results = dataclasses.replace(results, fresh=fresh)
-    return Ranking.of(results, results.cases[0], **settings)  # type: ignore[arg-type]
+    return Ranking.of(results, results.cases[0], **more)  # type: ignore[arg-type]
 
 
 def t_width(values: np.ndarray) -> float:

@@ -41,9 +41,7 @@ def reference(make_study: MakeStudy, tmp_path: Path) -> StudyResults:
 @pytest.mark.parametrize(
     "settings", [{"workers": 2, "block_size": 3}, {"executor": "serial", "block_size": 2}], ids=str
 )
-def test_no_number_depends_on_how_the_work_is_split(
-    settings: dict[str, object], make_study: MakeStudy, reference: StudyResults, tmp_path: Path
-) -> None:
+def test_no_split_changes_a_bit(settings: Any, make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
     folder = tmp_path / "other"
     assert_same_results(run_study(make_study(), directory=folder, **settings), reference)  # type: ignore[arg-type]
     assert_same_results(read_results(folder), reference)
@@ -364,9 +362,7 @@ def test_another_model_or_version_is_refused(make_study: MakeStudy, reference: S
             run_study(make_study(), directory=tmp_path / "reference")
 
 
-def test_folders_before_steady_starts_are_printed(
-    make_study: MakeStudy, reference: StudyResults, tmp_path: Path
-) -> None:
+def test_folders_before_steady_starts(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
     path = tmp_path / "reference" / "manifest.json"
     content = json.loads(path.read_text())
     for part in (content["study"], content["inputs"]):

@@ -67,9 +67,7 @@ def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Pat
         assert stored_rows(disk / "s").equals(stored_rows(tmp_path / "whole"))
 
 
-def test_a_disk_that_fills_up_on_the_way_ends_the_command_with_one_line(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On every machine: the second part finds no room."""
     from studies.running import campaign
     from studies.storage import parts
