@@ -167,11 +167,9 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
         if least > delta_max or most < -delta_max:
             assert delta[i] == (delta_max if least > delta_max else -delta_max)
             continue
-        solution = qpsolvers.solve_problem(
-            problem, solver="clarabel", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12
-        )
-        assert solution.found
-        assert delta[i] == pytest.approx(solution.x[0], abs=1e-6)
+        best = qpsolvers.solve_problem(problem, solver="clarabel", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+        assert best.found
+        assert delta[i] == pytest.approx(best.x[0], abs=1e-6)
         compared += 1
         moved += abs(delta[i] - wanted[i]) > 1e-3
     assert compared > 60

@@ -400,10 +400,8 @@ def test_acceleration_and_jerk_stay_within_their_limits(solver: str, actuator: A
 def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float, delay: float) -> None:
     """Wherever a linear program finds commands that keep it, whatever the takeover does to a_y; 1 % for the kink at T.
     At its defaults the law, which knows lag and delay, leaves no departure."""
-    scenarios, options = (
-        load_model("reference").sample(n, n, seed=1),
-        PlantOptions(actuator=Actuator(lag=lag, delay=delay)),
-    )
+    scenarios = load_model("reference").sample(n, n, seed=1)
+    options = PlantOptions(actuator=Actuator(lag=lag, delay=delay))
     given = {"y_s": 0.1, "options": options, "start": "steady"}
     assert simulate(LinearMPC(), scenarios, **given).count(EventStatus.DIVERGED) == 0
     out = simulate(LinearMPC(a_y_max=3.0, jerk_max=5.0), scenarios, trajectories=True, **given)

@@ -35,9 +35,7 @@ def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(number: int, dt: floa
     """Written out as a last state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
     rng = np.random.default_rng(0)
     design = LQI(**WEIGHTS[number])
-    plant, law = prepared(
-        design, np.concatenate([[1.0, 90.0], np.exp(rng.uniform(0.0, np.log(90.0), 15))]), dt, **actuator
-    )
+    plant, law = prepared(design, np.r_[1.0, 90.0, np.exp(rng.uniform(0.0, np.log(90.0), 15))], dt, **actuator)
     assert law.f_i is not None
     states, inputs, _, _ = plant.augmented.with_commands()
     k = states.shape[1]

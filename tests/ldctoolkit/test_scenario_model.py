@@ -98,9 +98,8 @@ def slow_model(speed, spread):
     cov = np.diag(np.array([0.5, 0.05, 0.01, 0.5, spread, 0.01, 1e-4, 1e-4]) ** 2)[None]
     bounds = PHYSICAL_BOUNDS | {"a_mean": (-np.inf, np.inf)}
     lower, upper = (np.array([bounds[name][end] for name in PARAMETER_NAMES]) for end in (0, 1))
-    side = SideModel(
-        BoundedGaussianMixture.from_parameters([1.0], mean, cov, lower=lower, upper=upper), PARAMETER_NAMES
-    )
+    mixture = BoundedGaussianMixture.from_parameters([1.0], mean, cov, lower=lower, upper=upper)
+    side = SideModel(mixture, PARAMETER_NAMES)
     return ScenarioModel(side, side, ModelProvenance({}))
 
 

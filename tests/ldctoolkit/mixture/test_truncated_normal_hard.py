@@ -75,9 +75,7 @@ def reference(mu, loadings, lower, upper):
         axes.append(((half * (x + 1.0) + edges[:-1, None]).ravel(), (half * w).ravel()))
     f = np.stack([g.ravel() for g in np.meshgrid(*(axis[0] for axis in axes), indexing="ij")], axis=1)
     weight = axes[0][1] if q == 1 else np.outer(axes[0][1], axes[1][1]).ravel()
-    value, centre, variance = (
-        np.concatenate(part) for part in zip(*(given(rows) for rows in np.array_split(f, 8)), strict=True)
-    )
+    value, centre, variance = (np.concatenate(p) for p in zip(*(given(r) for r in np.array_split(f, 8)), strict=True))
     share = weight * np.exp(value - value.max())
     total = share.sum()
     share /= total

@@ -38,9 +38,7 @@ def test_two_middle_offsets_a_jump_apart(max_jump):
     """Their mean lies where the vehicle never was; it is taken only if the criterion sees no jump between them."""
     t = np.array([0.0, 0.06, 0.1, 0.14, 0.2])
     full = np.full(5, 25.0)
-    one = Recording("a", t, np.array([0.0, 0.0, 0.0, 1.0, 1.0]), full - 21.4, full, full > 0.0).take(
-        np.array([0, 1, 3, 4])
-    )
+    one = Recording("a", t, np.array([0.0, 0, 0, 1, 1]), full - 21.4, full, full > 0.0).take(np.array([0, 1, 3, 4]))
     prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
     assert prepared.lane_offset.tolist() == [0.0, 0.5 if max_jump == 2.0 else 0.0, 1.0]
 

@@ -107,9 +107,7 @@ def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Co
                 open_run["end"] = ("invalid" if good[-1] < end - 1 else "cut_by_end", None)
         groups: list[tuple[set[Any], list[dict[str, Any]]]] = []
         for run in runs:
-            marks = {
-                place for why, place in (run["start"], run["end"]) if why and place is not None and place != good[0]
-            }
+            marks = {at for why, at in (run["start"], run["end"]) if why and at is not None and at != good[0]}
             joined = [group for group in groups if group[0] & marks]
             groups = [group for group in groups if not group[0] & marks]
             groups.append((marks.union(*(g[0] for g in joined)), [run, *(r for g in joined for r in g[1])]))

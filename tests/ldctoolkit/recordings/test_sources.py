@@ -78,9 +78,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         def entry_points(**choice: str) -> Any:
             found = list(INSTALLED(**choice))
             if choice.get("group") == sources.GROUP:
-                found += [
-                    SimpleNamespace(name=name, value=f"theirs:{name}", load=load) for name, load in readers.items()
-                ]
+                found += [SimpleNamespace(name=n, value=f"theirs:{n}", load=load) for n, load in readers.items()]
             return found
 
         monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)

@@ -34,10 +34,8 @@ def constant():
     correlation[3, 6] = correlation[6, 3] = -0.4
     cov = np.stack([correlation * spread[:, None] * spread] * 2)
     transform = ["logit", "log", "none", "none", "none", "none", "none"]
-    mixture = BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4], mean, cov, lower=lower, upper=upper, transform=transform
-    )
-    side = SideModel(mixture, names, (("dc", 0.0),))
+    made = BoundedGaussianMixture.from_parameters([0.6, 0.4], mean, cov, lower=lower, upper=upper, transform=transform)
+    side = SideModel(made, names, (("dc", 0.0),))
     return ScenarioModel(side, side, ModelProvenance({}))
 
 

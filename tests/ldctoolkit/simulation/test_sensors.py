@@ -119,9 +119,7 @@ def test_values_are_rounded_to_the_step_last_of_all() -> None:
 
 def recorded(scenarios: Scenarios, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """e_y and e_psi of the first scenario's recorded path, from the paper's parabola and Table I's steady side slip."""
-    T, d_y, v_mean, a_mean, c_0, dc = (
-        getattr(scenarios, name)[0] for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")
-    )
+    T, d_y, v_mean, a_mean, c_0, dc = (getattr(scenarios, n)[0] for n in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc"))
     x, v = v_mean * t + a_mean * (t**2 - T * t) / 2, v_mean + a_mean * (t - T / 2)
     bend = -4 * d_y / (v_mean * T) ** 2
     slope = 2 * bend * (x - v_mean * T / 2)

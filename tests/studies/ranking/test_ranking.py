@@ -236,17 +236,15 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
         array[1, [3, 200]] = array[2, 399] = np.nan
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
-    fewer = rank(
-        StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),))
-    )
+    few = rank(StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),)))
     assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
     assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
-    assert not fewer.warnings
+    assert not few.warnings
     for field in dataclasses.fields(Ranking):
         if field.name not in ("invalid", "warnings", "release"):
-            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
+            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(few, field.name))
     for name in RELEASE_METRICS:
-        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
+        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(few.release, name))
         assert name.endswith("margin") or np.isfinite(getattr(ranking.release, name)).all()
 
 
@@ -299,11 +297,9 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     results = dataclasses.replace(results, designs=(Design.from_gains("none", 0.2, {}), *results.designs[1:]))
     order = np.array([4, 8, 0, 2, 6, 1, 7, 3, 5])
     case = results.cases[0]
-    arrays = {
-        name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
-    }
+    parts = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")}
     companions = Companions(**{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(Companions)})
-    turned = dataclasses.replace(case, **arrays, companions=companions)
+    turned = dataclasses.replace(case, **parts, companions=companions)
     other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
     one, two = (Ranking.of(r, r.cases[0], **settings) for r in (results, other))  # type: ignore[arg-type]

@@ -64,10 +64,8 @@ class Broken(Controller):
 
 def broken(how: str) -> type[Controller]:
     K = gain(0.0, unit="1", lower=0.0, upper=9.0, description="a number")
-    spaces = {"name": f"broken_{how}", "title": f"Broken {how}", "how": how, "__module__": __name__}
-    return dataclasses.make_dataclass(
-        f"Broken_{how}", [("K", float, K)], bases=(Broken,), namespace=spaces, frozen=True
-    )
+    space = {"name": f"broken_{how}", "title": f"Broken {how}", "how": how, "__module__": __name__}
+    return dataclasses.make_dataclass(f"Broken_{how}", [("K", float, K)], bases=(Broken,), namespace=space, frozen=True)
 
 
 FAULTS = {
@@ -206,10 +204,8 @@ def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monke
 
 def test_a_study_of_failures_alone_ends_with_an_error(make_study: MakeStudy, tmp_path: Path) -> None:
     study = make_study(design=[{"law": "broken_step"}, {"law": "broken_shape"}])
-    message = (
-        r"every design failed; the first, design [0-9a-f]{12} \(Broken step, y_s=0\.2 m\): IndexError: no \[row\].*; "
-    )
-    message += r"all of them are in failures\.json"
+    message = r"every design failed; the first, design [0-9a-f]{12} \(Broken step, y_s=0\.2 m\): "
+    message += r"IndexError: no \[row\].*; all of them are in failures\.json"
     with pytest.raises(LdcError, match=rf"small: {message}"):
         run_study(study, directory=tmp_path, workers=1)
     with pytest.raises(LdcError, match=message):

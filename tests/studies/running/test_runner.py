@@ -101,9 +101,8 @@ def test_no_drawn_number_depends_on_how_the_work_is_split(make_study: MakeStudy,
 def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Path) -> None:
     """S ends with the departure; overshoot and steering go on."""
     longer = run_study(make_study(), directory=tmp_path / "a", workers=1).cases[0]
-    none = make_study(
-        simulation={"window": ["departure", "control"], "convention": ["consistent", "as_printed"], "settle": 0}
-    )
+    both = {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]}
+    none = make_study(simulation=both | {"settle": 0})
     shorter = run_study(none, directory=tmp_path / "b", workers=1).cases[0]
     np.testing.assert_array_equal(longer.S, shorter.S)
     np.testing.assert_array_equal(longer.companions.deepest, shorter.companions.deepest)

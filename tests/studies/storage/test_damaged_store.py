@@ -51,10 +51,8 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
 @pytest.mark.skipif(sys.platform != "linux", reason="tmpfs is Linux's")
 def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Path, stored_rows: Any) -> None:
     """A real one; then the same study with room goes on from what was stored."""
-    designs = [
-        {"law": "preview_proportional", "y_s": 0.1, "gains": {"K_y": {"from": -0.04, "to": -0.002, "count": 60}}}
-    ]
-    study = make_study(design=designs, scenarios={"left": 150, "right": 150})
+    blocks = [{"law": "preview_proportional", "y_s": 0.1, "gains": {"K_y": {"from": -0.04, "to": -0.002, "count": 60}}}]
+    study = make_study(design=blocks, scenarios={"left": 150, "right": 150})
     with small_disk(tmp_path / "disk", 500) as disk:
         with pytest.raises(StoreError, match=r"cannot be written: No space left on device; what was finished before"):
             run_study(study, directory=disk / "s", workers=1, block_size=1)

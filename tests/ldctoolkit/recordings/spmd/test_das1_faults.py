@@ -248,11 +248,8 @@ def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
 
 
 def test_tables_whose_clocks_never_meet(tables: tuple[Path, Path]) -> None:
-    tables[1].write_bytes(
-        das1.text_of(
-            das1.wsu_frame([das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)])
-        )
-    )
+    drives = [das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)]
+    tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
     recordings, problems = read(*tables)
     assert samples(recordings) == [ROWS, 0, ROWS]
     assert problems == [
