@@ -1,7 +1,5 @@
 """The code that the README and the guides show is run as it stands."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import sys

@@ -1,7 +1,5 @@
 """Every example in a docstring runs, and every public name is documented."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """`controllers` and `studies` are general names: a user's own folders of that name are not taken for the toolkit's."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -112,9 +110,7 @@ def test_as_a_library_it_works_or_names_the_shadow_in_one_line(kind: str, tmp_pa
     assert "shadows the toolkit's own package 'controllers'" in last
 
 
-def test_a_package_that_is_in_place_already_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_package_already_there_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Someone imported their own package before the launcher could do anything about it."""
     mine = types.ModuleType("studies")
     mine.__path__ = ["/nowhere/studies"]

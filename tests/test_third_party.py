@@ -1,7 +1,5 @@
 """A law outside the repository, as the guide tells it: written, installed, checked, swept, reported."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

@@ -4,8 +4,7 @@ References, written here in full: a vectorised NumPy loop over time steps, one a
 same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
 discrete-time system. Times are the best of several runs; a design's own preparation is in both of a pair, what designs
 share in neither. Printed with `make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory
-of 1,000 designs and is called by the script itself. The linear MPC has a script of its own.
-"""
+of 1,000 designs and is called by the script itself. The linear MPC has a script of its own."""
 
 from __future__ import annotations
 
@@ -37,11 +36,9 @@ def scenarios(n: int) -> Scenarios:
     v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(12)
     return Scenarios.from_arrays(
         T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
-        d_y=np.exp(rng.normal(np.log(0.3), 0.5, n)).clip(0.02, 1.0),
-        v_mean=v,
-        a_mean=rng.normal(0, 0.3, n).clip(-0.6, 0.6),
-        c_0=rng.normal(0, 0.5, n) / v**2,
-    )
+        d_y=np.exp(rng.normal(np.log(0.3), 0.5, n)).clip(0.02, 1.0), v_mean=v,
+        a_mean=rng.normal(0, 0.3, n).clip(-0.6, 0.6), c_0=rng.normal(0, 0.5, n) / v**2,
+    )  # fmt: skip
 
 
 def seconds(run: Callable[[], object], repeats: int) -> float:
@@ -77,11 +74,9 @@ def numpy_tables(over: Takeover) -> Any:
 
 
 def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: bool) -> np.ndarray:
-    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy.
-
-    Struct of arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A
-    step in which e_y changes its sign is split by a straight line. Without companions the loop ends at T.
-    """
+    """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy. Struct of
+    arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A step in
+    which e_y changes its sign is split by a straight line. Without companions the loop ends at T."""
     law = linear_law(design, over)
     dt, v, p = over.setup.dt, over.plant.v, over.triggered
     edge, l_f = over.setup.vehicle.edge_offset, over.setup.vehicle.l_f

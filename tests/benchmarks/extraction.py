@@ -6,10 +6,7 @@ counted in each) are those of whole commands. The named reference is polars: the
 `read_csv` and joined with `join_asof`; it finds nothing. Then the command is killed on its way and started again.
 
 Run it on a machine that does nothing else; it prints, and asserts nothing of times and memory. The
-exit code is 1 if the second start gives another table. ``--rows`` 1e6 is a quick look.
-"""
-
-from __future__ import annotations
+exit code is 1 if the second start gives another table. ``--rows`` 1e6 is a quick look."""
 
 import argparse
 import hashlib
@@ -69,18 +66,12 @@ def write_big(folder: Path, rows: int) -> int:
             pieces = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
             drives = [
                 das1.Drive(
-                    device=10100 + (trip + i) // 200,
-                    trip=trip + i,
-                    time=10 * np.arange(one.stop - one.start),
-                    lane_offset=offset[one],
-                    lane_width=3.6,
-                    speed=speed[one],
-                    yaw_rate=yaw_rate[one],
-                    heading=heading[one],
-                    quality=quality[one],
+                    device=10100 + (trip + i) // 200, trip=trip + i, time=10 * np.arange(one.stop - one.start),
+                    lane_offset=offset[one], lane_width=3.6, speed=speed[one], yaw_rate=yaw_rate[one],
+                    heading=heading[one], quality=quality[one],
                 )
                 for i, one in enumerate(pieces)
-            ]
+            ]  # fmt: skip
             lane.write(das1.text_of(das1.lane_frame(drives), bom=done == 0, header=done == 0))
             wsu.write(das1.text_of(das1.wsu_frame(drives), header=done == 0))
             done += m

@@ -4,8 +4,7 @@ The reference, written here in full, takes the scenarios one by one: the unconde
 1e-6, updated and warm started at every sample; it drives the plant itself and keeps no score. Its commands are then
 replayed by the toolkit's closed loop, so that S is compared and not the way S is worked out. It runs on every tenth
 scenario; what counts is the time of one scenario-step. The law's time holds all of it: Riccati equation, condensing,
-set-up of solvers, plant and score.
-"""
+set-up of solvers, plant and score."""
 
 from __future__ import annotations
 

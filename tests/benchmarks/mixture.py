@@ -2,10 +2,7 @@
 
 scikit-learn's `GaussianMixture` knows no bounds; it is the named reference for time and memory because it is what one
 would use otherwise. Events are drawn from the bundled model `reference`. Ratios come from one run; print them with
-`make bench`. The choice of K over 1 to 15 on both sides takes some minutes; `--no-selection` leaves it out.
-"""
-
-from __future__ import annotations
+`make bench`. The choice of K over 1 to 15 on both sides takes some minutes; `--no-selection` leaves it out."""
 
 import argparse
 import platform

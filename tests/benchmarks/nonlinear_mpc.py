@@ -8,8 +8,6 @@ documentation advises: one controller for all scenarios with parameters and time
 MUMPS and its output off, no storing of full solutions. IPOPT's tolerance is its default, 1e-8. Printed by `make bench`.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import platform
 import time

@@ -4,10 +4,7 @@ For each seed every design is driven on all scenarios: that is the reference. Th
 what it asks for, and has to get the reference's scores within 1e-6 m s: how many scenarios stand beside each other may
 show in the last digits, and in an iterative solver's. Printed are the share of scenario runs, the share of time
 including the decisions, and whether the full study's winner is kept. Then races among designs next to each other in
-rank, on the same tables: the harder case. `--seeds 20` by default, half a minute each.
-"""
-
-from __future__ import annotations
+rank, on the same tables: the harder case. `--seeds 20` by default, half a minute each."""
 
 import argparse
 import itertools
@@ -58,15 +55,9 @@ def race(study: Study, scenarios: Scenarios, seed: int, full: np.ndarray) -> tup
         S[np.ix_(left, new)] = scores(study, [study.designs[i] for i in left], scenarios.take(new))
         runs += left.size * new.size
         decision = race_round(
-            S[np.ix_(left, rows)],
-            scenarios.side[rows],
-            round=number,
-            rounds=len(rounds),
-            seed=seed,
-            confidence=study.ranking.confidence,
-            samples=study.ranking.bootstrap,
-            started=len(study.designs),
-        )
+            S[np.ix_(left, rows)], scenarios.side[rows], round=number, rounds=len(rounds), seed=seed,
+            confidence=study.ranking.confidence, samples=study.ranking.bootstrap, started=len(study.designs),
+        )  # fmt: skip
         left, before = left[decision.keep], rows
         alive.append(int(left.size))
     difference = np.nanmax(np.abs(S - full))

@@ -4,10 +4,7 @@ The reference is `scipy.stats.bootstrap` of the paired mean difference of one de
 many resamples; it takes designs one by one, without sides, without anything simultaneous, and is timed on five designs.
 Ours is the whole ranking: intervals of means, of differences to the baseline and to the best, set of best, tails,
 companions, a requirement and the Pareto front. Each shape runs in a process of its own, for its peak memory.
-Times are processor time.
-"""
-
-from __future__ import annotations
+Times are processor time."""
 
 import dataclasses
 import resource

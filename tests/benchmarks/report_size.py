@@ -3,10 +3,7 @@
 The reference is polars, which reads every column of the same parts and keeps them. A study of linear laws is run first,
 1,001 designs on 2,000 scenarios; ``--full`` takes 5,000 on 10,000, which needs 3 GB of disk, 8 GB of memory and some
 minutes; ``report_size.py DIR`` measures a study that is there. Memory is also told as a share of what all numbers of
-the parts take. A machine that does something else gives other times.
-"""
-
-from __future__ import annotations
+the parts take. A machine that does something else gives other times."""
 
 import dataclasses
 import os
@@ -81,11 +78,9 @@ def measure(folder: Path) -> None:
     print("| | wall [s] | processor [s] | peak [MiB] | share of the numbers | processor time over polars |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")
     stages = {
-        "polars reads every column": ("-c", POLARS, str(folder)),
-        "`read_results`": ("-c", READ, str(folder)),
-        "and `rank_study`": ("-c", RANK, str(folder)),
-        "`ldc report`": ("-m", "ldctoolkit", "report", str(folder)),
-    }
+        "polars reads every column": ("-c", POLARS, str(folder)), "`read_results`": ("-c", READ, str(folder)),
+        "and `rank_study`": ("-c", RANK, str(folder)), "`ldc report`": ("-m", "ldctoolkit", "report", str(folder)),
+    }  # fmt: skip
     reference = None
     for name, command in stages.items():
         used = cost(*command)

@@ -5,8 +5,6 @@ run: the time inside the compiled loop over the wall time of `run_study`, one pr
 before it is timed, so that nothing compiles. The named reference of the second part is the same study in one process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 import time
@@ -35,9 +33,7 @@ MPC = {
     "name": "mpc",
     "scenarios": {"left": 1000, "right": 1000},
     "ranking": {"finalists": 0},
-    "design": [
-        {"law": "linear_mpc", "y_s": [0.05, 0.1], "gains": {"r_delta": {"from": 50, "to": 5000, "count": 20}}},
-    ],
+    "design": [{"law": "linear_mpc", "y_s": [0.05, 0.1], "gains": {"r_delta": {"from": 50, "to": 5000, "count": 20}}}],
 }
 
 compiled = 0.0

@@ -140,8 +140,7 @@ def command(design: BarrierFilter, plant: Plant, x: np.ndarray, r: np.ndarray, p
 @pytest.mark.parametrize(("gamma_1", "gamma_2", "delta_max"), [(0.2, 0.3, 0.1), (0.05, 0.9, 0.03), (1.0, 1.0, 1.0)])
 def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: float, delta_max: float) -> None:
     """Clarabel on the QP with both barriers and the limit written out one by one; at tolerances of 1e-12 on the square
-    of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad.
-    """
+    of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad."""
     design = BarrierFilter(inner="lqr", gamma_1=gamma_1, gamma_2=gamma_2, delta_max=delta_max)
     plant, x, r, prev = situations(150, seed=1, size=0.8)
     delta = command(design, plant, x, r, prev)
@@ -168,11 +167,9 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
         if least > delta_max or most < -delta_max:
             assert delta[i] == (delta_max if least > delta_max else -delta_max)
             continue
-        solution = qpsolvers.solve_problem(
-            problem, solver="clarabel", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12
-        )
-        assert solution.found
-        assert delta[i] == pytest.approx(solution.x[0], abs=1e-6)
+        best = qpsolvers.solve_problem(problem, solver="clarabel", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+        assert best.found
+        assert delta[i] == pytest.approx(best.x[0], abs=1e-6)
         compared += 1
         moved += abs(delta[i] - wanted[i]) > 1e-3
     assert compared > 60
@@ -182,13 +179,9 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
 def departures(n: int, seed: int, side: int = 1) -> Scenarios:
     rng = np.random.default_rng(seed)
     return Scenarios.from_arrays(
-        side=np.full(n, side),
-        T=rng.uniform(1.5, 6, n),
-        d_y=rng.uniform(0.3, 0.9, n),
-        v_mean=rng.uniform(6, 38, n),
-        c_0=rng.normal(0, 1e-3, n),
-        dc=rng.normal(0, 1e-3, n),
-    )
+        side=np.full(n, side), T=rng.uniform(1.5, 6, n), d_y=rng.uniform(0.3, 0.9, n), v_mean=rng.uniform(6, 38, n),
+        c_0=rng.normal(0, 1e-3, n), dc=rng.normal(0, 1e-3, n),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -202,14 +195,12 @@ def departures(n: int, seed: int, side: int = 1) -> Scenarios:
 def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float) -> None:
     """From psi >= 0 at the trigger, on the ideal plant, with an angle that suffices. psi >= 0 holds at every sample, up
     to the corner that the curvature has at T, inside one of them; |e_y| <= e_y_max also in between, up to what the bend
-    of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures.
-    """
+    of dh/dt within a sample may add. The law inside, alone, leaves the corridor in many of the same departures."""
     design = BarrierFilter(inner_gains="K_y=-0.01", delta_max=1.0, **gammas)
     scenarios = departures(500, seed=2)
     out = simulate(design, scenarios, settle=8.0, trajectories=True)
     alone = simulate(PreviewProportional(K_y=-0.01), scenarios, settle=8.0)
     paths = out.trajectories
-    assert paths is not None
     e_y, rate = paths.x[:, :, 0], paths.x[:, :, 1]
     psi = np.stack([design.gamma_1 * (design.e_y_max - s * e_y) - DT * s * rate for s in (1.0, -1.0)])
     feasible = np.flatnonzero((psi[:, :, 0] >= 0.0).all(axis=0))
@@ -249,8 +240,7 @@ def test_outside_the_corridor_it_comes_back_exponentially() -> None:
 @pytest.mark.parametrize("dt", some([0.01, 0.05, 0.1], 0.05))
 def test_behind_an_active_barrier_the_vehicle_is_stable(dt: float) -> None:
     """With one condition held as an equation the four states go on as a linear system; its modes decay at all speeds
-    and settings, so the filter does not buy the corridor with a growing oscillation.
-    """
+    and settings, so the filter does not buy the corridor with a growing oscillation."""
     v = np.exp(np.linspace(0.0, np.log(90.0), 25))
     plant = Plant.build(BicycleModel(), v, dt)
     for gamma_1 in (0.02, 0.2, 0.6, 1.0):
@@ -290,8 +280,6 @@ def test_far_from_the_corridor_it_is_the_law_inside(inner: str, gains: str, alon
     linear = isinstance(alone.prepare(Plant.build(BicycleModel(), [20.0], DT)), LinearLaw)
     other = Stepped(alone) if linear else alone  # in the same loop
     ours, theirs = (simulate(d, scenarios, trajectories=True, settle=1.0) for d in (wide, other))
-    assert ours.trajectories is not None
-    assert theirs.trajectories is not None
     if linear:
         np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-10)
         np.testing.assert_allclose(ours.trajectories.delta, theirs.trajectories.delta, atol=1e-11)
@@ -312,13 +300,9 @@ class EveryWeight(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         one = np.sqrt(plant.v / 20.0)[:, None]  # another for every scenario
         return LinearLaw(
-            F=one * [-0.02, -0.03, -0.2, -0.01],
-            preview_times=np.array([0.0, 0.4]),
-            G_yaw_rate=one * [0.05, 0.02],
-            G_heading=one * [0.0, 0.1],
-            f_u=0.3 * one[:, 0],
-            f_i=-0.004 * one[:, 0],
-        )
+            F=one * [-0.02, -0.03, -0.2, -0.01], preview_times=np.array([0.0, 0.4]), G_yaw_rate=one * [0.05, 0.02],
+            G_heading=one * [0.0, 0.1], f_u=0.3 * one[:, 0], f_i=-0.004 * one[:, 0],
+        )  # fmt: skip
 
 
 def test_every_weight_of_a_linear_law_inside_counts() -> None:
@@ -383,15 +367,13 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             r"barrier_filter\.inner: 'none'; allowed: a law that steers, the recorded path",
         ),
         (
-            {"inner": "barrier_filter"},
-            InputError,
+            {"inner": "barrier_filter"}, InputError,
             r"barrier_filter\.inner: 'barrier_filter'; allowed: a law other than",
         ),
         ({"inner": 3}, InputError, r"barrier_filter\.inner: 3; allowed: text"),
         ({"inner_gains": None}, InputError, r"barrier_filter\.inner_gains: None; allowed: text"),
         (
-            {"inner_gains": "K_x=-0.1"},
-            UnknownNameError,
+            {"inner_gains": "K_x=-0.1"}, UnknownNameError,
             r"inner_gains: preview_proportional\.K_x: no such gain; did you",
         ),
         ({"inner_gains": "K_y"}, InputError, r"inner_gains: 'K_y'; allowed: gain=value, separated by commas"),
@@ -405,18 +387,16 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
             r"inner_gains: preview_proportional\.K_y: 0\.5; allowed: .* from -1 to 0",
         ),
         (
-            {"inner_gains": "convention=new"},
-            InputError,
+            {"inner_gains": "convention=new"}, InputError,
             r"preview_proportional\.convention: 'new'; allowed: as_printed",
         ),
         ({"inner": "drifting", "inner_gains": "cut=yes"}, InputError, r"drifting\.cut: 'yes'; allowed: true or false"),
         (
-            {"inner": "drifting", "inner_gains": "broken_at=1.5"},
-            InputError,
+            {"inner": "drifting", "inner_gains": "broken_at=1.5"}, InputError,
             r"drifting\.broken_at: 1\.5; .* whole number",
         ),
     ],
-)
+)  # fmt: skip
 def test_mistakes_are_named(given: dict[str, Any], error: type[LdcError], message: str) -> None:
     with pytest.raises(error, match=message):
         BarrierFilter(**given)

@@ -1,7 +1,5 @@
 """Laws for steering by themselves: each brings departures of both signs of curvature back, at 11 to 38 m/s."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,7 +27,6 @@ def test_it_brings_departures_back(design: Controller, reduction: float, left: f
     assert (out.status == EventStatus.OK).all()
     assert (out.reduction > reduction).all()
     paths = out.trajectories
-    assert paths is not None
     for i in range(4):
         e_y = paths.x[i, np.isfinite(paths.t[i]), 0]
         straight = design.name == "pure_pursuit" and SOME.c_0[i] == 0.0

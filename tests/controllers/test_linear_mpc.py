@@ -51,7 +51,6 @@ def test_a_wheel_beyond_delta_max_comes_back_with_a_status_of_its_own() -> None:
     out = simulate(LinearMPC(), tight, y_s=0.1, trajectories=True)
     assert out.status.tolist() == [EventStatus.BEYOND_DELTA_MAX, EventStatus.OK]
     assert not out.failed_solves.any()
-    assert out.trajectories is not None
     assert np.nanmin(np.abs(out.trajectories.delta[0])) <= 0.1
 
 
@@ -83,7 +82,6 @@ def test_where_nothing_solves_the_fallback_clips_the_unconstrained_command(monke
     out = simulate(TIGHT, TWO, y_s=0.1, trajectories=True)
     assert (out.status == EventStatus.SOLVER_FAILED).all()
     assert (out.failed_solves > 0).all()
-    assert out.trajectories is not None
     delta = out.trajectories.delta
     assert np.nanmax(np.abs(delta)) <= 0.02 + 1e-12
     assert np.nanmax(np.abs(np.diff(delta, axis=1))) <= 0.1 * DT + 1e-12
@@ -113,13 +111,11 @@ def test_an_interrupt_during_a_solve_is_an_interrupt() -> None:
 @pytest.mark.parametrize(
     ("horizon", "r_delta", "q_y", "size"),
     [
-        (20, 0.01, 1.0, 1.0),
-        pytest.param(20, 1.0, 1.0, 1.0, marks=pytest.mark.slow),
+        (20, 0.01, 1.0, 1.0), pytest.param(20, 1.0, 1.0, 1.0, marks=pytest.mark.slow),
         pytest.param(60, 1.0, 1.0, 3.0, marks=pytest.mark.slow),
-        pytest.param(40, 1e-3, 1.0, 1.0, marks=pytest.mark.slow),
-        (20, 100.0, 1e4, 1.0),
+        pytest.param(40, 1e-3, 1.0, 1.0, marks=pytest.mark.slow), (20, 100.0, 1e4, 1.0),
     ],
-)
+)  # fmt: skip
 def test_feasible_qps_are_solved_with_extreme_gains(horizon: int, r_delta: float, q_y: float, size: float) -> None:
     """Weights far beyond what the limits allow; Clarabel on the same QP is the reference."""
     design = LinearMPC(horizon=horizon, r_delta=r_delta, q_y=q_y, delta_max=0.04, rate_max=0.05)
@@ -140,7 +136,6 @@ def test_the_previewed_road_reaches_the_law() -> None:
     design = LinearMPC(horizon=12, delta_max=1.0, rate_max=10.0)
     out = simulate(design, scenarios, y_s=0.1, trajectories=True)
     paths = out.trajectories
-    assert paths is not None
     for i in range(2):
         t_s = out.t_s[i]
         v = scenarios.v_mean[i]

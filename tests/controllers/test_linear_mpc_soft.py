@@ -1,7 +1,5 @@
 """Limits and move blocking of the linear MPC against a QP built from rolled-out paths, in Clarabel, and as driven."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 
@@ -35,11 +33,9 @@ def situations(n: int, horizon: int, seed: int, size: float = 1.0) -> tuple[Plan
 
 @dataclasses.dataclass
 class Case:
-    """One MPC problem, everything by rolling the plant out.
-
-    `sent` are the commands on their way, the oldest first: one more than whole samples of delay. `past` has a before
-    and after each of the samples in [-0.5 s, 0), and before now.
-    """
+    """One MPC problem, everything by rolling the plant out. `sent` are the commands on their way, the oldest first: one
+    more than whole samples of delay. `past` has a before and after each of the samples in [-0.5 s, 0), and before
+    now."""
 
     design: LinearMPC
     plant: Plant
@@ -111,12 +107,10 @@ class Case:
         left, right = np.array(before), np.array(after)
         rows = [(left[-N:], left[-N - 10 : -10])] + ([(right[-N:], right[-N - 10 : -10])] if jumps else [])
         return np.concatenate(cost), {
-            "u": np.array(u),
-            "change": np.diff(u, prepend=on * self.prev),
+            "u": np.array(u), "change": np.diff(u, prepend=on * self.prev),
             "a_y": np.concatenate([new for new, _ in rows]),
-            "jerk": np.concatenate([new - old for new, old in rows]) / 0.5,
-            "e_y": np.array(offset),
-        }
+            "jerk": np.concatenate([new - old for new, old in rows]) / 0.5, "e_y": np.array(offset),
+        }  # fmt: skip
 
     def solve(self, held: np.ndarray, hard_soft: bool = False) -> tuple[float, np.ndarray]:
         """First command and slacks (3,); `held` (N, M) turns moves into commands."""
@@ -151,7 +145,6 @@ class Case:
         p = qpsolvers.Problem(sp.csc_matrix(H), g, sp.csc_matrix(np.vstack(G)), np.concatenate(h))
         tight = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
         answer = qpsolvers.solve_problem(p, solver="clarabel", **tight)
-        assert answer.x is not None
         slacks = np.zeros(3)
         slacks[[("a_y", "jerk", "e_y").index(n) for n, _ in kinds]] = answer.x[M:]
         return float(held[0] @ answer.x[:M]) if answer.found else np.nan, slacks
@@ -316,9 +309,7 @@ def test_behind_an_actuator_it_plans_on_what_is_on_its_way(lag: float, delay: fl
         pytest.param(20, 6, [0, 1, 2, 5, 9, 14], {"a_y_max": 1.5}, marks=pytest.mark.slow),
     ],
 )
-def test_blocked_moves_equal_another_solver(
-    horizon: int, blocks: int, starts: list[int], soft: dict[str, float]
-) -> None:
+def test_blocked_moves_equal_other_solver(horizon: int, blocks: int, starts: list[int], soft: dict[str, float]) -> None:
     design = LinearMPC(horizon=horizon, blocks=blocks, r_delta=30.0, delta_max=0.05, **soft)
     assert block_starts(horizon, blocks).tolist() == starts
     plant, x, preview, prev = situations(16, horizon, seed=4)
@@ -344,7 +335,6 @@ class Driven:
 
     def __post_init__(self) -> None:
         s, i, paths, actuator = self.scenarios, self.i, self.out.trajectories, self.options.actuator
-        assert paths is not None
         t_s = self.out.t_s[i]
         sample = np.rint((paths.t[i] - t_s) / DT)
         kept = np.abs(paths.t[i] - t_s - sample * DT) < 1e-6  # but T, between two samples
@@ -409,13 +399,9 @@ def test_acceleration_and_jerk_stay_within_their_limits(solver: str, actuator: A
 )
 def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float, delay: float) -> None:
     """Wherever a linear program finds commands that keep it, whatever the takeover does to a_y; 1 % for the kink at T.
-
-    At its defaults the law, which knows lag and delay, leaves no departure.
-    """
-    scenarios, options = (
-        load_model("reference").sample(n, n, seed=1),
-        PlantOptions(actuator=Actuator(lag=lag, delay=delay)),
-    )
+    At its defaults the law, which knows lag and delay, leaves no departure."""
+    scenarios = load_model("reference").sample(n, n, seed=1)
+    options = PlantOptions(actuator=Actuator(lag=lag, delay=delay))
     given = {"y_s": 0.1, "options": options, "start": "steady"}
     assert simulate(LinearMPC(), scenarios, **given).count(EventStatus.DIVERGED) == 0
     out = simulate(LinearMPC(a_y_max=3.0, jerk_max=5.0), scenarios, trajectories=True, **given)

@@ -1,7 +1,5 @@
 """LQI against python-control on the augmented plant, and what integral action is for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import control
@@ -37,9 +35,7 @@ def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(number: int, dt: floa
     """Written out as a last state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
     rng = np.random.default_rng(0)
     design = LQI(**WEIGHTS[number])
-    plant, law = prepared(
-        design, np.concatenate([[1.0, 90.0], np.exp(rng.uniform(0.0, np.log(90.0), 15))]), dt, **actuator
-    )
+    plant, law = prepared(design, np.r_[1.0, 90.0, np.exp(rng.uniform(0.0, np.log(90.0), 15))], dt, **actuator)
     assert law.f_i is not None
     states, inputs, _, _ = plant.augmented.with_commands()
     k = states.shape[1]
@@ -70,13 +66,11 @@ def doubled(A: np.ndarray, B: np.ndarray, Q: np.ndarray, r: float) -> np.ndarray
 @pytest.mark.parametrize(
     "design",
     [
-        pytest.param(LQI(q_i=1e-6, q_y=1e6), marks=pytest.mark.slow),
-        LQI(q_y_rate=1e6),
-        LQR(q_y_rate=1e6),
+        pytest.param(LQI(q_i=1e-6, q_y=1e6), marks=pytest.mark.slow), LQI(q_y_rate=1e6), LQR(q_y_rate=1e6),
         pytest.param(LQR(q_psi=1e6, q_y=1e-3), marks=pytest.mark.slow),
     ],
     ids=["q_y", "q_y_rate", "LQR q_y_rate", "LQR q_psi"],
-)
+)  # fmt: skip
 def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
     """Where dlqr's own answers scatter; another method, at 1e-6 of each gain for its own rounding."""
     plant, law = prepared(design, [1.0, 7.0, 20.0, 33.0, 90.0])
@@ -85,7 +79,6 @@ def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
         A, B = plant.step.A[i], plant.step.B[i][:, None]
         ours, Q = law.F[i], np.diag(weights)
         if isinstance(design, LQI):
-            assert law.f_i is not None
             A = np.block([[A, np.zeros((4, 1))], [np.array([[DT, 0.0, 0.0, 0.0]]), np.ones((1, 1))]])
             B, ours, Q = np.vstack([B, [[0.0]]]), np.append(ours, law.f_i[i]), np.diag([*weights, design.q_i])
         np.testing.assert_allclose(-ours, doubled(A, B, Q, design.r_delta), rtol=1e-6)
@@ -144,7 +137,6 @@ def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) 
     left = {}
     for design in (LQI(q_i=1.0), LQR()):
         out = simulate(design, scenarios, options=options, settle=50.0, trajectories=True)
-        assert out.trajectories is not None
         paths = out.trajectories
         last = np.isfinite(paths.t).sum(axis=1) - 1
         left[design.name] = np.abs(paths.x[np.arange(2), last, 0])

@@ -1,7 +1,5 @@
 """LQR gains and feedforward against python-control and a bend."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest
@@ -25,9 +23,7 @@ VEHICLES = [VehicleParameters(), VehicleParameters(C_af=95000.0, C_ar=70000.0, l
 @pytest.mark.parametrize(("number", "vehicle"), grid(range(3), VEHICLES, (0, VEHICLES[0]), (1, VEHICLES[1])))
 @pytest.mark.parametrize("dt", some([0.05, 0.02], 0.05))
 @pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.1, 0.1), (0.0, 0.12), (0.03, 0.01)])
-def test_scheduled_gains_equal_dlqr(
-    number: int, vehicle: VehicleParameters, dt: float, lag: float, delay: float
-) -> None:
+def test_gains_equal_dlqr(number: int, vehicle: VehicleParameters, dt: float, lag: float, delay: float) -> None:
     """At speeds between the nodes, commands on their way among the states; the tolerance is dlqr's at these weights."""
     rng = np.random.default_rng(0)
     v = np.concatenate([[1.0, 90.0], np.exp(rng.uniform(np.log(1.0), np.log(90.0), 25))])

@@ -156,8 +156,7 @@ def test_ipopt_finds_the_same_plan(design: NonlinearMPC) -> None:
     bound = 0
     for i in range(n):
         U, cost = ipopt(design, plant, i, x[i], preview.yaw_rate[i], prev[i], state.U[i])
-        assert delta[i] == pytest.approx(U[0], abs=1e-6)
-        assert state.cost[i] == pytest.approx(cost, rel=1e-6)
+        assert (delta[i], state.cost[i]) == (pytest.approx(U[0], abs=1e-6), pytest.approx(cost, rel=1e-6))
         change = np.diff(U, prepend=prev[i])
         bound += np.abs(change).max() > design.rate_max * DT - 1e-7 or np.abs(U).max() > design.delta_max - 1e-7
     assert bound >= 1, "limits must bind for this to test anything"
@@ -176,10 +175,8 @@ def sampled(column: np.ndarray) -> Any:
 
 @pytest.mark.parametrize(("v", "mu"), grid([3.0, 20.0, 35.0], [0.3, 1.0], (3.0, 0.3), (35.0, 1.0)))
 def test_a_sample_follows_the_differential_equation(v: float, mu: float) -> None:
-    """solve_ivp at 1e-11; one step's error falls like dt^3, by 8 when dt is halved.
-
-    More than 5 is asked for, and 3 at 3 m/s, where the stiffness of the tyres beyond their peak costs an order.
-    """
+    """solve_ivp at 1e-11; one step's error falls like dt^3, by 8 when dt is halved. More than 5 is asked for, and 3 at
+    3 m/s, where the stiffness of the tyres beyond their peak costs an order."""
     rhs = ca.Function("f", [x := ca.SX.sym("x", 4), u := ca.SX.sym("u"), r := ca.SX.sym("r")],
                       [right_hand_side(x, u, r, v, mu)[0]])  # fmt: skip
     x_0, delta, r_0, r_1 = np.array([0.2, 0.3, 0.02, -0.05]), 0.03, 0.05, 0.07
@@ -231,10 +228,8 @@ def test_small_angles_give_the_linear_mpc() -> None:
 
 
 def test_slippery_plans_stay_on_the_tyres() -> None:
-    """At friction 0.3 no command goes far beyond the peak of the tyres' force.
-
-    From rest in the lane the command is the front slip angle; the linear MPC's goes far beyond the peak.
-    """
+    """At friction 0.3 no command goes far beyond the peak of the tyres' force. From rest in the lane the command is the
+    front slip angle; the linear MPC's goes far beyond the peak."""
     n = 12
     design = NonlinearMPC(horizon=HORIZON, mu=0.3, r_delta=20.0, rate_max=10.0)
     plant, x, preview, prev = situations(n, HORIZON, seed=7)
@@ -375,7 +370,6 @@ def test_a_library_is_written_whole_or_not_at_all(monkeypatch: pytest.MonkeyPatc
     compile_module.compiled((function,), "whole")
     assert library.stat().st_mtime_ns == stamp  # found, not made again
     damaged = compile_module._library((function,), "damaged")
-    assert damaged is not None
     damaged.write_bytes(b"half")
     assert compile_module.compiled((function,), "damaged")[0] is function
     assert not damaged.exists()

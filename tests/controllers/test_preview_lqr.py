@@ -1,7 +1,5 @@
 """Preview LQR against Riccati equations with a shift register, the MPC without limits, and a bend that begins."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import control
@@ -33,15 +31,12 @@ def weights(design: PreviewLQR) -> np.ndarray:
     ("design", "vehicle"),
     grid(DESIGNS, [VehicleParameters(), HEAVY], (DESIGNS[1], VehicleParameters()), (DESIGNS[3], HEAVY)),
 )
-def test_gains_equal_the_riccati_recursion_on_the_register_of_yaw_rates(
-    design: PreviewLQR, vehicle: VehicleParameters
-) -> None:
+def test_gains_equal_the_recursion_on_the_register_of_yaw_rates(design: PreviewLQR, vehicle: VehicleParameters) -> None:
     """The problem as it is stated: states (x, r_0 .. r_N), the register shifts and holds its last entry, the cost is
     that of the deviations, no change of variables. Holding is an uncontrollable eigenvalue 1, at which solvers of the
     algebraic equation refuse, but the deviations of a held bend cost nothing, so the recursion from P = 0 converges. It
     is iterated until the slowest closed-loop mode (0.99 a sample at worst here) has decayed to rounding; 1e-9 of the
-    largest gain covers what rounding 10,000 steps may add up to.
-    """
+    largest gain covers what rounding 10,000 steps may add up to."""
     N = design.horizon
     plant = Plant.build(BicycleModel(vehicle), [9.0, 21.0, 34.0], DT)
     law = design.prepare(plant)
@@ -76,10 +71,9 @@ def test_gains_equal_the_riccati_recursion_on_the_register_of_yaw_rates(
 @pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.1, 0.1), (0.0, 0.13), (0.07, 0.02)])
 @pytest.mark.parametrize("design", some(DESIGNS[1:], DESIGNS[2]))
 def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR, lag: float, delay: float) -> None:
-    """States: deviations from the bend as it is now, every command on its way among them, and its changes
-    w_j = r_(j+1) - r_j until N samples after the command acts. Zeros are shifted in, so holding needs no marginal mode
-    and python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR.
-    """
+    """States: deviations from the bend as it is now, every command on its way among them, and its changes w_j = r_(j+1)
+    - r_j until N samples after the command acts. Zeros are shifted in, so holding needs no marginal mode and
+    python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR."""
     v = np.exp(np.random.default_rng(1).uniform(np.log(2.0), np.log(80.0), 8))
     plant = Plant.build(BicycleModel(), v, DT, lag=lag, delay=delay)
     law, steady, whole = design.prepare(plant), plant.steady_state(), int(delay / DT)
@@ -149,7 +143,6 @@ def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.
 
 def test_the_further_it_sees_the_less_a_bend_costs() -> None:
     """A bend that begins between two samples, 3 s ahead: held before and after, so every plan is right once it sees it.
-
     (Where curvature goes on changing, a short preview may do worse than none: it takes what it sees last to be held.)
     """
     plant = Plant.build(BicycleModel(), [12.0, 30.0], DT)

@@ -1,7 +1,5 @@
 """Pure pursuit against the geometry of the arc, of circular lanes, and an integral of the lane by quadrature."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -92,7 +90,6 @@ def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
     )
     out = simulate(PurePursuit(delta_max=1.0), scenarios, y_s=0.1, trajectories=True)
     paths = out.trajectories
-    assert paths is not None
     for i in range(2):
         v, T = scenarios.v_mean[i], scenarios.T[i]
         s = max(8.0, v) - L_R

@@ -1,7 +1,5 @@
 """Super-twisting: the implicit step by itself and against the differential equation, the sampled plant, the limit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -60,8 +58,7 @@ def test_small_samples_follow_the_differential_equation() -> None:
         u = super_twisting(s, w, dt, k_1, k_2)
         w = conditioned(w, u, dt, k_2)
         s = s + dt * (u + 0.4 * math.sin((i + 0.5) * dt))
-    assert s[0] == pytest.approx(path.y[0, -1], abs=3e-4)
-    assert w[0] == pytest.approx(path.y[1, -1], abs=3e-4)
+    assert (s[0], w[0]) == (pytest.approx(path.y[0, -1], abs=3e-4), pytest.approx(path.y[1, -1], abs=3e-4))
 
 
 def test_it_reaches_the_surface_and_does_not_chatter() -> None:

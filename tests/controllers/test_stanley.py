@@ -1,7 +1,5 @@
 """The Stanley law against the published formula in the publication's own signs, on a circular lane."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -26,10 +24,8 @@ def command(
 @pytest.mark.parametrize("radius", [300.0, -250.0])
 @pytest.mark.parametrize("vehicle", [VehicleParameters(), OTHER])
 def test_the_published_formula_on_a_circular_lane(radius: float, vehicle: VehicleParameters) -> None:
-    """Offset and heading from the geometry of the circle, signs as published: from the vehicle to the path.
-
-    The law takes the lane beside the front axle to second order in l_f/R and e_psi: at most 2e-5 rad here.
-    """
+    """Offset and heading from the geometry of the circle, signs as published: from the vehicle to the path. The law
+    takes the lane beside the front axle to second order in l_f/R and e_psi: at most 2e-5 rad here."""
     gains = {"k": 2.0, "k_soft": 1.5, "k_d_yaw": 0.12, "k_d_steer": 0.3}
     v, e_y, e_psi, e_psi_rate = 15.0, 0.4, -0.02, 0.03
     delta_1, delta_2 = 0.02, 0.012  # measured now and one period earlier
@@ -70,9 +66,7 @@ def test_the_last_change_of_the_command_is_known_from_the_second_step_on() -> No
     first, state, _ = law.step(np.zeros(1), *nothing, np.array([0.05]), law.init(1))
     second, state, _ = law.step(np.zeros(1), *nothing, np.array([0.03]), state)
     third, _, _ = law.step(np.zeros(1), *nothing, np.array([0.03]), state)
-    assert first[0] == 0.0
-    assert second[0] == pytest.approx(0.008, abs=1e-16)
-    assert third[0] == 0.0
+    assert (first[0], second[0], third[0]) == (0.0, pytest.approx(0.008, abs=1e-16), 0.0)
 
 
 @pytest.mark.parametrize("vehicle", [VehicleParameters(), OTHER])

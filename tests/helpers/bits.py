@@ -1,7 +1,5 @@
 """Comparison bit for bit, of whatever holds arrays."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The command line in this process: exit code, standard output and standard error as a real process gives them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

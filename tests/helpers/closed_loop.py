@@ -20,14 +20,9 @@ METRICS = tuple(COMPANION_UNITS)
 
 
 def takeover(
-    scenarios: Scenarios,
-    options: PlantOptions | None = None,
-    *,
-    y_s: float = 0.1,
-    dt: float = 0.05,
-    settle: float = 3.0,
-    seed: int = 0,
-) -> Takeover:
+    scenarios: Scenarios, options: PlantOptions | None = None, *, y_s: float = 0.1, dt: float = 0.05,
+    settle: float = 3.0, seed: int = 0,
+) -> Takeover:  # fmt: skip
     """What `drive` takes, for the default vehicle."""
     setup = Setup(options=options or PlantOptions(), seed=seed, dt=dt, settle=settle)
     return Takeover.build(scenarios, setup, y_s=y_s)
@@ -37,14 +32,10 @@ def make_scenarios(n: int, seed: int = 0) -> Scenarios:
     rng = np.random.default_rng(seed)
     v = np.where(rng.random(n) < 0.5, rng.normal(14, 2, n), rng.normal(28, 3, n)).clip(6)
     return Scenarios.from_arrays(
-        side=np.where(rng.random(n) < 0.5, 1, -1),
-        T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
-        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2),
-        v_mean=v,
-        a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
-        c_0=rng.normal(0, 0.5, n) / v**2,
-        dc=rng.normal(0, 0.3, n) / v**2,
-    )
+        side=np.where(rng.random(n) < 0.5, 1, -1), T=np.exp(rng.normal(np.log(2), 0.6, n)).clip(0.5, 10),
+        d_y=np.exp(rng.normal(np.log(0.3), 0.6, n)).clip(0.02, 1.2), v_mean=v, a_mean=rng.normal(0, 0.3, n).clip(-1, 1),
+        c_0=rng.normal(0, 0.5, n) / v**2, dc=rng.normal(0, 0.3, n) / v**2,
+    )  # fmt: skip
 
 
 def with_residuals(scenarios: Scenarios) -> Scenarios:
@@ -61,11 +52,9 @@ def values(out: Outcome | Run) -> dict[str, np.ndarray]:
 
 
 def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), between: float = 5e-4) -> None:
-    """Two routes to the same numbers within what the Runge-Kutta loop promises: S to 1e-5, the rest to 1e-4.
-
-    Extremes between samples and the time back inside come from polynomials through the ends of a sample or a substep,
-    and may be `between` apart.
-    """
+    """Two routes to the same numbers within what the Runge-Kutta loop promises: S to 1e-5, the rest to 1e-4. Extremes
+    between samples and the time back inside come from polynomials through the ends of a sample or a substep, and may be
+    `between` apart."""
     np.testing.assert_allclose(out.S[rows], expected.S[rows], rtol=1e-5, atol=1e-9)
     for name in METRICS:
         ours, theirs = getattr(out.companions, name)[rows], getattr(expected.companions, name)[rows]

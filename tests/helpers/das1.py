@@ -1,10 +1,7 @@
 """Tables DataLane and DataWsu in the schema of SPMD DAS1, made by code; departures can be planted in them.
 
 Signals go in as SI numbers with the signs of ISO 8855, and come out rounded as
-the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them.
-"""
-
-from __future__ import annotations
+the real tables are: distances to 1/256 m, yaw rate and speed as the vehicle's bus gives them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -43,10 +40,8 @@ class Planted:
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """One trip at the times of both tables.
-
-    `time` is in centiseconds, everything else in SI units: offset, yaw rate and heading positive to the left.
-    """
+    """One trip at the times of both tables. `time` is in centiseconds, everything else in SI units: offset, yaw rate
+    and heading positive to the left."""
 
     device: int
     trip: int
@@ -69,15 +64,10 @@ def curvature_at(t: np.ndarray) -> np.ndarray:
 
 # left and right, in a left bend that tightens and opens, and in a right bend
 PLANTED = (
-    Planted(1, 8.03, 2.31, 0.31),
-    Planted(-1, 17.45, 1.9, 0.27),
-    Planted(1, 38.9, 3.1, 0.42),
-    Planted(-1, 48.31, 2.0, 0.22),
-    Planted(1, 68.02, 1.25, 0.18),
-    Planted(-1, 79.6, 4.2, 0.35),
-    Planted(1, 98.77, 0.8, 0.12),
-    Planted(-1, 107.15, 2.6, 0.5),
-)
+    Planted(1, 8.03, 2.31, 0.31), Planted(-1, 17.45, 1.9, 0.27), Planted(1, 38.9, 3.1, 0.42),
+    Planted(-1, 48.31, 2.0, 0.22), Planted(1, 68.02, 1.25, 0.18), Planted(-1, 79.6, 4.2, 0.35),
+    Planted(1, 98.77, 0.8, 0.12), Planted(-1, 107.15, 2.6, 0.5),
+)  # fmt: skip
 
 
 def planted_drive(
@@ -109,15 +99,10 @@ def lane_frame(drives: Sequence[Drive]) -> pl.DataFrame:
     quality = _columns(drives, "quality", int)
     zero = np.zeros(offset.size)
     columns = (
-        _columns(drives, "device", int),
-        _columns(drives, "trip", int),
-        _columns(drives, "time", int),
+        _columns(drives, "device", int), _columns(drives, "trip", int), _columns(drives, "time", int),
         np.round(np.round((offset - 0.5 * width) * 256) / 256, 6),
-        np.round(np.round((offset + 0.5 * width) * 256) / 256, 6),
-        zero,
-        quality,
-        quality,
-    )
+        np.round(np.round((offset + 0.5 * width) * 256) / 256, 6), zero, quality, quality,
+    )  # fmt: skip
     return pl.DataFrame(dict(zip(LANE_COLUMNS, columns, strict=True)))
 
 

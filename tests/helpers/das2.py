@@ -1,7 +1,5 @@
 """Tables HV_Primary in the schema of SPMD DAS2, made by code from the same drives as `das1_tables` makes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

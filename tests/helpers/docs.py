@@ -1,7 +1,5 @@
 """Code that README and guides show, to be run as it stands."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How many examples a property test tries: a quarter of them by default, all in the longer tier."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

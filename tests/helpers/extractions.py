@@ -1,7 +1,5 @@
 """Extractions for the page's tests: invented departures, accounts that fit to them, drawn ones with noise."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -55,28 +53,16 @@ def make_account(
     """One origin; some candidates refused."""
     widths = np.histogram(rng.normal(3.5, 0.2, 5000), np.arange(WIDTH_BINS + 1) * 0.1)[0]
     return Account(
-        origin=origin,
-        recordings=recordings,
-        samples=int(hours * 36_000),
-        usable=int(hours * 30_000),
-        read_ns=int(hours * 3.6e12),
-        valid_ns=int(hours * 3.0e12),
-        departures=np.array(departures, dtype=np.int64),
-        refused=rng.integers(0, 30, (2, len(REASONS))),
-        widths=widths,
-    )
+        origin=origin, recordings=recordings, samples=int(hours * 36_000), usable=int(hours * 30_000),
+        read_ns=int(hours * 3.6e12), valid_ns=int(hours * 3.0e12), departures=np.array(departures, dtype=np.int64),
+        refused=rng.integers(0, 30, (2, len(REASONS))), widths=widths,
+    )  # fmt: skip
 
 
 def make_extraction(
-    sources: int = 1,
-    each: tuple[int, int] = (30, 20),
-    *,
-    seed: int = 1,
-    labels: bool = False,
-    problems: tuple[Problem, ...] = (),
-    dt: float = 0.1,
-    **provenance: object,
-) -> Extraction:
+    sources: int = 1, each: tuple[int, int] = (30, 20), *, seed: int = 1, labels: bool = False,
+    problems: tuple[Problem, ...] = (), dt: float = 0.1, **provenance: object,
+) -> Extraction:  # fmt: skip
     """So many sources with so many departures left and right."""
     rng = np.random.default_rng(seed)
     names = [f"D{i + 1}" for i in range(sources)]

@@ -1,7 +1,5 @@
 """Models and departures for tests of fits and of their pages."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -17,21 +15,16 @@ CONSTANTS = (("sigma_y", 0.02), ("sigma_v", 0.1), ("c_0", 0.0), ("dc", 0.0))
 def make_model(**provenance: object) -> ScenarioModel:
     """Two components over four parameters a side, summaries included."""
     mixture = BoundedGaussianMixture.from_parameters(
-        [0.4, 0.6],
-        [[1.5, 0.25, 14.0, 0.0], [3.0, 0.45, 28.0, 0.1]],
-        [np.diag([0.4, 0.01, 9.0, 0.1]), np.diag([1.5, 0.04, 9.0, 0.1])],
-        lower=[0.5, 0.0, 5.0, -9.81],
+        [0.4, 0.6], [[1.5, 0.25, 14.0, 0.0], [3.0, 0.45, 28.0, 0.1]],
+        [np.diag([0.4, 0.01, 9.0, 0.1]), np.diag([1.5, 0.04, 9.0, 0.1])], lower=[0.5, 0.0, 5.0, -9.81],
         upper=[10.0, np.inf, np.inf, 9.81],
-    )
+    )  # fmt: skip
     summary = SideSummary(400, (1, 2, 3), (-120.0, -950.5, -930.0), (0.1, 1.2, 1.25), True, (("d_y", 2),), 0.0)
     side = SideModel(mixture, NAMES, CONSTANTS)
     settings = {
-        "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]},
-        "software": "ldctoolkit 0.1.0",
-        "seed": 7,
-        "left": summary,
-        "right": summary,
-    }
+        "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]}, "software": "ldctoolkit 0.1.0", "seed": 7,
+        "left": summary, "right": summary,
+    }  # fmt: skip
     return ScenarioModel(side, side, ModelProvenance(**(settings | provenance)))  # type: ignore[arg-type]
 
 
@@ -48,15 +41,10 @@ def varied_departures(n: int = 200, seed: int = 0, **changed: object) -> Departu
     rng = np.random.default_rng(seed)
     m = 2 * n
     columns = {
-        "T": np.clip(np.exp(rng.normal(0.7, 0.5, m)), 0.51, 9.9),
-        "d_y": rng.gamma(3.0, 0.07, m),
-        "sigma_y": rng.gamma(3.0, 0.02, m),
-        "v_mean": rng.normal(25.0, 4.0, m),
-        "a_mean": rng.normal(0.0, 0.3, m),
-        "sigma_v": rng.gamma(4.0, 0.01, m),
-        "c_0": rng.normal(0.0, 1e-3, m),
-        "dc": rng.normal(0.0, 5e-4, m),
-    } | changed
+        "T": np.clip(np.exp(rng.normal(0.7, 0.5, m)), 0.51, 9.9), "d_y": rng.gamma(3.0, 0.07, m),
+        "sigma_y": rng.gamma(3.0, 0.02, m), "v_mean": rng.normal(25.0, 4.0, m), "a_mean": rng.normal(0.0, 0.3, m),
+        "sigma_v": rng.gamma(4.0, 0.01, m), "c_0": rng.normal(0.0, 1e-3, m), "dc": rng.normal(0.0, 5e-4, m),
+    } | changed  # fmt: skip
     return Departures(
         side=np.repeat([LEFT, RIGHT], n),
         **{name: np.broadcast_to(np.asarray(columns[name], dtype=float), m).copy() for name in PARAMETER_NAMES},

@@ -1,7 +1,5 @@
 """Grids of parameters, of which the default tier tries some pairs."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """What a reader's eye would see, and what axe-core's rules say, as lists of faults."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

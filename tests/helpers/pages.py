@@ -1,7 +1,5 @@
 """A page as a reader's browser parses it: sections, tables, links and what its script is given."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import json
@@ -30,9 +28,7 @@ class Table:
 
 class Page(HTMLParser):
     """A page, or a part of one; refuses tags that are not closed in order, identifiers twice and links to nothing.
-
-    `text` holds the text of each section without that of its drawings, which is in `drawn`.
-    """
+    `text` holds the text of each section without that of its drawings, which is in `drawn`."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -48,8 +44,7 @@ class Page(HTMLParser):
         self._section = ""
         self.feed(html)
         self.close()
-        assert self._open == []
-        assert len(self.ids) == len(set(self.ids))
+        assert (self._open, len(self.ids)) == ([], len(set(self.ids)))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self._seen(tag, {key: value or "" for key, value in attrs})
@@ -127,7 +122,6 @@ class Page(HTMLParser):
     def data(self) -> dict[str, Any]:
         """What the page's script is given."""
         found = re.search(r'<script type="application/json" id="data">(.*?)</script>', self.html, re.DOTALL)
-        assert found is not None
         content: dict[str, Any] = json.loads(found[1])
         return content
 

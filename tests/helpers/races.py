@@ -1,7 +1,5 @@
 """A race on a table of scores that is known in full."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from studies.racing.race import race_round
@@ -18,14 +16,8 @@ def race(
         runs, before = runs + designs.size * (m - before), m
         rows = prefix_rows(side, m)
         decision = race_round(
-            scores[np.ix_(designs, rows)],
-            side[rows],
-            round=number,
-            rounds=len(rounds),
-            seed=seed,
-            confidence=confidence,
-            samples=samples,
-            started=d,
-        )
+            scores[np.ix_(designs, rows)], side[rows], round=number, rounds=len(rounds), seed=seed,
+            confidence=confidence, samples=samples, started=d,
+        )  # fmt: skip
         designs = designs[decision.keep]
     return np.isin(np.arange(d), designs), runs / (d * n)

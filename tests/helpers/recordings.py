@@ -1,7 +1,5 @@
 """A recording with one departure, to be changed, and comparison of extractions."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable
 from typing import Any

@@ -4,8 +4,7 @@ Nothing is shared with the package but the frozen options and the law's formula.
 ISO 8855 (a right departure is negative there), and the plant is integrated in the vehicle's own coordinates (e_y,
 e_psi, lateral velocity v_y, yaw rate omega) with the wheel's angle as a fifth state. The integration stops wherever the
 right-hand side is not smooth: at samples, where a delayed command arrives, where the actuator leaves its rate limit,
-and at T.
-"""
+and at T."""
 
 from __future__ import annotations
 
@@ -65,12 +64,10 @@ class Vehicle:
         slip = C_f * l_f + C_r * l_r if self.as_printed else moment
         A = np.array(
             [
-                [0, 1, 0, 0],
-                [0, -(C_f + C_r) / (m * v), (C_f + C_r) / m, -slip / (m * v)],
-                [0, 0, 0, 1],
+                [0, 1, 0, 0], [0, -(C_f + C_r) / (m * v), (C_f + C_r) / m, -slip / (m * v)], [0, 0, 0, 1],
                 [0, -moment / (I_z * v), moment / I_z, -damping / (I_z * v)],
             ]
-        )
+        )  # fmt: skip
         B = np.array([0, C_f / m, 0, C_f * l_f / I_z])
         E = np.array([0, -moment / (m * v) - v, 0, -damping / (I_z * v)])
         return A, B, E
@@ -78,11 +75,9 @@ class Vehicle:
 
 @dataclasses.dataclass(frozen=True)
 class Path:
-    """The recorded departure in the road frame: y, speed, and the lane's curvature, all with their derivatives.
-
-    `c_0` and `dc` are positive to the left; `a` and `b` are the amplitudes of the residuals' modes 1, 2, ..., those of
-    y in the outward direction.
-    """
+    """The recorded departure in the road frame: y, speed, and the lane's curvature, all with their derivatives. `c_0`
+    and `dc` are positive to the left; `a` and `b` are the amplitudes of the residuals' modes 1, 2, ..., those of y in
+    the outward direction."""
 
     side: int
     T: float
@@ -193,27 +188,14 @@ class Drive:
 
 
 def drive(
-    path: Path,
-    law: Law,
-    *,
-    options: PlantOptions | None = None,
-    vehicle: Vehicle | None = None,
-    true: Vehicle | None = None,
-    y_s: float = 0.2,
-    dt: float = 0.05,
-    settle: float = 0.0,
-    curvature_draw: float = 0.0,
-    noise: Mapping[int, np.ndarray] | None = None,
-    known: bool = True,
-    rtol: float = 1e-13,
-) -> Drive:
+    path: Path, law: Law, *, options: PlantOptions | None = None, vehicle: Vehicle | None = None,
+    true: Vehicle | None = None, y_s: float = 0.2, dt: float = 0.05, settle: float = 0.0, curvature_draw: float = 0.0,
+    noise: Mapping[int, np.ndarray] | None = None, known: bool = True, rtol: float = 1e-13,
+) -> Drive:  # fmt: skip
     """Drive one departure. `true` is the vehicle on the road, `vehicle` the one that the filter knows; `known` are to
-    it lag and delays too.
-
-    Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`, `curvature_draw`, and
-    `noise`, a frame's number -> its two standard normal numbers; none without it. With
-    `rtol` above 1e-12 the metrics beside S are left out.
-    """
+    it lag and delays too. Stochastic options are taken for what they are given as: `true`, the amplitudes in `path`,
+    `curvature_draw`, and `noise`, a frame's number -> its two standard normal numbers; none without it. With `rtol`
+    above 1e-12 the metrics beside S are left out."""
     options = PlantOptions() if options is None else options
     vehicle = Vehicle() if vehicle is None else vehicle
     true = vehicle if true is None else true
@@ -226,20 +208,11 @@ def drive(
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
-        t_s=t_s,
-        S=absolute_area(departure),
-        S_recorded=S_recorded,
-        x_T=loop.x_T,
-        x_end=loop.rows_x[-1],
-        t=np.array(loop.rows_t),
-        x=np.array(loop.rows_x),
-        delta=np.array(loop.rows_delta),
-        a_y=np.array(loop.rows_a_y),
-        seen=np.array(loop.seen),
-        commands=path.side * np.array(loop.commands),
-        margin=loop.margin,
+        t_s=t_s, S=absolute_area(departure), S_recorded=S_recorded, x_T=loop.x_T, x_end=loop.rows_x[-1],
+        t=np.array(loop.rows_t), x=np.array(loop.rows_x), delta=np.array(loop.rows_delta), a_y=np.array(loop.rows_a_y),
+        seen=np.array(loop.seen), commands=path.side * np.array(loop.commands), margin=loop.margin,
         companions=_companions(path, departure, loop) if rtol < 1e-12 else {},
-    )
+    )  # fmt: skip
 
 
 class _Loop:
@@ -367,10 +340,7 @@ class _Loop:
         _, _, v_y, omega, delta = state
         p, v = self.true, self.v(t)
         if self.options.tyres.model == "linear":
-            return (
-                2 * p.C_af * (delta - (v_y + p.l_f * omega) / v),
-                -2 * p.C_ar * (v_y - p.l_r * omega) / v,
-            )
+            return (2 * p.C_af * (delta - (v_y + p.l_f * omega) / v), -2 * p.C_ar * (v_y - p.l_r * omega) / v)
         alpha_f = delta - math.atan2(v_y + p.l_f * omega, v)
         alpha_r = -math.atan2(v_y - p.l_r * omega, v)
         wheelbase, shape = p.l_f + p.l_r, self.options.tyres.shape
@@ -703,16 +673,11 @@ def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, fl
 
 
 def _change(
-    t: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    left: bool,
+    t: np.ndarray, before: np.ndarray, after: np.ndarray, left: bool,
     recorded: Callable[[np.ndarray, bool], np.ndarray] | None = None,
-) -> np.ndarray:
-    """Change over half a second before each time, of what is linear between samples and jumps at them.
-
-    Before the first it is constant, or as recorded.
-    """
+) -> np.ndarray:  # fmt: skip
+    """Change over half a second before each time, of what is linear between samples and jumps at them. Before the first
+    it is constant, or as recorded."""
 
     def at(s: float) -> float:
         if s < t[0] - 1e-9 or (left and s < t[0] + 1e-9):
@@ -733,9 +698,7 @@ def _never_triggered(path: Path, recorded: list[Piece], S: float, vehicle: Vehic
     calm = ("opposite_crossing", "a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak", "delta_peak")
     calm += ("delta_rate_peak", "effort", "travel")
     companions = {
-        "deepest": largest(recorded, _edge(path)),
-        "dtle": -largest(recorded, _front(path, vehicle)),
-        "t_back": path.T,
+        "deepest": largest(recorded, _edge(path)), "dtle": -largest(recorded, _front(path, vehicle)), "t_back": path.T,
         **dict.fromkeys(calm, 0.0),
-    }
+    }  # fmt: skip
     return Drive(math.inf, S, S, nothing, nothing, none, np.zeros((0, 4)), none, none, none, none, companions)

@@ -1,7 +1,5 @@
 """Small studies with invented departures, and the reports and pages made of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """Results of a study whose scores are given, for tests of what is made of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,13 +16,9 @@ DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consisten
 
 
 def case_of(
-    S: np.ndarray,
-    *,
-    case: Case = DEPARTURE,
-    uncorrected: npt.ArrayLike = 9.0,
-    status: npt.ArrayLike = 0,
+    S: np.ndarray, *, case: Case = DEPARTURE, uncorrected: npt.ArrayLike = 9.0, status: npt.ArrayLike = 0,
     metrics: Mapping[str, npt.ArrayLike] | None = None,
-) -> CaseResults:
+) -> CaseResults:  # fmt: skip
     """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
     given = dict.fromkeys((field.name for field in dataclasses.fields(Companions)), 0.0) | dict(metrics or {})
     companions: dict[str, Any] = {
@@ -59,14 +53,9 @@ def scenarios_of(n: int, left: int | None = None) -> Scenarios:
 
 
 def results_of(
-    S: np.ndarray,
-    designs: Sequence[Design],
-    *,
-    left: int | None = None,
-    cases: Sequence[Case] = (DEPARTURE,),
-    parts: Mapping[str, Any] | None = None,
-    **more: Any,
-) -> StudyResults:
+    S: np.ndarray, designs: Sequence[Design], *, left: int | None = None, cases: Sequence[Case] = (DEPARTURE,),
+    parts: Mapping[str, Any] | None = None, **more: Any,
+) -> StudyResults:  # fmt: skip
     """Scores (d, n) of d designs, the same in every case; `parts` go to `StudyResults`, the others to `case_of`."""
     found = tuple(case_of(S, case=case, **more) for case in cases)
     return StudyResults(tuple(designs), scenarios_of(S.shape[1], left), found, **dict(parts or {}))

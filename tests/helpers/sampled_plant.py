@@ -1,7 +1,5 @@
 """The sampled nominal plant, driven sample by sample, and its closed loop about the lane's centre."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

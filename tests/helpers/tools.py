@@ -1,7 +1,5 @@
 """The scripts in tools/ as modules: they are not in the wheel."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

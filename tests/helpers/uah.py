@@ -1,7 +1,5 @@
 """Trips in the schema of UAH-DriveSet, made by code, with departures planted in bends."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools
@@ -27,13 +25,9 @@ class Planted:
 
 # left and right, each in a left and in a right bend; the clock starts at 9.32 s
 PLANTED = (
-    Planted(1, 22.7, 2.3, 0.31),
-    Planted(-1, 31.05, 1.9, 0.27),
-    Planted(1, 41.9, 3.1, 0.42),
-    Planted(-1, 63.3, 2.0, 0.22),
-    Planted(1, 71.45, 1.25, 0.18),
-    Planted(-1, 82.6, 4.2, 0.35),
-)
+    Planted(1, 22.7, 2.3, 0.31), Planted(-1, 31.05, 1.9, 0.27), Planted(1, 41.9, 3.1, 0.42),
+    Planted(-1, 63.3, 2.0, 0.22), Planted(1, 71.45, 1.25, 0.18), Planted(-1, 82.6, 4.2, 0.35),
+)  # fmt: skip
 BEGIN, END = 9.32, 112.0
 
 

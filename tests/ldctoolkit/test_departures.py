@@ -1,7 +1,5 @@
 """The eight parameters, both ways, against brute force."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,13 +20,9 @@ def events(draw: st.DrawFn) -> Scenarios:
     v_mean = draw(st.floats(5.0, 40.0))
     a_most = 2.0 * (v_mean - 1.0) / T
     return Scenarios.from_arrays(
-        T=T,
-        d_y=draw(st.floats(0.01, 1.5)),
-        v_mean=v_mean,
-        a_mean=draw(st.floats(-1.0, 1.0)) * min(a_most, 3.0),
-        c_0=draw(st.floats(-0.01, 0.01)),
-        dc=draw(st.floats(-0.01, 0.01)),
-    )
+        T=T, d_y=draw(st.floats(0.01, 1.5)), v_mean=v_mean, a_mean=draw(st.floats(-1.0, 1.0)) * min(a_most, 3.0),
+        c_0=draw(st.floats(-0.01, 0.01)), dc=draw(st.floats(-0.01, 0.01)),
+    )  # fmt: skip
 
 
 @given(events(), st.floats(0.0, 1.0))

@@ -92,9 +92,7 @@ def test_entry_points_are_checked(listed: Callable[[str], None], monkeypatch: py
     assert controller_class("listed") is Listed
 
 
-def test_whatever_an_installed_file_raises_names_the_controller(
-    listed: Callable[[str], None], tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_raises(listed: Callable[[str], None], tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "broken_law_file.py").write_text("K = 1 / 0\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     listed("broken_law_file:Law")

@@ -157,16 +157,12 @@ def test_a_default_that_is_no_single_value() -> None:
 @pytest.mark.parametrize(
     ("annotation", "default", "kind", "given", "kept"),
     [
-        ("float", -1, float, -0.5, -0.5),
-        (float, -1, float, np.float32(-0.5), -0.5),
-        ("float", np.float32(-0.5), float, np.int64(0), 0.0),
-        ("int", -1.0, int, np.int64(0), 0),
-        (int, np.int64(-1), int, -1.0, -1),
-        ("bool", False, bool, True, True),
-        ("Any", -1, int, 0, 0),
+        ("float", -1, float, -0.5, -0.5), (float, -1, float, np.float32(-0.5), -0.5),
+        ("float", np.float32(-0.5), float, np.int64(0), 0.0), ("int", -1.0, int, np.int64(0), 0),
+        (int, np.int64(-1), int, -1.0, -1), ("bool", False, bool, True, True), ("Any", -1, int, 0, 0),
         ("Any", -0.5, float, -1, -1.0),
     ],
-)
+)  # fmt: skip
 def test_the_annotation_decides_the_kind(annotation: Any, default: Any, kind: type, given: Any, kept: Any) -> None:
     D: Any = dataclasses.make_dataclass("D", [("K", annotation, K(default))], bases=(Base,), frozen=True)
     (declared,) = declared_gains(D)
@@ -213,16 +209,11 @@ def test_a_design_comes_back() -> None:
 
 
 # laws, for n = 3 scenarios and p = 2 lookahead times
-
-
 def linear(**fields: Any) -> LinearLaw:
     good = {
-        "F": np.zeros((3, 4)),
-        "preview_times": np.array([0.0, 1.0]),
-        "G_yaw_rate": np.zeros((3, 2)),
-        "G_heading": np.zeros((3, 2)),
-        "f_u": np.zeros(3),
-    }
+        "F": np.zeros((3, 4)), "preview_times": np.array([0.0, 1.0]), "G_yaw_rate": np.zeros((3, 2)),
+        "G_heading": np.zeros((3, 2)), "f_u": np.zeros(3),
+    }  # fmt: skip
     return LinearLaw(**(good | fields))
 
 

@@ -1,7 +1,5 @@
 """What a law raised becomes one line that can be printed and stored, whatever the exception is like."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -1,7 +1,5 @@
 """The reduction, and shares whose answers are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -48,12 +46,10 @@ def test_shares_of_many_designs_are_those_of_each() -> None:
 
     def shares(rows: int | slice) -> list[float | FloatArray]:
         return [
-            metrics.share_within_dtle(dtle[rows]),
-            metrics.comfortable_share(peak[rows], jerk[rows], triggered[rows]),
-            metrics.needless_share(triggered[rows], depth),
-            metrics.back_inside_share(back[rows], triggered[rows]),
+            metrics.share_within_dtle(dtle[rows]), metrics.comfortable_share(peak[rows], jerk[rows], triggered[rows]),
+            metrics.needless_share(triggered[rows], depth), metrics.back_inside_share(back[rows], triggered[rows]),
             metrics.opposite_crossed_share(over[rows], triggered[rows]),
-        ]
+        ]  # fmt: skip
 
     together = shares(slice(None))
     for i in range(d):

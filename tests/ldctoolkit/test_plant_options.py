@@ -1,7 +1,5 @@
 """Plant options: every wrong value is named with what is allowed; NumPy numbers are numbers; nothing is ignored."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import Any
@@ -79,13 +77,9 @@ def test_every_option_takes_the_ideal_away() -> None:
     assert PlantOptions().ideal
     assert PlantOptions().drives_exactly
     changed = {
-        "actuator": Actuator(lag=0.1),
-        "mismatch": Mismatch(m=(0.9, 1.1)),
-        "tyres": Tyres(model="magic_formula"),
-        "sensors": Sensors(delay=0.1),
-        "residuals": Residuals(v=True),
-        "speed": "profile",
-    }
+        "actuator": Actuator(lag=0.1), "mismatch": Mismatch(m=(0.9, 1.1)), "tyres": Tyres(model="magic_formula"),
+        "sensors": Sensors(delay=0.1), "residuals": Residuals(v=True), "speed": "profile",
+    }  # fmt: skip
     assert set(changed) == {field.name for field in dataclasses.fields(PlantOptions)}
     exact = {"mismatch", "sensors", "residuals"}
     for name, value in changed.items():

@@ -50,7 +50,6 @@ def names(found: Review) -> set[str]:
 def test_a_sound_design_has_nothing_to_object_to() -> None:
     found = review(LQR())
     assert found.findings == ()
-    assert found.loop is not None
     assert found.loop.stable.all()
     assert (found.loop.gain_margin > 6).all()
     # a full-state LQR in continuous time has at least 60 deg; sampling takes half a sample of phase
@@ -65,7 +64,6 @@ def test_planted_an_unstable_gain() -> None:
     assert fault.value > 1
     assert fault.sentence.startswith(f"At {fault.v:.3g} m/s the closed loop is unstable")
     assert "Lower K_y, K_psi" in fault.sentence
-    assert found.loop is not None
     assert np.isnan(found.loop.gain_margin[~found.loop.stable]).all()
 
 
@@ -74,8 +72,7 @@ def test_planted_an_initial_angle_beyond_the_limits() -> None:
     found = review(LinearMPC(delta_max=0.02, rate_max=0.1), speeds=[10.0, 20.0])
     fault = named(found, "initial_angle")
     needed = float(BicycleModel().steady_state([10.0]).delta[0]) * 0.2
-    assert fault.severity == "fault"
-    assert fault.value == pytest.approx(needed, rel=1e-12)
+    assert (fault.severity, fault.value) == ("fault", pytest.approx(needed, rel=1e-12))
     assert f"for {math.ceil((needed - 0.02) / 0.005)} samples (its horizon is 20 samples)" in fault.sentence
     assert named(found, "angle_in_bend").severity == "fault"
     assert not names(review(LinearMPC(), speeds=[10.0, 20.0]))
@@ -132,7 +129,6 @@ def test_planted_a_bias_in_a_bend() -> None:
     plant = Plant.build(BicycleModel(), [v], 0.05)
     F, steady = NoFeedforward().prepare(plant).F[0], plant.steady_state()
     by_hand = (steady.delta[0] - F[2] * steady.e_psi[0]) / F[0] * 2.0 / v
-    assert found.loop is not None
     assert found.loop.e_y_bend[0] == pytest.approx(by_hand, rel=1e-9)
     assert review(LQR(), speeds=[v]).findings == ()
     fault = named(review(NoFeedforward(r_delta=1000.0), speeds=[10.0]), "bend")
@@ -147,8 +143,6 @@ def test_delay_and_lag_are_in_the_loop() -> None:
     bare = review(LQR(), **given).loop
     late = review(LQR(), options=PlantOptions(actuator=Actuator(delay=0.05)), **given).loop
     frames = review(LQR(), options=PlantOptions(sensors=Sensors(delay=0.2)), **given)
-    assert bare is not None
-    assert late is not None
     assert late.delay_margin[0] == pytest.approx(bare.delay_margin[0] - 0.05, abs=1e-4)
     assert late.gain_margin[0] < bare.gain_margin[0]
     too_late = PlantOptions(actuator=Actuator(delay=float(bare.delay_margin[0]) + 0.01))
@@ -161,13 +155,10 @@ def test_delay_and_lag_are_in_the_loop() -> None:
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"delay": 0.05, "kalman": KalmanFilter()}, False),
-        ({"e_y_noise": 0.05}, True),
-        ({"e_psi_bias": 0.01}, True),
-        ({"e_y_step": 0.01}, True),
-        ({"curvature_gain": -0.1}, True),
+        ({"delay": 0.05, "kalman": KalmanFilter()}, False), ({"e_y_noise": 0.05}, True), ({"e_psi_bias": 0.01}, True),
+        ({"e_y_step": 0.01}, True), ({"curvature_gain": -0.1}, True),
     ],
-)
+)  # fmt: skip
 def test_what_the_loop_holds_of_a_camera_is_not_told_as_left_out(given: dict[str, Any], told: bool) -> None:
     notes = list(plant_notes(PlantOptions(sensors=Sensors(**given))))
     assert [("curvature of the camera" in note.sentence) for note in notes] == [True] * told
@@ -178,8 +169,7 @@ def test_margins_below_their_thresholds() -> None:
     value = float(review(LQR(), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
     warned = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
     finding = named(warned, "gain_margin")
-    assert finding.severity == "warning"
-    assert finding.value == pytest.approx(value)
+    assert (finding.severity, finding.value) == ("warning", pytest.approx(value))
     assert f"a gain margin of {value:.3g} dB; allowed: at least {value + 1:.3g} dB" in finding.sentence
     assert "Raise r_delta" in finding.sentence
     faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
@@ -236,7 +226,6 @@ def test_the_condensed_hessian_is_that_of_the_cost() -> None:
 
     unit = np.eye(N)
     H = np.array([[cost(a + b) - cost(a) - cost(b) for b in unit] for a in unit]) / 2.0
-    assert found is not None
     assert found.hessian_condition[0] == pytest.approx(np.linalg.cond(H), rel=1e-6)
 
 
@@ -250,8 +239,6 @@ def test_a_hessian_that_is_too_stiff() -> None:
 def test_the_mpc_is_its_lqr_near_straight_driving() -> None:
     """Numerically linearised, the MPC far from its limits has the LQR's loop; tolerance: differences at 1e-3."""
     mpc, lqr = (review(law(r_delta=300.0), speeds=FEW).loop for law in (LinearMPC, LQR))
-    assert mpc is not None
-    assert lqr is not None
     for name in ("radius", "gain_margin", "phase_margin", "disk_margin", "bandwidth"):
         np.testing.assert_allclose(getattr(mpc, name), getattr(lqr, name), rtol=1e-6)
 
@@ -307,7 +294,6 @@ def test_a_memory_is_identified_from_pulses() -> None:
     """Transfer function of the identified model against the law's own, written down; all six inputs."""
     dt = 0.05
     view = linear_view(Remembering(), Plant.build(BicycleModel(), [15.0, 30.0], dt))
-    assert view is not None
     assert view.order == 2
     for model in view.models:
         for z in np.exp(1j * np.array([0.05, 0.4, 1.5, 3.0])):
@@ -320,7 +306,6 @@ def test_a_memory_is_identified_from_pulses() -> None:
 def test_an_integral_takes_the_bias_away() -> None:
     """Remembering integrates e_y: no offset in a bend, on any tyres."""
     found = review(Remembering(), speeds=[10.0, 15.0]).loop
-    assert found is not None
     assert found.stable.all()
     np.testing.assert_allclose(found.e_y_bend, 0.0, atol=1e-7)
     np.testing.assert_allclose(found.e_y_bend_mismatched, 0.0, atol=1e-7)
@@ -373,9 +358,7 @@ class Raising(Controller):
 @pytest.mark.parametrize(
     ("error", "told"), [(RuntimeError("no map"), "RuntimeError: no map"), (SystemExit(3), "SystemExit: 3")]
 )
-def test_a_law_that_raises_or_exits_is_named(
-    where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_raising_laws_are_named(where: str, error: BaseException, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Raising, "error", error)
     with pytest.raises(LdcError, match=rf"controller 'raising': {where} raised {told} \(test_review\.py, line \d+\)"):
         review(Raising(where=where))
@@ -408,8 +391,6 @@ def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
     """The filter keeps |e_y| below 1.35 m: the linear loop's several metres are left out, and both are told."""
     inner = review(PreviewProportional(T_lp=0.5), speeds=[10.0])
     found = review(BarrierFilter(inner_gains="T_lp=0.5"), speeds=[10.0])
-    assert inner.loop is not None
-    assert found.loop is not None
     assert (np.abs(inner.loop.e_y_bend) > 1.35).all()
     assert np.isnan(found.loop.e_y_bend).all()
     assert np.isnan(found.loop.e_y_bend_mismatched).all()
@@ -419,8 +400,6 @@ def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
     # where the bound is far, the number is that of the law inside
     wide = review(BarrierFilter(inner="lqr", e_y_max=10.0), speeds=[30.0]).loop
     alone = review(LQR(), speeds=[30.0]).loop
-    assert wide is not None
-    assert alone is not None
     np.testing.assert_allclose(wide.e_y_bend_mismatched, alone.e_y_bend_mismatched, rtol=1e-6)
     assert inner.loop.bend_error.max() == 0.0
 

@@ -82,7 +82,6 @@ def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.0
     plant = review_plant(BicycleModel(), dt, options, [v])
     A, B, E = plant.model.matrices(plant.v)
     view = linear_view(design, plant)
-    assert view is not None
     side = controller_side(view.models[0], _cameras(plant, options)[0])
     return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), side)
 
@@ -90,15 +89,12 @@ def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.0
 @pytest.mark.parametrize("kind", [LQR, Remembering])
 @pytest.mark.parametrize("name", PLANTS)
 def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: type[LQR] | type[Remembering]) -> None:
-    """Once start effects have left the registers, e_y obeys the recursion of the characteristic polynomial.
-
-    Tolerance: what the Runge-Kutta loop misses, of a sum whose largest term is a binomial of the polynomial's degree
-    (6 to 17) times e_y.
-    """
+    """Once start effects have left the registers, e_y obeys the recursion of the characteristic polynomial. Tolerance:
+    what the Runge-Kutta loop misses, of a sum whose largest term is a binomial of the polynomial's degree (6 to 17)
+    times e_y."""
     design, options = kind(r_delta=300.0), PLANTS[name]
     straight = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V])
     run = simulate(design, straight, y_s=0.2, options=options, trajectories=True, settle=2.0)
-    assert run.trajectories is not None
     path = run.trajectories
     e_y = path.x[0, :, 0]
     samples = np.abs((path.t[0] - path.t[0, 0]) / 0.05 % 1.0 - 0.5) > 0.5 - 1e-6  # T and the end are no samples
@@ -121,18 +117,14 @@ def integrator(k: float, h: float) -> System:
 @pytest.mark.parametrize("k", [1.0, 3.0])
 def test_margins_of_an_integrator_with_a_delay(k: float) -> None:
     """By hand: |L| = k h/(2 sin(w h/2)), arg L = -90 deg - 3 w h/2; so GM = 1/(k h), PM = 90 deg - 3 w_c h/2.
-
-    Tolerance: the grid of frequencies is a spline's, 1 % apart.
-    """
+    Tolerance: the grid of frequencies is a spline's, 1 % apart."""
     h = 0.1
     found = margins(integrator(k, h), h)
     w_c = 2.0 / h * math.asin(k * h / 2.0)
     PM = math.pi / 2.0 - 1.5 * w_c * h
     assert found.gain == pytest.approx(20 * math.log10(1.0 / (k * h)), rel=1e-5)
-    assert found.gain_reduction == math.inf
-    assert found.crossover == pytest.approx(w_c, rel=1e-6)
-    assert found.phase == pytest.approx(PM, rel=1e-6)
-    assert found.delay == pytest.approx(PM / w_c, rel=1e-6)
+    assert (found.gain_reduction, found.crossover) == (math.inf, pytest.approx(w_c, rel=1e-6))
+    assert (found.phase, found.delay) == (pytest.approx(PM, rel=1e-6), pytest.approx(PM / w_c, rel=1e-6))
     # disk margin: 1/max |S - 1/2| = 2 min |1 + L|/|1 - L|, on a fine grid of its own
     z = np.exp(1j * np.linspace(1e-3, math.pi, 200001))
     L = k * h / (z * (z - 1.0))
@@ -148,9 +140,7 @@ def test_a_crossing_at_the_nyquist_frequency_counts() -> None:
 
 def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
     """PI on an unstable pole: L = g (z - b)/((z - 1)(z - a)), a > 1, is stable for gains between two bounds only.
-
-    Characteristic polynomial z^2 + (g - 1 - a) z + a - g b: Jury asks a - g b < 1 and 2 + 2 a > g (1 + b).
-    """
+    Characteristic polynomial z^2 + (g - 1 - a) z + a - g b: Jury asks a - g b < 1 and 2 + 2 a > g (1 + b)."""
     a, b, g = 1.2, 0.9, 1.0
     A = np.array([[1.0 + a, -a], [1.0, 0.0]])
     found = margins(System(A, np.array([[1.0], [0.0]]), g * np.array([[1.0, -b]]), np.zeros((1, 1))), 0.1)
@@ -160,9 +150,8 @@ def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
 
 @pytest.mark.parametrize(("radius", "angle", "g"), [(0.95, 0.8, -0.1), (0.98, 0.5, -0.05), (0.97, 0.6, -0.2)])
 def test_a_delay_margin_is_the_delay_that_makes_the_loop_unstable(radius: float, angle: float, g: float) -> None:
-    """L = g/(z^2 - 2 a z + b), positive feedback of a resonance: at the lower crossing its phase leads, and a delay
-    has to turn it nearly once around. Delays of whole samples, by the roots of z^d (z^2 - 2 a z + b) + g.
-    """
+    """L = g/(z^2 - 2 a z + b), positive feedback of a resonance: at the lower crossing its phase leads, and a delay has
+    to turn it nearly once around. Delays of whole samples, by the roots of z^d (z^2 - 2 a z + b) + g."""
     h, denominator = 0.1, [1.0, -2.0 * radius * math.cos(angle), radius**2]
     A = np.array([[-denominator[1], -denominator[2]], [1.0, 0.0]])
     found = margins(System(A, np.array([[1.0], [0.0]]), np.array([[0.0, g]]), np.zeros((1, 1))), h)
@@ -220,7 +209,6 @@ def settled(design: Controller, options: PlantOptions) -> float:
     """e_y a long time after a bend of constant curvature began, from the closed loop that studies run."""
     bend = Scenarios.from_arrays(T=[4.0], d_y=[0.5], v_mean=[V], c_0=[2.0 / V**2])
     run = simulate(design, bend, y_s=0.2, options=options, trajectories=True, settle=40.0)
-    assert run.trajectories is not None
     return float(run.trajectories.x[0, -1, 0])
 
 
@@ -229,7 +217,6 @@ def test_bends_are_those_of_the_closed_loop(design: Controller) -> None:
     """Nominal, and the worst of four simulated vehicles; tolerance: the rest of the transient, e^-20 and less."""
     actuator = Actuator(lag=0.05, delay=0.03)
     found = review(design, options=PlantOptions(actuator=actuator), speeds=[V]).loop
-    assert found is not None
     assert found.e_y_bend[0] == pytest.approx(settled(design, PlantOptions(actuator=actuator)), abs=1e-7)
     corners = [
         settled(design, PlantOptions(actuator=actuator, mismatch=Mismatch(C_af=(f, f), C_ar=(r, r))))

@@ -149,11 +149,9 @@ def K(default: float = -0.02, **more: Any) -> Any:
 
 
 FIELDS: list[Any] = [
-    ("K", float, K()),
-    ("K_i", float, K(-0.002, lower=-0.01, upper=0.01)),
-    ("delta_max", float, K(0.1, lower=0.01, upper=1.0)),
-    ("rate_max", float, K(0.2, lower=0.01, upper=10.0)),
-]
+    ("K", float, K()), ("K_i", float, K(-0.002, lower=-0.01, upper=0.01)),
+    ("delta_max", float, K(0.1, lower=0.01, upper=1.0)), ("rate_max", float, K(0.2, lower=0.01, upper=10.0)),
+]  # fmt: skip
 
 
 def made(how: str, fields: Any = FIELDS, **space: Any) -> type[Controller]:
@@ -232,11 +230,7 @@ def doubled(self: Any) -> None:
     [
         (made("well", [*FIELDS, ("extra", float, 1.0)]), "declared", r"Made\.extra is a plain field; allowed: gain.*"),
         (made("well", [*FIELDS, ("extra", float, K(unit=""))]), "declared", r"Made\.extra: its unit is empty; .*"),
-        (
-            Thawed,
-            "frozen",
-            r"K can be set on a finished design; allowed: .*",
-        ),
+        (Thawed, "frozen", r"K can be set on a finished design; allowed: .*"),
         (made("well", __eq__=object.__eq__), "frozen", r"a design made from the same values does not equal it; .*"),
         (made("well", __hash__=lambda self: id(self)), "frozen", r"two equal designs have different hashes; .*"),
         (made("well", __post_init__=post_init), "bounds", r"K = -2\.0 is taken; allowed: an InputError, .*"),
@@ -306,15 +300,10 @@ def test_a_linear_law_is_called_by_its_formula() -> None:
     n, p = 5, 3
     plant = Plant.build(BicycleModel(), np.full(n, 20.0), 0.05, lag=0.1, delay=0.07)
     law = LinearLaw(
-        F=rng.normal(size=(n, 4)),
-        preview_times=np.arange(p) * 0.1,
-        G_yaw_rate=rng.normal(size=(n, p)),
-        G_heading=rng.normal(size=(n, p)),
-        f_u=rng.normal(size=n),
-        f_i=rng.normal(size=n),
-        f_past=rng.normal(size=(n, 2)),
-        f_wheel=rng.normal(size=n),
-    )
+        F=rng.normal(size=(n, 4)), preview_times=np.arange(p) * 0.1, G_yaw_rate=rng.normal(size=(n, p)),
+        G_heading=rng.normal(size=(n, p)), f_u=rng.normal(size=n), f_i=rng.normal(size=n),
+        f_past=rng.normal(size=(n, 2)), f_wheel=rng.normal(size=n),
+    )  # fmt: skip
     called, x, last = LinearSteps.of(law, plant), rng.normal(size=(3, n, 4)), rng.normal(size=(3, n))
     preview = type("P", (), {"yaw_rate": rng.normal(size=(n, p)), "heading": rng.normal(size=(n, p))})()
     state = called.init(n)

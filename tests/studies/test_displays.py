@@ -1,7 +1,5 @@
 """What notebooks show of rankings, results, comparisons and outcomes: right numbers, escaped, no script."""
 
-from __future__ import annotations
-
 import dataclasses
 import html
 import re
@@ -51,8 +49,7 @@ def test_ranking(ranking: Ranking) -> None:
     _, *rows = rows_of(text)
     assert len(rows) == 21  # and no control, which is the last
     for row, i in zip(rows, [*range(20), 24], strict=True):
-        assert row[0] == str(ranking.rank[i])
-        assert row[1] == ("LQR" if i < 20 else "No control")
+        assert (row[0], row[1]) == (str(ranking.rank[i]), "LQR" if i < 20 else "No control")
         assert float(row[2]) == ranking.designs[i].y_s
         S, low, high = map(float, row[4].replace("..", " ").split())
         assert pytest.approx(ranking.S[i], abs=6e-4) == S
@@ -87,8 +84,7 @@ def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
 
 def test_results(results: StudyResults) -> None:
     lines = {row[0]: row[1] for row in rows_of(results._repr_html_())}
-    assert lines["designs"] == "25: none (1), lqr (24)"
-    assert lines["scenarios"] == "50 (30 left, 20 right)"
+    assert (lines["designs"], lines["scenarios"]) == ("25: none (1), lqr (24)", "50 (30 left, 20 right)")
     assert lines["cases"] == results.cases[0].case.label
 
 

@@ -1,7 +1,5 @@
 """Plots on axes: what is drawn are the numbers of the ranking and the results; wrong names are named."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The translator against CasADi's own evaluation, and the generated file against what it is generated from."""
 
-from __future__ import annotations
-
 import ast
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What must hold whatever the files hold: an `LdcError`, or departures that are numbers and meet the criteria."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import signal
@@ -36,17 +34,11 @@ class HangError(BaseException):
 
 
 def check(
-    paths: Sequence[Path],
-    format_: str,
-    nominal_lane_width: float | None = None,
-    table: Path | None = None,
+    paths: Sequence[Path], format_: str, nominal_lane_width: float | None = None, table: Path | None = None,
     small_parts: bool = False,
-) -> str:
-    """Extract, and check what came; tells in a word what it was.
-
-    With a `table` the departures are written, too; with `small_parts` a reader that puts trips together reads each by
-    itself.
-    """
+) -> str:  # fmt: skip
+    """Extract, and check what came; tells in a word what it was. With a `table` the departures are written, too; with
+    `small_parts` a reader that puts trips together reads each by itself."""
     with warnings.catch_warnings(), _limited():
         warnings.simplefilter("error")
         try:

@@ -3,8 +3,6 @@
 A damage is an operation with numbers that say where; so it is shown in short, and made smaller when it finds a fault.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io
@@ -335,12 +333,7 @@ def _renamed(name: str) -> tuple[str, ...]:
     folder, _, last = name.rpartition("/")
     stem, _, suffix = last.partition(".")
     names = (
-        f"{stem}_2.{suffix}",
-        f"{stem}.{suffix}.gz",
-        stem,
-        f"more/{last}",
-        last.upper(),
-        f"\u00e9 {last}",
+        f"{stem}_2.{suffix}", f"{stem}.{suffix}.gz", stem, f"more/{last}", last.upper(), f"\u00e9 {last}",
         "RAW_GPS.txt",
-    )
+    )  # fmt: skip
     return tuple(f"{folder}/{one}" if folder else one for one in (*names, "a.parquet", "DataLane.csv"))

@@ -1,7 +1,5 @@
 """Small sound files of every format, with departures in them: the more of them stay, the deeper the damage is felt."""
 
-from __future__ import annotations
-
 import gzip
 import io
 
@@ -35,17 +33,12 @@ def _table() -> tuple[Files, Files, Files]:
     y = np.maximum(0.3 * (1.0 - ((t - 1.7) / 0.75) ** 2), -0.5)
     frame = pl.DataFrame(
         {
-            "recording": names,
-            "t": np.round(t, 2),
-            "lane_offset": np.round(side * (y + 0.85), 4),
-            "lane_width": 3.6 + 0.0 * t,
-            "speed": np.round(25.0 + 0.1 * t, 3),
-            "yaw_rate": np.round(0.01 * np.sin(t), 5),
-            "lane": np.ones(t.size, dtype=np.int64),
-            "valid": np.ones(t.size, dtype=bool),
-            "turn_signal": np.zeros(t.size, dtype=np.int64),
+            "recording": names, "t": np.round(t, 2), "lane_offset": np.round(side * (y + 0.85), 4),
+            "lane_width": 3.6 + 0.0 * t, "speed": np.round(25.0 + 0.1 * t, 3),
+            "yaw_rate": np.round(0.01 * np.sin(t), 5), "lane": np.ones(t.size, dtype=np.int64),
+            "valid": np.ones(t.size, dtype=bool), "turn_signal": np.zeros(t.size, dtype=np.int64),
         }
-    )
+    )  # fmt: skip
     text = frame.write_csv().encode()
     columns = io.BytesIO()
     frame.write_parquet(columns, compression="uncompressed")
@@ -87,9 +80,7 @@ _CSV, _GZIP, _PARQUET = _table()
 _HEADER, _HEADERLESS = _das2()
 
 SOUND: dict[str, tuple[Files, ...]] = {
-    "table": (_CSV, _GZIP, _PARQUET),
-    "spmd-das1": (_das1(),),
-    "spmd-das2": (_HEADER, _HEADERLESS),
+    "table": (_CSV, _GZIP, _PARQUET), "spmd-das1": (_das1(),), "spmd-das2": (_HEADER, _HEADERLESS),
     "uah-driveset": (_uah(),),
-}
+}  # fmt: skip
 """Files of each format, in each of its shapes."""

@@ -11,19 +11,8 @@ from hypothesis import strategies as st
 NAMES = ("DataLane.csv", "DataWsu.csv", "HV_Primary.csv", "a.csv", "a.parquet", "a.csv.gz", "RAW_GPS.txt", "D1", "D9")
 TRIP = "20151110175712-16km-D1-NORMAL1-SECONDARY"
 KINDS = (
-    "loop",
-    "dangling",
-    "up",
-    "folder",
-    "empty",
-    "closed",
-    "closed_folder",
-    "pipe",
-    "bytes",
-    "deep",
-    "newline",
-    "trip",
-)
+    "loop", "dangling", "up", "folder", "empty", "closed", "closed_folder", "pipe", "bytes", "deep", "newline", "trip",
+)  # fmt: skip
 
 
 def write(root: Path, files: dict[str, bytes]) -> list[Path]:

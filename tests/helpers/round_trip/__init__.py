@@ -1,8 +1,7 @@
 """Recordings made of a scenario model's departures: what a vehicle would have measured that drove them one by one.
 
 `drive` strings planted departures together to trips, `measure` adds what the sensors do, `write_tables` writes the
-tables DataLane and DataWsu, `compare` holds the departures that were found against the planted ones.
-"""
+tables DataLane and DataWsu, `compare` holds the departures that were found against the planted ones."""
 
 from .compare import Comparison, compare, kolmogorov
 from .das1 import write_tables
@@ -11,15 +10,6 @@ from .planted import Planted, plant
 from .sensors import Measured, Noise, measure
 
 __all__ = [
-    "Comparison",
-    "Drive",
-    "Measured",
-    "Noise",
-    "Planted",
-    "compare",
-    "drive",
-    "kolmogorov",
-    "measure",
-    "plant",
+    "Comparison", "Drive", "Measured", "Noise", "Planted", "compare", "drive", "kolmogorov", "measure", "plant",
     "write_tables",
-]
+]  # fmt: skip

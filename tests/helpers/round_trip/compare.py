@@ -1,7 +1,5 @@
 """Departures that were found against those that were planted."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measured drives as the tables DataLane and DataWsu."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -23,23 +21,15 @@ def trip_name(trip: npt.ArrayLike) -> list[str]:
 
 def write_tables(folder: Path, measured: Measured) -> list[Path]:
     """Write both tables of the one-day kind; the lane table begins with a byte order mark, as the real one does."""
-    key = {
-        "Device": 10001 + measured.trip % DEVICES,
-        "Trip": measured.trip // DEVICES + 1,
-        "Time": 10 * measured.tick,
-    }
+    key = {"Device": 10001 + measured.trip % DEVICES, "Trip": measured.trip // DEVICES + 1, "Time": 10 * measured.tick}
     size = measured.trip.size
     three, zero, one = (np.full(size, value, dtype=np.int64) for value in (3, 0, 1))
     lane = pl.DataFrame(
         {
-            **key,
-            "LaneDistanceLeft": measured.left,
-            "LaneDistanceRight": measured.right,
-            "LaneHeading": measured.lane_heading,
-            "LaneQualityRight": three,
-            "LaneQualityLeft": three,
+            **key, "LaneDistanceLeft": measured.left, "LaneDistanceRight": measured.right,
+            "LaneHeading": measured.lane_heading, "LaneQualityRight": three, "LaneQualityLeft": three,
         }
-    )
+    )  # fmt: skip
     wsu = pl.DataFrame(
         {
             **key,

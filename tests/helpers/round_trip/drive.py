@@ -4,10 +4,7 @@ Before and after each departure the vehicle is inside its lane. From a crossing 
 beside the line within at most `LONGEST_APPROACH`, on a quintic without bend at the line; between two such rests it
 moves over smoothly, to the other line where the next departure is on the other side. Speed and curvature go on as
 cubics that leave one departure with its slope and enter the next with that one's. Trips hold departures of similar
-speed.
-"""
-
-from __future__ import annotations
+speed."""
 
 import dataclasses
 

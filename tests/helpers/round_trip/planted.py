@@ -12,10 +12,7 @@ beyond `LARGEST_EXPONENT` y is next to 0 over much of the event, so k stops ther
     v(t) = v_mean + a_mean (t - T/2) + q h(s)
 
 h is a smooth random mode less its own straight line over the samples, hence a_mean and the level stay, and q makes the
-deviation sigma_v.
-"""
-
-from __future__ import annotations
+deviation sigma_v."""
 
 import dataclasses
 

@@ -114,16 +114,10 @@ def measure(drive: Drive, noise: Noise, seed: int, *, own_turning: bool = False)
     )
     turned = np.degrees(np.cumsum(turning) * STEP)  # a trip's course at its start is anybody's guess
     return Measured(
-        trip=drive.trip,
-        tick=drive.tick,
-        left=left,
-        right=right,
-        lane_heading=_rounded(to_lane, 0.0005),
-        speed=3.6 * noisy(drive.speed, noise.speed),
-        gps_speed=noisy(drive.speed, noise.speed),
-        yaw_rate=yaw_rate[held],
+        trip=drive.trip, tick=drive.tick, left=left, right=right, lane_heading=_rounded(to_lane, 0.0005),
+        speed=3.6 * noisy(drive.speed, noise.speed), gps_speed=noisy(drive.speed, noise.speed), yaw_rate=yaw_rate[held],
         heading=np.mod(noisy(90.0 - turned, noise.heading), 360.0),
-    )
+    )  # fmt: skip
 
 
 def _rate(values: FloatArray, inside: npt.NDArray[np.bool_]) -> FloatArray:

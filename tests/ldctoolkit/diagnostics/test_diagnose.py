@@ -1,7 +1,5 @@
 """The diagnosis as a whole: what it warns of, what it compares, what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -42,7 +40,6 @@ def test_a_misfit_is_told_in_words(misfit: SideDiagnostics) -> None:
 
 def test_the_transform_wins_where_it_should(misfit: SideDiagnostics) -> None:
     comparison = misfit.comparison
-    assert comparison is not None
     assert comparison.transforms == (("T", "log"), ("d_y", "log"))
     assert comparison.difference == pytest.approx(comparison.transformed - comparison.bounded, abs=1e-12)
     assert comparison.difference > 4 * comparison.standard_error
@@ -56,7 +53,6 @@ def test_a_right_model_has_no_warning() -> None:
     x, _ = model.sample(4000, 8)
     found = diagnose(model, x, n_model=20_000)
     assert found.warnings == ()
-    assert found.comparison is not None
     assert found.comparison.difference < 0
     # of a right model, its own likelihood: both halves are within a few hundredths of it
     assert found.comparison.bounded == pytest.approx(model.score(x), abs=0.1)
@@ -95,10 +91,7 @@ def bad_components() -> BoundedGaussianMixture:
     """A right one, one far outside with hardly any probability inside, one nearly flat and almost empty."""
     flat = np.array([[1.0, 1.0 - 1e-5], [1.0 - 1e-5, 1.0]])
     return BoundedGaussianMixture.from_parameters(
-        [0.899, 0.1, 0.001],
-        [[2.0, 2.0], [-8.0, 2.0], [4.0, 4.0]],
-        [np.eye(2), np.eye(2), flat],
-        lower=[0.0, 0.0],
+        [0.899, 0.1, 0.001], [[2.0, 2.0], [-8.0, 2.0], [4.0, 4.0]], [np.eye(2), np.eye(2), flat], lower=[0.0, 0.0]
     )
 
 
@@ -146,19 +139,15 @@ GOOD = np.linspace(0.1, 2.0, 20)[:, None]
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"X": np.ones((20, 2))}, r"X: shape \(20, 2\); allowed: \(n, 1\)"),
-        ({"X": [["a"]]}, "not a table of numbers"),
+        ({"X": np.ones((20, 2))}, r"X: shape \(20, 2\); allowed: \(n, 1\)"), ({"X": [["a"]]}, "not a table of numbers"),
         ({"X": np.where(GOOD > 1.9, np.nan, GOOD)}, "X: x0 = nan in row 19"),
-        ({"X": GOOD[:9]}, "9 of 9 events lie inside"),
-        ({"X": -GOOD}, "0 of 20 events lie inside"),
-        ({"weights": np.ones(3)}, r"weights: shape \(3,\)"),
-        ({"weights": np.full(20, -1.0)}, "weights: -1.0 in row 0"),
-        ({"weights": "heavy"}, "weights: not numbers"),
-        ({"names": ("T", "d_y")}, "names: 2 names; allowed: 1"),
+        ({"X": GOOD[:9]}, "9 of 9 events lie inside"), ({"X": -GOOD}, "0 of 20 events lie inside"),
+        ({"weights": np.ones(3)}, r"weights: shape \(3,\)"), ({"weights": np.full(20, -1.0)}, "weights: -1.0 in row 0"),
+        ({"weights": "heavy"}, "weights: not numbers"), ({"names": ("T", "d_y")}, "names: 2 names; allowed: 1"),
         ({"n_model": 10}, "n_model: 10; allowed: an integer >= 1000"),
         ({"seed": -1}, "seed: -1; allowed: an integer >= 0"),
     ],
-)
+)  # fmt: skip
 def test_bad_input(change: dict[str, object], message: str) -> None:
     given = {"X": GOOD, "n_model": 1000} | change
     with pytest.raises(InputError, match=message):
@@ -192,8 +181,7 @@ def test_both_sides_and_progress() -> None:
     assert (found.left.label, found.right.label) == ("left", "right")
     assert found.left.names == ("T", "d_y")
     assert found.left.joint is not None
-    assert steps[0] == ("left: margins", 0, 8)
-    assert steps[-1] == ("done", 8, 8)
+    assert (steps[0], steps[-1]) == (("left: margins", 0, 8), ("done", 8, 8))
     assert [done for _, done, _ in steps] == sorted({done for _, done, _ in steps})
 
 
@@ -217,6 +205,5 @@ def test_the_reference_model_describes_its_own_events() -> None:
     model = load_model("reference")
     rows = departures_of(model, 2000).matrix()[:2000]
     found = diagnose(model.left_side, rows, n_model=50_000)
-    assert found.warnings == ()
-    assert sum(one.events for one in found.components) == pytest.approx(2000)
+    assert (found.warnings, sum(one.events for one in found.components)) == ((), pytest.approx(2000))
     assert found.joint is not None

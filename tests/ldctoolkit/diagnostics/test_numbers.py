@@ -1,7 +1,5 @@
 """Each figure of the diagnosis against another way to it."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 
@@ -32,13 +30,9 @@ INF = np.inf
 def independent(transform: str | None = None) -> BoundedGaussianMixture:
     """Two components without correlation, so that margins are sums of univariate truncated normals."""
     return BoundedGaussianMixture.from_parameters(
-        [0.3, 0.7],
-        [[0.2, 3.0], [2.0, -1.0]],
-        [np.diag([1.0, 4.0]), np.diag([0.25, 1.0])],
-        lower=[0.0, -INF],
-        upper=[INF, 40.0],
-        transform=transform,
-    )
+        [0.3, 0.7], [[0.2, 3.0], [2.0, -1.0]], [np.diag([1.0, 4.0]), np.diag([0.25, 1.0])], lower=[0.0, -INF],
+        upper=[INF, 40.0], transform=transform,
+    )  # fmt: skip
 
 
 def margin_cdf(x: np.ndarray, j: int) -> np.ndarray:
@@ -53,12 +47,9 @@ def margin_cdf(x: np.ndarray, j: int) -> np.ndarray:
 
 def correlated() -> Distribution:
     return BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4],
-        [[0.0, 0.5], [1.5, 1.0]],
-        [[[1.0, 0.6], [0.6, 0.8]], [[0.5, -0.2], [-0.2, 0.4]]],
-        lower=[0.0, 0.0],
+        [0.6, 0.4], [[0.0, 0.5], [1.5, 1.0]], [[[1.0, 0.6], [0.6, 0.8]], [[0.5, -0.2], [-0.2, 0.4]]], lower=[0.0, 0.0],
         upper=[INF, 3.0],
-    ).distribution
+    ).distribution  # fmt: skip
 
 
 def test_box_share_is_the_univariate_one() -> None:
@@ -154,8 +145,7 @@ def test_strips_count_and_integrate() -> None:
     model = independent().distribution
     x, _ = model.sample(4000, 9)
     found, far = strips(model, ("a", "b"), x, np.full(4000, 1 / 4000), 4000.0)
-    assert [(s.name, s.end) for s in found] == [("a", "lower")]
-    assert far == (("b", "upper"),)
+    assert ([(s.name, s.end) for s in found], far) == ([("a", "lower")], (("b", "upper"),))
     (strip,) = found
     assert strip.data == pytest.approx(np.mean(x[:, 0] <= strip.edge))
     assert strip.data == pytest.approx(0.05, abs=1e-9)
@@ -187,12 +177,9 @@ def test_a_strip_is_off_beyond_a_fifth_and_four_standard_errors(error: float, de
 
 def test_components_table() -> None:
     model = BoundedGaussianMixture.from_parameters(
-        [0.5, 0.5],
-        [[-3.0, 0.0], [1.0, 1.0]],
-        [[[4.0, 1.8], [1.8, 1.0]], np.eye(2)],
-        lower=[0.0, -INF],
+        [0.5, 0.5], [[-3.0, 0.0], [1.0, 1.0]], [[[4.0, 1.8], [1.8, 1.0]], np.eye(2)], lower=[0.0, -INF],
         upper=[INF, INF],
-    )
+    )  # fmt: skip
     x, _ = model.sample(300, 1)
     weight = np.linspace(0.5, 2.0, 300)
     first, second = components(model.distribution, ("T", "d_y"), x, weight)
@@ -213,7 +200,6 @@ def test_the_joint_density_is_numpys_histogram() -> None:
     weight = np.random.default_rng(0).random(500)
     weight /= weight.sum()
     joint = joint_density(model, ("T", "d_y"), x, weight, drawn)
-    assert joint is not None
     edges = [joint.first_edges, joint.second_edges]
     np.testing.assert_allclose(joint.data, np.histogram2d(*x.T, bins=edges, weights=weight)[0], atol=1e-12)
     np.testing.assert_allclose(joint.model, np.histogram2d(*drawn.T, bins=edges)[0] / 3000, atol=1e-12)
@@ -222,8 +208,7 @@ def test_the_joint_density_is_numpys_histogram() -> None:
 def test_bins_end_at_a_bound_that_is_close() -> None:
     x = np.random.default_rng(1).exponential(size=5000)
     edges = bin_edges(x, x, 0.0, INF, 40)
-    assert edges[0] == 0.0
-    assert edges[-1] == pytest.approx(np.quantile(x, 0.997))
+    assert (edges[0], edges[-1]) == (0.0, pytest.approx(np.quantile(x, 0.997)))
     assert bin_edges(x, x, -50.0, INF, 40)[0] == pytest.approx(np.quantile(x, 0.003))
     assert bin_of(np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0]), edges).tolist() == [-1, 0, 39, -1]
 

@@ -1,7 +1,5 @@
 """Truncated EM against known truths, its rules, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, truncnorm
@@ -63,10 +61,8 @@ def test_units_do_not_matter():
 
 
 def mean_residual(model, X):
-    """Weighted data mean minus mean inside the box, in standard deviations of the data: 0 at a maximum.
-
-    The prior does not depend on mu, so this holds with and without it.
-    """
+    """Weighted data mean minus mean inside the box, in standard deviations of the data: 0 at a maximum. The prior does
+    not depend on mu, so this holds with and without it."""
     share = model.predict_proba(X)
     weighted = (share.T @ X) / share.sum(axis=0)[:, None]
     inside = model.distribution.truncated.mean

@@ -1,7 +1,5 @@
 """Mixtures under conditions against filtering, quadrature and formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp, multivariate_normal, norm, truncnorm
@@ -44,8 +42,7 @@ MAPS = ("auto", ["none", "logit", "none"], None)
 
 
 @pytest.mark.parametrize(
-    ("i", "j"),
-    [pytest.param(i, j, marks=[] if i == j else pytest.mark.slow) for i in range(3) for j in range(3)],
+    ("i", "j"), [pytest.param(i, j, marks=[] if i == j else pytest.mark.slow) for i in range(3) for j in range(3)]
 )
 def test_conditional_samples_are_filtered_ones(i, j):
     given, model = INTERVALS[i], three_columns(MAPS[j])
@@ -78,12 +75,9 @@ def midpoints(low, high, n):
 @pytest.mark.parametrize("transform", [None, "auto"])
 def test_density_integrates_to_one(transform):
     model = BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4],
-        [[-1.0, 0.4], [0.8, -0.5]],
-        [[[0.6, 0.2], [0.2, 0.4]], [[0.3, -0.1], [-0.1, 0.5]]],
-        lower=0.0,
+        [0.6, 0.4], [[-1.0, 0.4], [0.8, -0.5]], [[[0.6, 0.2], [0.2, 0.4]], [[0.3, -0.1], [-0.1, 0.5]]], lower=0.0,
         transform=transform,
-    )
+    )  # fmt: skip
     given = {0: (0.3, 1.1), 1: (0.2, None)}
     (x, hx), (y, hy) = midpoints(0.3, 1.1, 100), midpoints(0.2, 60.0 if transform else 6.0, 1500)
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

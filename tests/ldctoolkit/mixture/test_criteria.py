@@ -1,7 +1,5 @@
 """AIC and BIC of a fitted mixture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The estimator's conventions: parameters, weights, going on from a fit, progress, and what a fit leaves alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -80,9 +78,7 @@ def test_threads_change_no_bit():
 def test_single_precision_is_widened():
     X = events().astype(np.float32)
     X = X[X[:, 0] > 0.0]
-    assert_same_bits(
-        BoundedGaussianMixture(2, **FEW).fit(X), BoundedGaussianMixture(2, **FEW).fit(X.astype(np.float64))
-    )
+    assert_same_bits(BoundedGaussianMixture(2, **FEW).fit(X), BoundedGaussianMixture(2, **FEW).fit(X.astype(float)))
 
 
 @pytest.mark.parametrize("transform", [None, "auto"])

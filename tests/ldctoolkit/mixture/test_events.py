@@ -1,7 +1,5 @@
 """Events of a fit: blocks, profiles, sums; values on a bound moved inside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -64,8 +62,6 @@ def test_nothing_to_fit():
 
 
 # values on a bound and constant columns
-
-
 def test_values_on_a_bound_move_inside():
     x, w = rows()
     lower, upper = np.array([0.0, 0.0, -INF, 0.0]), np.array([INF, 30.0, INF, 9.0])
@@ -74,8 +70,7 @@ def test_values_on_a_bound_move_inside():
     x[9, 1], x[10, 1] = 30.0, 0.0
     before = x.copy()
     found = inside_bounds(Events(x, w), lower, upper)
-    assert found.varies.tolist() == [True, True, True, False]
-    assert found.moved.tolist() == [2, 2, 0, 0]
+    assert (found.varies.tolist(), found.moved.tolist()) == ([True, True, True, False], [2, 2, 0, 0])
     assert found.events.weight is w
     y = found.events.x
     off = (x[:, :3] != lower[:3]) & (x[:, :3] != upper[:3])
@@ -102,9 +97,7 @@ def test_nothing_on_a_bound_changes_nothing():
     assert found.moved.tolist() == [0, 0, 0]
 
 
-@given(
-    arrays(float, (12, 2), elements=st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 0.5, np.nextafter(1.0, 0.0), 0.25])),
-)
+@given(arrays(float, (12, 2), elements=st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 0.5, np.nextafter(1.0, 0.0), 0.25])))
 @examples(200)
 def test_moved_values_are_strictly_inside(x):
     found = inside_bounds(Events(x), np.zeros(2), np.ones(2))

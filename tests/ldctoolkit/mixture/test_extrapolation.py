@@ -1,7 +1,5 @@
 """The leap of an EM run against sequences whose limit is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

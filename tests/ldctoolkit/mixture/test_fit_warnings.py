@@ -1,7 +1,5 @@
 """Sentences about a fit: each defect is named, a sound fit is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,13 +14,9 @@ def told(model, X, names=None, weight=None):
     events = Events(np.asarray(X, dtype=float), weight)
     profile = profile_of(events)
     return fit_warnings(
-        model.distribution,
-        profile,
-        correlation_of(events, profile),
-        stop_reason=model.stop_reason_,
-        passes=model.n_iter_,
-        names=names,
-    )
+        model.distribution, profile, correlation_of(events, profile), stop_reason=model.stop_reason_,
+        passes=model.n_iter_, names=names,
+    )  # fmt: skip
 
 
 def base(n=500, d=2):

@@ -1,7 +1,5 @@
 """The compiled E-step against plain numpy in extended precision."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The fit against known truths at N = 50,000, d = 8, K = 10: distance to the truth, and strips at the bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -55,10 +53,8 @@ def strip_errors(true: BoundedGaussianMixture, model: BoundedGaussianMixture, X:
 @pytest.mark.slow
 def test_the_truth_is_found() -> None:
     """p/(2 N) is what maximum likelihood at the right optimum costs on average; its spread is sqrt(p/2)/N, 7 % of it.
-
     Asked for: at most 1.5 p/(2 N), a twentieth of scikit-learn's, 3 % in the strips. The standard error of the
-    divergence from 100,000 held-out events is about 0.0002, a thirtieth of the limit.
-    """
+    divergence from 100,000 held-out events is about 0.0002, a thirtieth of the limit."""
     sklearn_mixture = pytest.importorskip("sklearn.mixture")
     true = truth(6, 6)
     X, held_out = true.sample(N, 1)[0], true.sample(100_000, 2)[0]

@@ -1,7 +1,5 @@
 """Data on which a fit may run away or break: a sound model or a clear refusal, never NaN, never a hang."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -80,10 +78,8 @@ def grid(names, shapes, quick):
     ),
 )
 def test_density_piled_up_at_a_bound(name, d, n, K):
-    """With the default prior a maximum exists, and the fit says that it got there; 5 to 230 passes were measured.
-
-    One event in a thousand makes up a Cauchy margin's spread: its maximum may lie below the least ln P.
-    """
+    """With the default prior a maximum exists, and the fit says that it got there; 5 to 230 passes were measured. One
+    event in a thousand makes up a Cauchy margin's spread: its maximum may lie below the least ln P."""
     X = margin(name, (n, d))
     model = fitted(X, K)
     check_sound(model, X)
@@ -190,13 +186,7 @@ BROKEN = {
 }
 
 
-QUICK = (
-    "nearly constant",
-    "half of the rows the same",
-    "outlier, K = 1",
-    "same columns",
-    "far apart in scale",
-)
+QUICK = ("nearly constant", "half of the rows the same", "outlier, K = 1", "same columns", "far apart in scale")
 
 
 @pytest.mark.parametrize(
@@ -225,14 +215,9 @@ def test_broken_data_and_the_moves_between_short_and_final_run(kind):
 
 @examples(15)
 @given(
-    seed=st.integers(0, 2**16),
-    d=st.integers(1, 3),
-    K=st.integers(1, 4),
-    name=st.sampled_from(sorted(MARGINS)),
-    step=st.sampled_from(["newton", "lee_scott"]),
-    n0=st.sampled_from([0.0, 1.0, 10.0]),
-    upper=st.booleans(),
-)
+    seed=st.integers(0, 2**16), d=st.integers(1, 3), K=st.integers(1, 4), name=st.sampled_from(sorted(MARGINS)),
+    step=st.sampled_from(["newton", "lee_scott"]), n0=st.sampled_from([0.0, 1.0, 10.0]), upper=st.booleans(),
+)  # fmt: skip
 def test_the_penalised_likelihood_never_falls(seed, d, K, name, step, n0, upper):
     X = margin(name, (60 * K, d), seed) @ (np.eye(d) + 0.3 * np.tri(d, k=-1))
     top = X.max(axis=0) * 1.01 if upper else INF

@@ -1,7 +1,5 @@
 """Sampling of whole mixtures: exact, inside, and a function of the seed alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

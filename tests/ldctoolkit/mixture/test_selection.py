@@ -1,7 +1,5 @@
 """Choice of K: criteria against brute force, the rule on made-up curves, equal numbers in any number of processes."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 
@@ -70,8 +68,6 @@ def test_bic_finds_the_true_k():
 
 
 # ---- criteria
-
-
 @pytest.mark.parametrize("transform", [None, ["log", "none"]])
 def test_criteria_equal_a_brute_force_computation(transform):
     X = two_groups()
@@ -132,8 +128,6 @@ def test_weights_count_as_repeated_rows():
 
 
 # ---- held out
-
-
 @pytest.mark.parametrize("weighted", [False, True])
 def test_held_out_equals_a_split_made_by_hand(weighted):
     X = two_groups()
@@ -171,8 +165,6 @@ def test_held_out_equals_a_split_made_by_hand(weighted):
 
 
 # ---- the rule
-
-
 @pytest.mark.parametrize(
     ("loss", "allowed", "index"),
     [
@@ -233,8 +225,6 @@ def test_indifference_takes_the_smaller_model():
 
 
 # ---- in parallel
-
-
 @pytest.mark.parametrize("criterion", [pytest.param("bic", marks=pytest.mark.slow), "held_out"])
 def test_numbers_do_not_depend_on_processes(criterion):
     X = two_groups()
@@ -301,9 +291,7 @@ def test_an_interrupt_ends_the_workers():
 def test_progress(n_jobs, first):
     seen = []
     select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
-    assert seen[0] == (first, 0, 3)
-    assert [s[1] for s in seen] == [0, 1, 2, 3]
-    assert seen[-1] == ("done", 3, 3)
+    assert (seen[0], [s[1] for s in seen], seen[-1]) == ((first, 0, 3), [0, 1, 2, 3], ("done", 3, 3))
 
 
 def test_a_seed_may_be_a_generator():
@@ -314,8 +302,6 @@ def test_a_seed_may_be_a_generator():
 
 
 # ---- what cannot be fitted
-
-
 def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
     found = select_components(two_groups(40), [1, 2, 14], lower=0.0, **QUICK)
     assert found.n_components.tolist() == [1, 2]

@@ -1,7 +1,5 @@
 """Moves out of local optima: their bounds hold, and they lead to the optimum that k-means starts miss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -54,16 +52,9 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
         return end, float(w @ np.logaddexp.reduce(terms, axis=1))
 
     found = best_moves(
-        z,
-        np.ones(z.shape[0]),
-        stats,
-        t,
-        shares(log_terms(z, now)),
-        strength=0.0,
-        points=POINTS,
-        run=run,
+        z, np.ones(z.shape[0]), stats, t, shares(log_terms(z, now)), strength=0.0, points=POINTS, run=run,
         rng=np.random.default_rng(0),
-    )
+    )  # fmt: skip
     assert len(found) >= 5
     gains = [move.gain for move in found]
     assert gains == sorted(gains, reverse=True)
@@ -85,10 +76,8 @@ def shortfall(model: BoundedGaussianMixture, true: BoundedGaussianMixture, X: np
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 0, 1, 3])
 def test_moves_lead_out_of_local_optima(seed: int) -> None:
-    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does.
-
-    A fit from the truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open.
-    """
+    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does. A fit from the
+    truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open."""
     true, X = groups(seed)
     model = BoundedGaussianMixture(8, lower=0.0, n_init=2, random_state=0)
     assert shortfall(model.fit(X), true, X) < 1e-3

@@ -1,7 +1,5 @@
 """Maps of bounded columns onto the line: inverse, slope, density, and what they gain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -40,12 +38,9 @@ def test_there_and_back(kind, low, length, shares):
 
 @examples(100)
 @given(
-    kind=st.sampled_from(["above", "below", "both"]),
-    low=ends,
-    length=lengths,
-    share=st.floats(0.01, 0.99),
+    kind=st.sampled_from(["above", "below", "both"]), low=ends, length=lengths, share=st.floats(0.01, 0.99),
     other=st.floats(0.01, 0.99),
-)
+)  # fmt: skip
 def test_the_slope_is_the_derivative_and_rises(kind, low, length, share, other):
     t = box(kind, low, length)
     x = low + length * share
@@ -119,13 +114,9 @@ def test_one_dimension_integrates_to_one(kind):
 def test_two_dimensions_integrate_to_one_with_one_column_mapped():
     """A log column beside a truncated one: the box of the second is still normalised; midpoint rule on 600 x 600."""
     model = BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4],
-        [[0.0, 0.2], [-1.0, 1.5]],
-        [[[0.3, 0.2], [0.2, 0.8]], [[0.2, -0.1], [-0.1, 0.5]]],
-        lower=[0.0, 0.0],
-        upper=[INF, 2.0],
-        transform=["log", "none"],
-    )
+        [0.6, 0.4], [[0.0, 0.2], [-1.0, 1.5]], [[[0.3, 0.2], [0.2, 0.8]], [[0.2, -0.1], [-0.1, 0.5]]], lower=[0.0, 0.0],
+        upper=[INF, 2.0], transform=["log", "none"],
+    )  # fmt: skip
     edges = np.exp(np.linspace(-7.0, 5.0, 601))
     x, dx = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
     y = (np.arange(600) + 0.5) / 300.0

@@ -1,7 +1,5 @@
 """Probability, moments and sampling of truncated normals against independent routes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -2,10 +2,7 @@
 
 The reference: x_i = mu_i + sum_q lambda_iq f_q + sqrt(1 - |lambda_i|^2) e_i with one or two common factors f. Given f
 the variables are independent, so probability and moments are a Gauss-Legendre sum over f of products of one-dimensional
-integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice.
-"""
-
-from __future__ import annotations
+integrals, which are Gauss-Legendre sums too. No CDF, no Cholesky factor, no tilt, no lattice."""
 
 import numpy as np
 import pytest
@@ -78,9 +75,7 @@ def reference(mu, loadings, lower, upper):
         axes.append(((half * (x + 1.0) + edges[:-1, None]).ravel(), (half * w).ravel()))
     f = np.stack([g.ravel() for g in np.meshgrid(*(axis[0] for axis in axes), indexing="ij")], axis=1)
     weight = axes[0][1] if q == 1 else np.outer(axes[0][1], axes[1][1]).ravel()
-    value, centre, variance = (
-        np.concatenate(part) for part in zip(*(given(rows) for rows in np.array_split(f, 8)), strict=True)
-    )
+    value, centre, variance = (np.concatenate(p) for p in zip(*(given(r) for r in np.array_split(f, 8)), strict=True))
     share = weight * np.exp(value - value.max())
     total = share.sum()
     share /= total

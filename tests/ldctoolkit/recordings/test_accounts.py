@@ -1,7 +1,5 @@
 """Accounts against counts by hand, and the same for any split of the work."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections import Counter
@@ -40,19 +38,11 @@ def wander(rng: np.random.Generator, name: str) -> Recording:
     speed[rng.random(n) < 0.01] = np.nan
     labels = (Label("road", str(rng.choice(ROADS))),) if rng.random() < 0.7 else ()
     return Recording(
-        name,
-        t,
-        offset,
-        rng.uniform(2.9, 3.9, n),
-        speed,
-        rng.random(n) > 0.02,
-        curvature=rng.normal(0.0, 1e-3, n) if rng.random() < 0.7 else None,
-        lane=lane if rng.random() < 0.5 else None,
-        turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]),
-        labels=labels,
-        source=str(rng.choice(SOURCES)),
+        name, t, offset, rng.uniform(2.9, 3.9, n), speed, rng.random(n) > 0.02,
+        curvature=rng.normal(0.0, 1e-3, n) if rng.random() < 0.7 else None, lane=lane if rng.random() < 0.5 else None,
+        turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]), labels=labels, source=str(rng.choice(SOURCES)),
         lane_scale=float(rng.choice([1.0, 1.0, 1.25])),
-    )
+    )  # fmt: skip
 
 
 def wandering(seed: int, count: int) -> list[Recording]:
@@ -103,15 +93,13 @@ def test_equals_the_count_by_hand(seed, count):
             hand["samples"],
             hand["usable"],
         )
-        assert account.read_ns == round(hand["read"] * 1e9)
-        assert account.valid_ns == round(hand["valid"] * 1e9)
+        assert (account.read_ns, account.valid_ns) == (round(hand["read"] * 1e9), round(hand["valid"] * 1e9))
         assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == dict(hand["widths"])
         told = Counter()
         for row, side in enumerate(("left", "right")):
             told[side, "departure"] = int(account.departures[row])
             told.update({(side, reason): int(account.refused[row, i]) for i, reason in enumerate(REASONS)})
-        assert +told == hand["found"]
-        assert account.candidates.sum() == sum(hand["found"].values())
+        assert (+told, account.candidates.sum()) == (hand["found"], sum(hand["found"].values()))
 
 
 def alike(found: Any) -> Any:

@@ -1,7 +1,5 @@
 """Curvature from the yaw rate: against plain least squares, and where it must not reach."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from helpers.recordings import drive
@@ -58,8 +56,7 @@ def test_a_recording_with_yaw_rate():
     speed = 25.0 + 0.1 * (t - 5.0)
     straight = extract_departures([drive(curvature=true, speed=speed)], vehicle_width=1.8)
     found = extract_departures([drive(curvature=None, yaw_rate=true * speed, speed=speed)], vehicle_width=1.8)
-    assert found.provenance.curvature == "yaw_rate"
-    assert found.warnings == ()
+    assert (found.provenance.curvature, found.warnings) == ("yaw_rate", ())
     # the window averages a straight line without bias but for its weights v^2: 1 % of speed over half a window
     np.testing.assert_allclose(found.departures.c_0, straight.departures.c_0, atol=1e-6)
     np.testing.assert_allclose(found.departures.dc, straight.departures.dc, atol=1e-6)

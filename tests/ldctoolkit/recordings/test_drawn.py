@@ -1,7 +1,5 @@
 """Departures kept with their signals: the right ones, whatever the split."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -60,8 +58,7 @@ def test_the_deepest_are_the_deepest(sources):
         depths = [float(one.parameters[1]) for one in kept]
         assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:KEPT]
         lots = [one for one in result.drawn.by_lot if (one.source, one.side) == (source, side)]
-        assert len(lots) == KEPT
-        assert [one.lot for one in lots] == sorted(one.lot for one in lots)
+        assert (len(lots), [one.lot for one in lots]) == (KEPT, sorted(one.lot for one in lots))
         assert {(one.recording, one.start_time) for one in lots} != {(one.recording, one.start_time) for one in kept}
     for events in (result.drawn.deepest, result.drawn.by_lot):
         assert list(dict.fromkeys((one.source, one.side) for one in events)) == groups

@@ -1,7 +1,5 @@
 """Criteria exactly on their edges. All times and offsets are exact in binary, and so are durations and mean speeds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,11 +13,9 @@ STEP = 0.125
 
 
 def fate(beyond: int, *, criteria: dict[str, Any] | None = None, **columns: Any) -> str:
-    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused.
-
-    It starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide,
-    the vehicle 2 m, the speed 16 m/s.
-    """
+    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused. It
+    starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide, the
+    vehicle 2 m, the speed 16 m/s."""
     y = np.full(beyond + 12, -0.25)
     y[5:-5] = 0.0
     y[6:-6] = 0.25
@@ -111,13 +107,10 @@ def test_a_lane_as_wide_as_the_vehicle(width, expected):
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [
-        ({"lane_width": 1e9}, "invalid"),
-        ({"speed": np.nextafter(1e9, 0.0)}, "implausible"),
-        ({"speed": -1e9}, "invalid"),
-        ({"lane_width": 0.0}, "invalid"),
-        ({"curvature": 1e9}, "invalid"),
+        ({"lane_width": 1e9}, "invalid"), ({"speed": np.nextafter(1e9, 0.0)}, "implausible"),
+        ({"speed": -1e9}, "invalid"), ({"lane_width": 0.0}, "invalid"), ({"curvature": 1e9}, "invalid"),
     ],
-)
+)  # fmt: skip
 def test_numbers_that_are_no_measurement(columns, expected):
     """1e9 or more in size, or a lane without a width."""
     ((name, value),) = columns.items()
@@ -129,18 +122,15 @@ def test_numbers_that_are_no_measurement(columns, expected):
 @pytest.mark.parametrize(
     ("kind", "name", "good", "bad"),
     [
-        (Criteria, "vehicle_width", (0.5, 4.0), (0.49, 4.01)),
-        (Criteria, "min_duration", (0.0, 9.9), (-0.01, 10.0)),
-        (Criteria, "max_duration", (0.51, 1e6), (0.5, np.inf)),
-        (Criteria, "min_speed", (0.0,), (-0.01, np.inf)),
-        (Criteria, "max_gap", (1e-3, None), (0.0, np.inf, np.nan)),
-        (Criteria, "max_jump", (1e-3,), (0.0, np.nan)),
+        (Criteria, "vehicle_width", (0.5, 4.0), (0.49, 4.01)), (Criteria, "min_duration", (0.0, 9.9), (-0.01, 10.0)),
+        (Criteria, "max_duration", (0.51, 1e6), (0.5, np.inf)), (Criteria, "min_speed", (0.0,), (-0.01, np.inf)),
+        (Criteria, "max_gap", (1e-3, None), (0.0, np.inf, np.nan)), (Criteria, "max_jump", (1e-3,), (0.0, np.nan)),
         (Preparation, "step", (0.01, 1.0, None), (0.0099, 1.01, np.nan)),
         (Preparation, "max_gap", (1e-3, 10.0), (0.0, 10.01, np.inf)),
         (Preparation, "nominal_lane_width", (2.0, 6.0, None), (1.99, 6.01)),
         (Preparation, "yaw_rate_factor", (-1.0, 1e-3), (0.0, np.nan, np.inf)),
     ],
-)
+)  # fmt: skip
 def test_the_ends_of_what_is_allowed(kind, name, good, bad):
     for value in good:
         kind(**{name: value})

@@ -1,7 +1,5 @@
 """Warnings in words: what sets each one off, and what does not."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -223,9 +221,7 @@ def test_repeated_recordings():
     ],
 )
 def test_the_scale_of_the_lane(widths, warned):
-    recordings = [
-        drive(f"r{i}", seed=i, lane_width=np.full(N, width)).take(slice(0, 600)) for i, width in enumerate(widths)
-    ]
+    recordings = [drive(f"r{i}", seed=i, lane_width=np.full(N, w)).take(slice(0, 600)) for i, w in enumerate(widths)]
     found = [words for words in warnings(*recordings) if "median lane width" in words]
     assert bool(found) == warned
     if warned:

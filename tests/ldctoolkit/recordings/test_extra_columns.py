@@ -1,7 +1,5 @@
 """Columns that travel along with departures: into the table, back, through joins and into a fit."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -46,21 +44,17 @@ def test_labels_become_columns_and_come_back(tmp_path):
         Problem("x.csv", "line 3", "what"),
     )
     wanted = {
-        "source": ["D1", "D2", "D2"],
-        "lane_scale": [1.0, 1.0, 1.25],
-        "driver": ["D1", "", ""],
+        "source": ["D1", "D2", "D2"], "lane_scale": [1.0, 1.0, 1.25], "driver": ["D1", "", ""],
         "road": ["motorway", "", "ländlich, „x“"],
-    }
+    }  # fmt: skip
     assert columns_of(found.departures) == wanted
     write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
     frame = pl.read_parquet(tmp_path / "d.parquet")
-    assert frame.columns == [*COLUMNS, *wanted]
-    assert frame["lane_scale"].dtype == pl.Float64
+    assert (frame.columns, frame["lane_scale"].dtype) == ([*COLUMNS, *wanted], pl.Float64)
     departures, provenance = read_departures(tmp_path / "d.parquet")
     assert columns_of(departures) == wanted
     assert [column.values.dtype.kind for column in departures.extra] == ["U", "f", "U", "U"]
-    assert provenance == found.provenance
-    assert provenance.problems == ("x.csv, line 3: what",)
+    assert (provenance, provenance.problems) == (found.provenance, ("x.csv, line 3: what",))
     assert columns_of(departures.take([2])) == {name: values[2:] for name, values in wanted.items()}
 
 

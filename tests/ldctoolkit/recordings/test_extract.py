@@ -1,7 +1,5 @@
 """Hand-made recordings: each rule of the extraction, and each reason for refusing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -26,9 +24,7 @@ def test_a_departure_by_hand():
     found = extract(drive(curvature=1e-3 + 1e-4 * T, speed=25.0 + 0.2 * (T - 5.0)))
     d = found.departures
     assert len(d) == 1
-    assert reasons(found) == {}
-    assert d.recording.tolist() == ["a"]
-    assert d.side.tolist() == [LEFT]
+    assert (reasons(found), d.recording.tolist(), d.side.tolist()) == ({}, ["a"], [LEFT])
     assert d.samples.tolist() == [19]
     # the chord between two samples of a parabola differs from it by at most y'' h^2/8 = 0.00083 m, which the slope
     # at the crossing, 0.63 m/s, turns into 1.3 ms
@@ -40,8 +36,7 @@ def test_a_departure_by_hand():
     # a straight line survives interpolation and regression exactly
     np.testing.assert_allclose(d.c_0, 1e-3 + 1e-4 * d.start_time, atol=1e-15)
     np.testing.assert_allclose(d.dc, 1e-4 * d.T, atol=1e-15)
-    assert found.hours == pytest.approx(9.9 / 3600.0)
-    assert found.warnings == ()
+    assert (found.hours, found.warnings) == (pytest.approx(9.9 / 3600.0), ())
 
 
 def test_regressions_equal_numpy_on_the_recorded_samples():
@@ -52,8 +47,7 @@ def test_regressions_equal_numpy_on_the_recorded_samples():
     tau = T - d.start_time[0]
     inside = (tau > 0.0) & (tau < d.T[0])
     tau = tau[inside]
-    assert d.side.tolist() == [RIGHT]
-    assert d.samples[0] == inside.sum()
+    assert (d.side.tolist(), d.samples[0]) == ([RIGHT], inside.sum())
     slope, c_0 = np.polyfit(tau, -noise[inside], 1)  # outward: a right departure sees its curvature mirrored
     np.testing.assert_allclose([d.c_0[0], d.dc[0]], [c_0, slope * d.T[0]], rtol=1e-9, atol=1e-18)
     a_mean = np.polyfit(tau, speed[inside], 1)[0]
@@ -129,8 +123,7 @@ def test_a_signal_the_other_way_or_after_is_no_reason():
 
 def test_without_curvature_it_is_zero_and_says_so():
     found = extract(drive(curvature=None, lane=None))
-    assert found.departures.c_0.tolist() == [0.0]
-    assert found.provenance.curvature == "none"
+    assert (found.departures.c_0.tolist(), found.provenance.curvature) == ([0.0], "none")
     assert [warning.split(":")[0] for warning in found.warnings] == [
         "no column 'curvature' or 'yaw_rate'",
         "no column 'lane'",
@@ -149,8 +142,7 @@ def test_real_recordings(ngsim_recordings):
     assert 230 <= len(found.departures) <= 270
     assert 1.3 <= np.median(found.departures.T) <= 1.6
     assert 0.14 <= np.median(found.departures.d_y) <= 0.18
-    assert found.recordings == 370
-    assert found.provenance.samples == 214_267
+    assert (found.recordings, found.provenance.samples) == (370, 214_267)
     assert found.hours == pytest.approx(5.95, abs=0.02)
     # 412 lane changes; some of them within one manoeuvre, or with the edge inside on both of their samples
     assert 330 <= found.refused.lane_change <= 412

@@ -1,7 +1,5 @@
 """Lane changes in all the ways that sources show them; none of them is a departure."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -108,6 +106,5 @@ def test_sides_of_several(step):
     way = crossing(LEFT, 2.0) + crossing(LEFT, 8.0) + crossing(RIGHT, 14.0)
     drift = crossing(RIGHT, 22.0, 2.0, 1.2) - crossing(RIGHT, 25.0, 2.0, 1.2)
     found = extract(drive(way, handed_over(way) + drift), step)
-    assert told(found) == {"lane_change": (2, 1)}
-    assert found.departures.side.tolist() == [RIGHT]
+    assert (told(found), found.departures.side.tolist()) == ({"lane_change": (2, 1)}, [RIGHT])
     assert found.accounts[0].departures.tolist() == [0, 1]

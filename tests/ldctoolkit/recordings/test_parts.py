@@ -1,7 +1,5 @@
 """Sources in parts: what a part that fails leaves, paths, and a reader of somebody else's."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 import re

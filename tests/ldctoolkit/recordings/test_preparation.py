@@ -1,7 +1,5 @@
 """Scale, yaw rate and common step of recordings."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -11,13 +9,7 @@ import pytest
 
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import InputError
-from ldctoolkit.recordings import (
-    Preparation,
-    Recording,
-    extract_departures,
-    read_departures,
-    write_departures,
-)
+from ldctoolkit.recordings import Preparation, Recording, extract_departures, read_departures, write_departures
 from ldctoolkit.recordings.preparation import NONE, prepare
 
 
@@ -46,9 +38,7 @@ def test_two_middle_offsets_a_jump_apart(max_jump):
     """Their mean lies where the vehicle never was; it is taken only if the criterion sees no jump between them."""
     t = np.array([0.0, 0.06, 0.1, 0.14, 0.2])
     full = np.full(5, 25.0)
-    one = Recording("a", t, np.array([0.0, 0.0, 0.0, 1.0, 1.0]), full - 21.4, full, full > 0.0).take(
-        np.array([0, 1, 3, 4])
-    )
+    one = Recording("a", t, np.array([0.0, 0, 0, 1, 1]), full - 21.4, full, full > 0.0).take(np.array([0, 1, 3, 4]))
     prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
     assert prepared.lane_offset.tolist() == [0.0, 0.5 if max_jump == 2.0 else 0.0, 1.0]
 
@@ -61,8 +51,7 @@ def test_the_nominal_width(seen, tmp_path):
     wrong = dataclasses.replace(true, lane_offset=true.lane_offset / factor, lane_width=true.lane_width / factor)
     preparation = Preparation(nominal_lane_width=3.5)
     prepared = prepare(wrong, preparation)
-    assert prepared.lane_scale == pytest.approx(factor)
-    assert np.median(prepared.lane_width) == pytest.approx(3.5)
+    assert (prepared.lane_scale, np.median(prepared.lane_width)) == (pytest.approx(factor), pytest.approx(3.5))
     np.testing.assert_allclose(prepared.lane_offset, true.lane_offset)
 
     right = extract_departures([true], vehicle_width=1.8)
@@ -74,8 +63,7 @@ def test_the_nominal_width(seen, tmp_path):
     assert scale_of(right) == []
     write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
     departures, provenance = read_departures(tmp_path / "d.parquet")
-    assert provenance.preparation == preparation
-    assert departures.extra[-1].name == "lane_scale"
+    assert (provenance.preparation, departures.extra[-1].name) == (preparation, "lane_scale")
     assert departures.extra[-1].values.tolist() == scale_of(found)
 
 

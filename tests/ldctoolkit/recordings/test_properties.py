@@ -1,7 +1,5 @@
 """Properties of the extraction, and an independent, sample-by-sample extraction to compare with."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable
@@ -26,10 +24,8 @@ SETTINGS = examples(60)
 
 
 def random_drives(seed: int, with_lane: bool, yaw: bool = False) -> list[Recording]:
-    """Recordings that wander over both lines, with holes, gaps, lane changes, jumps and turn signals.
-
-    Numbers are multiples of 1/64, so sums of times are exact and samples on the line do occur.
-    """
+    """Recordings that wander over both lines, with holes, gaps, lane changes, jumps and turn signals. Numbers are
+    multiples of 1/64, so sums of times are exact and samples on the line do occur."""
     rng = np.random.default_rng(seed)
     lengths = rng.integers(1, 60, rng.integers(1, 8))
     n = int(lengths.sum())
@@ -111,9 +107,7 @@ def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Co
                 open_run["end"] = ("invalid" if good[-1] < end - 1 else "cut_by_end", None)
         groups: list[tuple[set[Any], list[dict[str, Any]]]] = []
         for run in runs:
-            marks = {
-                place for why, place in (run["start"], run["end"]) if why and place is not None and place != good[0]
-            }
+            marks = {at for why, at in (run["start"], run["end"]) if why and at is not None and at != good[0]}
             joined = [group for group in groups if group[0] & marks]
             groups = [group for group in groups if not group[0] & marks]
             groups.append((marks.union(*(g[0] for g in joined)), [run, *(r for g in joined for r in g[1])]))
@@ -223,12 +217,7 @@ def test_files_and_blocks_make_no_difference(tmp_path_factory, seed, yaw, block,
 
 
 @examples(40)
-@given(
-    data=st.data(),
-    rate=st.integers(10, 50),
-    side=st.sampled_from([LEFT, RIGHT]),
-    n=st.integers(1, 4),
-)
+@given(data=st.data(), rate=st.integers(10, 50), side=st.sampled_from([LEFT, RIGHT]), n=st.integers(1, 4))
 def test_planted_departures_come_back(data, rate, side, n):
     def draw(low: float, high: float) -> list[float]:
         return [data.draw(st.floats(low, high)) for _ in range(n)]
@@ -267,9 +256,7 @@ def test_planted_departures_come_back(data, rate, side, n):
     ]  # fmt: skip
     found = extract_departures(drives, vehicle_width=WIDTH)
     d = found.departures
-    assert len(d) == n
-    assert found.refused.total == 0
-    assert d.side.tolist() == [side] * n
+    assert (len(d), found.refused.total, d.side.tolist()) == (n, 0, [side] * n)
     # A crossing lies between a straight line of slope s and a parabola s tau - k tau^2. The chord over a step h passes
     # the crossing at most 4/27 k h^2 too low, with a slope of s - k h or more. At constant speed s = 4 d_y/T and
     # k = s/T; the speeds here change s by up to 19 % and k by up to 60 %: the time is off by less than 0.4 h^2/T

@@ -1,7 +1,5 @@
 """Resampling against a walk through every window, and what must never be made up."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import tracemalloc
@@ -31,9 +29,7 @@ def recording(t: Any, **changes: Any) -> Recording:
 
 def random_recording(seed: int, step: float) -> Recording:
     """Irregular, repeated and jittered times, gaps, invalid and missing samples, jumps, lanes. Times lie on a grid of
-
-    2^-9 s that no edge of a window lies on but those of the multiples, so it is clear what is in.
-    """
+    2^-9 s that no edge of a window lies on but those of the multiples, so it is clear what is in."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 80))
     ticks = rng.choice([0, 3, 17, 17, 17, 51, 90, 128, 200, 3000], n)

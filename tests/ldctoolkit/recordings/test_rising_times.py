@@ -1,7 +1,5 @@
 """The longest choice of rows whose times do not fall, against trying every choice."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

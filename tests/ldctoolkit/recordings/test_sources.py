@@ -1,7 +1,5 @@
 """Readers by name: those that come along, those of third parties, and which one knows a folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import re
@@ -80,9 +78,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         def entry_points(**choice: str) -> Any:
             found = list(INSTALLED(**choice))
             if choice.get("group") == sources.GROUP:
-                found += [
-                    SimpleNamespace(name=name, value=f"theirs:{name}", load=load) for name, load in readers.items()
-                ]
+                found += [SimpleNamespace(name=n, value=f"theirs:{n}", load=load) for n, load in readers.items()]
             return found
 
         monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
@@ -136,9 +132,7 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
         (None, "^format 'flat': open fails with AttributeError: "),
     ],
 )
-def test_a_reader_that_opens_nothing_is_named(
-    install: Callable[..., None], tmp_path: Path, error: Exception | None, words: str
-) -> None:
+def test_readers_that_open_nothing(install: Any, tmp_path: Path, error: Exception | None, words: str) -> None:
     class Failing(FlatReader):
         def open(self, paths: Sequence[Path]) -> Any:
             if error is not None:
@@ -258,8 +252,7 @@ def test_files_given_by_themselves_are_no_problem_of_the_other_reader(tmp_path: 
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     source = open_recordings([tmp_path / name for name in files]).source
-    assert [file.name for file in source.files] == list(files)
-    assert source.problems == ()
+    assert ([file.name for file in source.files], source.problems) == (list(files), ())
 
 
 def test_if_every_reader_fails_the_first_one_tells(tmp_path: Path) -> None:
@@ -284,5 +277,4 @@ def test_the_sample_folders() -> None:
     assert open_recordings(sample / "two-month" / "HV_Primary.csv").reader.name == "spmd-das2"
     for folder in ("two-month", "one-day"):
         found = extract_departures(open_recordings(sample / folder))
-        assert found.problems == ()
-        assert found.provenance.reader == "spmd-das1 + spmd-das2"
+        assert (found.problems, found.provenance.reader) == ((), "spmd-das1 + spmd-das2")

@@ -1,7 +1,5 @@
 """Plain recording tables as a source: the same departures as before, and faults that cost one recording or one file."""
 
-from __future__ import annotations
-
 import dataclasses
 import gzip
 import hashlib
@@ -137,14 +135,10 @@ def test_optional_columns_and_samples_without_a_time(save: Save) -> None:
         ",4.0,a,0.3,0.4,3.6,,0.04,false\n"
     )
     [one], problems = read(save(text))[0].values(), read(save(text))[1]
-    assert problems == []
-    assert one.source == "drive.csv"
+    assert (problems, one.source) == ([], "drive.csv")
     np.testing.assert_array_equal(one.t, [0.0, 0.1, 0.3])
     np.testing.assert_array_equal(one.speed, [25.0, 25.0, np.nan])
-    assert one.valid.tolist() == [True, False, False]
-    assert one.turn_signal is not None
-    assert one.turn_signal.tolist() == [1, -1, 0]
-    assert one.yaw_rate is not None
+    assert (one.valid.tolist(), one.turn_signal.tolist()) == ([True, False, False], [1, -1, 0])
     assert one.yaw_rate.tolist() == [0.01, 0.02, 0.04]
     assert one.curvature is None
 
@@ -181,8 +175,7 @@ def test_bytes_that_are_not_utf_8(save: Save) -> None:
 def test_a_parquet_row_at_fault(save: Save) -> None:
     frame = pl.read_csv((HEADER + A + B + C).encode()).with_columns(valid=pl.Series([1, 1, 1, 7, 1, 1]))
     recordings, problems = read(save(frame, "drive.parquet"))
-    assert list(recordings) == ["a", "c"]
-    assert problems[0].place == "row 4"
+    assert (list(recordings), problems[0].place) == (["a", "c"], "row 4")
     assert "holds 7" in problems[0].what
 
 
@@ -191,8 +184,7 @@ def test_of_a_recording_in_two_files_the_first_ones_rows_are_taken(save: Save) -
     two = save(pl.read_csv((HEADER + C + B.replace("0.1,3.6", "0.15,3.6")).encode()), "two.parquet")
     three = save(gzip.compress((HEADER + '"d",0,0.1,3.6,25\n' + B).encode()), "three.csv.gz")
     recordings, problems = read(one, two, three)
-    assert list(recordings) == ["a", "b", "c", "d"]
-    assert recordings["b"].source == "one.csv"
+    assert (list(recordings), recordings["b"].source) == (["a", "b", "c", "d"], "one.csv")
     assert recordings["b"].lane_offset[0] == 0.1
     assert [str(problem) for problem in problems] == [
         "two.parquet, row 3: recording 'b' is also in one.csv, line 4; these rows are left out",
@@ -248,10 +240,7 @@ REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {
     "latin-1": (PLAIN.encode() + b"b\xe4r,1,0,3.6,25\n", "line 5: the text is not UTF-8"),
     "latin-1 header": (b"B\xe4r," + HEADER.encode(), "line 1: the text is not UTF-8"),
     "utf-16": (PLAIN.encode("utf-16"), "the text is UTF-16; save it as UTF-8"),
-    "gzip inside": (
-        gzip.compress(PLAIN.encode()),
-        "the content is gzip; give it a name that ends in .csv.gz",
-    ),
+    "gzip inside": (gzip.compress(PLAIN.encode()), "the content is gzip; give it a name that ends in .csv.gz"),
     "bad valid": (
         HEADER.replace("speed", "speed,valid") + "a,0,0,3.6,25,maybe\n",
         "line 2: column 'valid' holds 'maybe'; allowed: 0, 1, false, true",
@@ -304,11 +293,9 @@ def test_broken_gzip_and_parquet(save: Save, tmp_path: Path) -> None:
     broken = {
         "drive.csv.gz: broken gzip": [content[:-9], content[:20] + b"\x00\xff" * 8 + content[36:], content + b"x" * 9],
         "drive.parquet: cannot be read as Parquet: ": [
-            columns[: len(columns) // 2],
-            b"",
-            b"PAR1" + b"x" * 50 + b"PAR1",
+            columns[: len(columns) // 2], b"", b"PAR1" + b"x" * 50 + b"PAR1",
         ],
-    }
+    }  # fmt: skip
     for told, parts in broken.items():
         for part in parts:
             with pytest.raises(RecordingError, match=f"^{re.escape(told)}"):
@@ -335,8 +322,7 @@ def test_a_file_that_cannot_be_used(fault: str, save: Save, tmp_path: Path) -> N
     with pytest.raises(RecordingError, match=rf"^{name}.*{words}"):
         READER.open([bad])
     recordings, problems = read(bad, save(HEADER + A), tmp_path / "none.csv")
-    assert list(recordings) == ["a"]
-    assert [problem.file for problem in problems] == [name, "none.csv"]
+    assert (list(recordings), [problem.file for problem in problems]) == (["a"], [name, "none.csv"])
     assert words in problems[0].what
     assert not any(str(tmp_path) in problem.file for problem in problems)
 
@@ -400,8 +386,7 @@ def test_words_for_a_missing_number(word: str, save: Save) -> None:
 def test_many_problems_are_counted(save: Save) -> None:
     rows = "".join(f"r{i},0,0.1,3.6,25\nr{i},0,0.1,3.6,25\n" for i in range(50))
     recordings, problems = read(save(HEADER + A + rows))
-    assert list(recordings) == ["a"]
-    assert len(problems) == 21
+    assert (list(recordings), len(problems)) == (["a"], 21)
     assert problems[-1].what.startswith("30 more problems; the last: line 103: ")
 
 

@@ -1,7 +1,5 @@
 """Texts of a recording come from anybody's reader: they can be printed and stored, and recordings stay apart."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from typing import Any

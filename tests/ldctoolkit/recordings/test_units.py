@@ -1,7 +1,5 @@
 """Columns in another unit: a warning in words, no crash."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

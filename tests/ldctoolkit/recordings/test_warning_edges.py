@@ -1,7 +1,5 @@
 """The limits of the warnings that docs/recordings.md names, on both sides of each."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -54,23 +52,14 @@ def test_a_quarter_of_the_samples_is_enough():
 @pytest.mark.parametrize(
     ("name", "most", "words"),
     [
-        ("speed > 60", 10, "above 60 m/s"),
-        ("speed > 42", 500, "above 42 m/s"),
-        ("speed > 1000", 500, "mm/s"),
-        ("speed < 0", 500, "negative"),
-        ("width > 1000", 500, "looks like mm"),
-        ("width > 100", 500, "looks like cm"),
-        ("width > 6", 500, "feet"),
-        ("width < 2", 500, "not half"),
-        ("width <= vehicle", 500, "no wider"),
-        ("offset > 10", 500, "beyond 10"),
-        ("offset > width", 50, "further than a lane width"),
-        ("step > 2", 20, "above 2"),
-        ("step < 0.002", 20, "below 0.002"),
-        ("curvature > 0.2", 10, "beyond 0.2 1/m"),
+        ("speed > 60", 10, "above 60 m/s"), ("speed > 42", 500, "above 42 m/s"), ("speed > 1000", 500, "mm/s"),
+        ("speed < 0", 500, "negative"), ("width > 1000", 500, "looks like mm"), ("width > 100", 500, "looks like cm"),
+        ("width > 6", 500, "feet"), ("width < 2", 500, "not half"), ("width <= vehicle", 500, "no wider"),
+        ("offset > 10", 500, "beyond 10"), ("offset > width", 50, "further than a lane width"),
+        ("step > 2", 20, "above 2"), ("step < 0.002", 20, "below 0.002"), ("curvature > 0.2", 10, "beyond 0.2 1/m"),
         ("yaw rate > 1.5", 10, "beyond 1.5 rad/s"),
     ],
-)
+)  # fmt: skip
 def test_shares_of_samples_or_recordings(name, most, words):
     counts = {"samples": 1000, "recordings": 40}
     assert unit_warnings(counts | {name: most}, 1.8) == []
@@ -81,18 +70,12 @@ def test_shares_of_samples_or_recordings(name, most, words):
 @pytest.mark.parametrize(
     ("column", "limit", "name"),
     [
-        ("speed", 60.0, "speed > 60"),
-        ("speed", 42.0, "speed > 42"),
-        ("speed", 1000.0, "speed > 1000"),
-        ("lane_width", 1000.0, "width > 1000"),
-        ("lane_width", 100.0, "width > 100"),
-        ("lane_width", 6.0, "width > 6"),
-        ("lane_offset", -10.0, "offset > 10"),
-        ("lane_offset", 3.6, "offset > width"),
-        ("curvature", -0.2, "curvature > 0.2"),
-        ("yaw_rate", -1.5, "yaw rate > 1.5"),
+        ("speed", 60.0, "speed > 60"), ("speed", 42.0, "speed > 42"), ("speed", 1000.0, "speed > 1000"),
+        ("lane_width", 1000.0, "width > 1000"), ("lane_width", 100.0, "width > 100"), ("lane_width", 6.0, "width > 6"),
+        ("lane_offset", -10.0, "offset > 10"), ("lane_offset", 3.6, "offset > width"),
+        ("curvature", -0.2, "curvature > 0.2"), ("yaw_rate", -1.5, "yaw rate > 1.5"),
     ],
-)
+)  # fmt: skip
 def test_values_are_counted_beyond_their_limit(column, limit, name):
     own = {"lane_offset": 0.0} | ({"curvature": None} if column == "yaw_rate" else {})
     for value, counted in ((limit, 0), (np.nextafter(limit, np.sign(limit) * np.inf), 3)):

@@ -1,7 +1,5 @@
 """Yaw rates that are missing come from the heading, and nothing else is touched."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

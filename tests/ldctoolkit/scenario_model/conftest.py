@@ -1,7 +1,5 @@
 """Departures for the tests of the scenario model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

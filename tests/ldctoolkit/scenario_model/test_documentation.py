@@ -1,7 +1,5 @@
 """What docs/scenario-model.md shows and says is so."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -18,8 +16,7 @@ def test_the_code_runs(capsys):
     space = {}
     for code in re.findall(r"```python\n(.*?)```", PAGE, flags=re.S):
         exec(compile(code, "scenario-model.md", "exec"), space)
-    assert capsys.readouterr().out == "K = 1, as asked\n"
-    assert len(space["motorway"]) == 400
+    assert (capsys.readouterr().out, len(space["motorway"])) == ("K = 1, as asked\n", 400)
 
 
 def test_every_key_of_a_file_is_described():

@@ -1,7 +1,5 @@
 """What a fit can be told: bounds and where they come from, transforms, weights, the choice of K; and its card."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 
@@ -53,14 +51,12 @@ def test_auto_bounds_find_the_ends_and_stay_inside_what_is_known(departures):
     np.testing.assert_allclose((low, high), (-0.7, 0.7), atol=4 * 1.4 / 1000)  # four mean gaps of 1,000 values
     assert low < d.a_mean[:1000].min()
     assert high > d.a_mean[:1000].max()
-    assert origins == ["auto", "auto"]
-    assert found["d_y"][:2] == (0.0, INF)
+    assert (origins, found["d_y"][:2]) == (["auto", "auto"], (0.0, INF))
     assert found["v_mean"] == (5.0, INF, "extraction criteria", "auto")
     assert found["c_0"] == (-INF, INF, "auto", "auto")
     assert found["T"][1] <= 10.0
     one = box(fit_scenario_model(d, components=1, bounds={"a_mean": "auto"}))
-    assert one["a_mean"] == found["a_mean"]
-    assert one["T"] == (0.5, 10.0, "physical", "physical")
+    assert (one["a_mean"], one["T"]) == (found["a_mean"], (0.5, 10.0, "physical", "physical"))
 
 
 @pytest.mark.slow
@@ -81,8 +77,7 @@ def test_zeros_with_automatic_bounds_are_moved_inside_and_counted(departures):
     speed = np.random.default_rng(0).gamma(4.0, 0.01, 400)
     speed[:5] = 0.0
     model = fit_scenario_model(departures(200, sigma_v=speed), components=1, bounds="auto")
-    assert box(model)["sigma_v"][0] == 0.0
-    assert model.provenance.left.moved_inside == (("sigma_v", 5),)
+    assert (box(model)["sigma_v"][0], model.provenance.left.moved_inside) == (0.0, (("sigma_v", 5),))
 
 
 @pytest.mark.parametrize(

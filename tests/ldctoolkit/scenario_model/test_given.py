@@ -1,7 +1,5 @@
 """Scenarios under conditions: against brute-force filtering, nested, sides apart; and what cannot be met."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -11,14 +9,7 @@ from scipy import stats
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model import (
-    PHYSICAL_BOUNDS,
-    ModelProvenance,
-    ScenarioModel,
-    SideModel,
-    conditions,
-    load_model,
-)
+from ldctoolkit.scenario_model import PHYSICAL_BOUNDS, ModelProvenance, ScenarioModel, SideModel, conditions, load_model
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 
 
@@ -43,10 +34,8 @@ def constant():
     correlation[3, 6] = correlation[6, 3] = -0.4
     cov = np.stack([correlation * spread[:, None] * spread] * 2)
     transform = ["logit", "log", "none", "none", "none", "none", "none"]
-    mixture = BoundedGaussianMixture.from_parameters(
-        [0.6, 0.4], mean, cov, lower=lower, upper=upper, transform=transform
-    )
-    side = SideModel(mixture, names, (("dc", 0.0),))
+    made = BoundedGaussianMixture.from_parameters([0.6, 0.4], mean, cov, lower=lower, upper=upper, transform=transform)
+    side = SideModel(made, names, (("dc", 0.0),))
     return ScenarioModel(side, side, ModelProvenance({}))
 
 

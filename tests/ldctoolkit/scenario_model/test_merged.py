@@ -1,7 +1,5 @@
 """Several departures tables as one: which go together."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The wheel's angle after a command that jumps once, against the analytic answer, in both loops."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,6 @@ def wheel(law: Controller, actuator: Actuator) -> list[tuple[np.ndarray, np.ndar
     """(t, delta) of each scenario, at samples, at T and at the end."""
     options = PlantOptions(actuator=actuator)
     out = simulate(law, SCENARIOS, y_s=0.0, dt=DT, options=options, settle=SETTLE, trajectories=True)
-    assert out.trajectories is not None
     rows = []
     for i in range(SCENARIOS.n):
         driven = ~np.isnan(out.trajectories.t[i])
@@ -52,13 +49,9 @@ def moved(s: np.ndarray, start: float, target: float, lag: float, rate: float) -
 
 
 ACTUATORS: dict[str, dict[str, Any]] = {
-    "nothing": {},
-    "lag": {"lag": 0.13},
-    "short lag": {"lag": 1e-4},
-    "rate": {"rate_max": 0.11},
-    "lag and rate": {"lag": 0.04, "rate_max": 0.15},
-    "rate that does not bind": {"lag": 0.5, "rate_max": 1.0},
-}
+    "nothing": {}, "lag": {"lag": 0.13}, "short lag": {"lag": 1e-4}, "rate": {"rate_max": 0.11},
+    "lag and rate": {"lag": 0.04, "rate_max": 0.15}, "rate that does not bind": {"lag": 0.5, "rate_max": 1.0},
+}  # fmt: skip
 DELAYS = (0.0, 0.15, 3 * DT, 0.013, 0.117, 5.0)  # 0.15/DT is a little less than 3, 3 DT a little more than 0.15
 
 

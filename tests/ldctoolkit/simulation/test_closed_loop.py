@@ -29,16 +29,13 @@ def preview_proportional(K_y: float, K_psi: float, T_lp: float = 0.0, sign: floa
     [("consistent", 1.3), pytest.param("consistent", 0.0, marks=pytest.mark.slow), ("as_printed", 0.0)],
 )
 def test_preview_proportional_equals_the_reference(convention: str, settle: float) -> None:
-    """Left and right, driven in ISO road coordinates by scipy: S to 1e-12 (1e-8 with a sign change).
-
-    The path comes from the Runge-Kutta loop: to 1e-4 of its range.
-    """
+    """Left and right, driven in ISO road coordinates by scipy: S to 1e-12 (1e-8 with a sign change). The path comes
+    from the Runge-Kutta loop: to 1e-4 of its range."""
     given = {"K_y": -0.03, "K_psi": -0.25, "T_lp": 1.3}
     scenarios = make_scenarios(20, seed=4).take([0, 2, 4, 7, 9, 11, 13])
     out = simulate(
         PreviewProportional(**given, convention=convention), scenarios, y_s=0.1, settle=settle, trajectories=True
     )
-    assert out.trajectories is not None
     law = preview_proportional(**given, sign=-1.0 if convention == "consistent" else 1.0)
     crossed = 0
     for i in range(scenarios.n):
@@ -73,14 +70,11 @@ def test_preview_proportional_equals_the_reference(convention: str, settle: floa
     ],
 )
 def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: float, K_y: float, K_psi: float) -> None:
-    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do.
-
-    Such scenarios take substeps on the ideal plant too; their bound is 1e-5, what is seen here far less.
-    """
+    """At low speed the lateral mode dies within one step: nothing that interpolates over the step would do. Such
+    scenarios take substeps on the ideal plant too; their bound is 1e-5, what is seen here far less."""
     scenarios = Scenarios.from_arrays(T=[6.0, 9.0], d_y=[0.5, 0.9], v_mean=v, c_0=[1e-3, -5e-3 if v < 15 else -1e-3])
     law = PreviewProportional(K_y=K_y, K_psi=K_psi, T_lp=0.0)
     out = simulate(law, scenarios, y_s=0.1, dt=dt, settle=0.0, trajectories=True)
-    assert out.trajectories is not None
     crossings = 0
     for i in range(2):
         expected = reference.drive(reference.Path.of(scenarios, i), preview_proportional(K_y, K_psi), y_s=0.1, dt=dt)
@@ -148,7 +142,6 @@ def test_an_unstable_law_is_scored_at_the_bound_and_counted(settle: float) -> No
     diverged = out.status == EventStatus.DIVERGED
     assert diverged.sum() > 5
     assert np.isfinite(out.S).all()
-    assert out.trajectories is not None
     for i in np.flatnonzero(diverged):
         # the same run cut off at the last sample inside the bound, then the bound to the end
         path = out.trajectories.x[i, :, 0]
@@ -178,7 +171,6 @@ def test_the_score_before_a_divergence_is_kept(size: float) -> None:
         kick = sign * size
         out = simulate(Stepped(LQR(), lambda delta, k, kick=kick: np.where(k == 20, kick, delta)), scenarios, y_s=0.1)
         assert out.count(EventStatus.DIVERGED) == 1
-        assert sane.trajectories is not None
         path, t = sane.trajectories.x[0, :21, 0], sane.trajectories.t[0, :21]
         rate = sane.trajectories.x[0, :21, 1]
         area = np.trapezoid(path, t) + np.sum(np.diff(t) ** 2 * (rate[:-1] - rate[1:]) / 12)  # Hermite, path > 0
@@ -196,7 +188,6 @@ def test_deepest_is_that_of_the_cubic_through_the_samples_up_to_the_end() -> Non
     # it steers late and hard: the edge goes on outwards, some of them beyond T
     out = simulate(PreviewProportional(K_y=-0.002, K_psi=-0.02), scenarios, y_s=0.1, trajectories=True)
     paths, between, later = out.trajectories, 0, 0
-    assert paths is not None
     for i in np.flatnonzero(out.triggered):
         counted = paths.t[i] <= scenarios.T[i]
         t, edge = paths.t[i, counted], paths.x[i, counted, 0] - 0.85
@@ -214,7 +205,6 @@ def test_the_command_before_the_first_holds_the_recorded_path() -> None:
     hold = Constant((0.0, 0.0, 0.0, 0.0), f_u=1.0)  # repeats the command before
     for given in ({"start": "steady"}, {"start": "printed"}, {"start": "printed", "initial_yaw_rate": "zero"}):
         out = simulate(hold, scenarios, y_s=0.0, trajectories=True, **given)
-        assert out.trajectories is not None
         for i in range(2):
             v, T, d_y = scenarios.v_mean[i], scenarios.T[i], scenarios.d_y[i]
             yaw_rate = v * scenarios.c_0[i] + (-8 * d_y / T**2) / v
@@ -233,21 +223,17 @@ HELD = {
     "tyres": PlantOptions(tyres=Tyres(model="magic_formula", mu=0.7)),
     "residuals": PlantOptions(residuals=Residuals(y=True, v=True, bandwidth=0.5)),
     "all": PlantOptions(
-        speed="profile",
-        actuator=Actuator(lag=0.1, rate_max=0.5, delay=0.07),
-        mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.8, 1.2), mu=(0.8, 1.1)),
-        tyres=Tyres(model="magic_formula"),
-        sensors=Sensors(delay=0.1, e_psi_noise=0.01),
-        residuals=Residuals(y=True, v=True, bandwidth=0.5),
+        speed="profile", actuator=Actuator(lag=0.1, rate_max=0.5, delay=0.07),
+        mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.8, 1.2), mu=(0.8, 1.1)), tyres=Tyres(model="magic_formula"),
+        sensors=Sensors(delay=0.1, e_psi_noise=0.01), residuals=Residuals(y=True, v=True, bandwidth=0.5),
     ),
-}
+}  # fmt: skip
 
 
 def start_of_a_held_wheel(scenarios: Scenarios, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Lateral acceleration relative to the lane in the first two milliseconds, and that of the recorded path, (m,)."""
     setup = Setup(dt=1e-3, settle=0.0, **settings)
     out = simulate(Constant(f_u=1.0), scenarios, y_s=0.1, setup=setup, trajectories=True)
-    assert out.trajectories is not None
     rows = np.flatnonzero(out.triggered)
     path = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed).take(rows)
     rate = out.trajectories.x[rows, :3, 1]
@@ -272,15 +258,12 @@ def test_a_held_wheel_keeps_the_acceleration_of_the_path(option: str) -> None:
 
 
 def test_the_printed_start_has_no_side_slip() -> None:
-    """By hand: A[1, 2] = 320 m/s^2, beta = r (l_r/v - l_f m v/(2 C_ar L)) = -0.177778*0.116181; 10 m/s, y = 0.
-
-    Printed: 320*atan(0.133333) - 32*1.333333 - 0.64*0.177778 - 160*0.051709 = -8.637.
-    """
+    """By hand: A[1, 2] = 320 m/s^2, beta = r (l_r/v - l_f m v/(2 C_ar L)) = -0.177778*0.116181; 10 m/s, y = 0. Printed:
+    320*atan(0.133333) - 32*1.333333 - 0.64*0.177778 - 160*0.051709 = -8.637."""
     one = Scenarios.from_arrays(T=[1.5], d_y=[0.5], v_mean=[10.0])
     starts = []
     for start in ("printed", "steady"):
         hold = simulate(Constant(f_u=1.0), one, y_s=0.0, dt=1e-4, start=start, trajectories=True)
-        assert hold.trajectories is not None
         starts.append(hold.trajectories.x[0, :3])
     (printed, steady) = starts
     assert steady[0, 2] == pytest.approx(0.133333 + 0.177778 * 0.116181, abs=1e-6)

@@ -1,7 +1,5 @@
 """The same bits whatever was compiled first, and whatever was there already: each process here starts with no cache."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -43,11 +43,9 @@ OPTIONS = {
 }
 SOUND = with_residuals(make_scenarios(N, seed=31))
 DESIGNS: dict[str, Controller] = {
-    "linear": PreviewProportional(),
-    "general": Stepped(PreviewProportional(), drops=True),
-    "solver": LinearMPC(horizon=4),
-    "none": NoControl(),
-}
+    "linear": PreviewProportional(), "general": Stepped(PreviewProportional(), drops=True),
+    "solver": LinearMPC(horizon=4), "none": NoControl(),
+}  # fmt: skip
 BAD_VALUES = [
     {"T": 0.0}, {"T": -1.0}, {"T": np.nan}, {"T": np.inf}, {"T": -np.inf}, {"v_mean": -20.0}, {"v_mean": 0.0},
     {"v_mean": 0.99}, {"v_mean": np.nan}, {"v_mean": np.inf}, {"v_mean": 5.0, "a_mean": 4.0, "T": 2.01},
@@ -153,8 +151,6 @@ def test_a_step_longer_than_the_departure() -> None:
 
 
 # laws that fail
-
-
 @dataclasses.dataclass(frozen=True)
 class SomeGains(Controller):
     """A linear law whose gains are not finite for the rows given."""
@@ -230,8 +226,7 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
     for value in (np.nan, np.inf, -np.inf):
         out = run(Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05)
         assert_counted(out, np.zeros(30, dtype=bool))
-        assert out.failed_solves.sum() == 1
-        assert out.count(EventStatus.SOLVER_FAILED) == 1
+        assert (out.failed_solves.sum(), out.count(EventStatus.SOLVER_FAILED)) == (1, 1)
         (row,) = np.flatnonzero(out.failed_solves)
         others = np.delete(np.arange(30), row)
         kept = values(out)
@@ -240,7 +235,6 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
         paths = run(
             Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05, trajectories=[row]
         ).trajectories
-        assert paths is not None
         assert paths.delta[0, 2] == paths.delta[0, 1] != paths.delta[0, 3]
 
 
@@ -261,8 +255,7 @@ def test_the_last_command_of_all_counts_too() -> None:
 def test_a_scenario_that_failed_and_left_counts_as_left() -> None:
     law = Stepped(Constant((0.5, 0.0, 2.0, 0.0)), lambda delta, k: np.where(k == 1, np.nan, delta))
     out = run(law, Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), PlantOptions())
-    assert out.failed_solves[0] == 1
-    assert out.status[0] == EventStatus.DIVERGED
+    assert (out.failed_solves[0], out.status[0]) == (1, EventStatus.DIVERGED)
 
 
 def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
@@ -286,18 +279,13 @@ def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
 
 
 # paths that leave
-
-
 @pytest.mark.parametrize(
     ("options", "design"),
     grid(
-        ["ideal", "profile", "magic formula", "filter", "all"],
-        ["linear", "general"],
-        ("ideal", "linear"),
-        ("ideal", "general"),
-        ("all", "linear"),
+        ["ideal", "profile", "magic formula", "filter", "all"], ["linear", "general"], ("ideal", "linear"),
+        ("ideal", "general"), ("all", "linear"),
     ),
-)
+)  # fmt: skip
 def test_leaving_before_the_end_is_scored_and_after_it_is_not(options: str, design: str) -> None:
     unstable: Controller = Constant((0.03, 0.0, 0.2, 0.0))
     law = unstable if design == "linear" else Stepped(unstable, drops=True)

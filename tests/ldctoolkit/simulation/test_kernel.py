@@ -1,7 +1,5 @@
 """The compiled loops against each other and against the plain reference; the same bits however the work is cut up."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -28,16 +26,12 @@ ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
 """The ideal plant in effect, driven by the Runge-Kutta loop."""
 
 CLOSED = {
-    "preview": PreviewProportional(),
-    "LQR": LQR(),
-    "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
+    "preview": PreviewProportional(), "LQR": LQR(), "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
     "swings far": PreviewProportional(K_y=-0.12, K_psi=-0.02, T_lp=0.3),
-    "late": PreviewProportional(K_y=-0.002, K_psi=-0.02),
-    "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
-    "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01),
-    "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
+    "late": PreviewProportional(K_y=-0.002, K_psi=-0.02), "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
+    "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01), "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
     "spins": Constant((0.0, 0.0, 3.0, 0.5)),
-}
+}  # fmt: skip
 SLOW = Scenarios.from_arrays(T=[3.0, 6.0, 9.0, 1.3], d_y=[0.3, 0.5, 0.9, 0.6], v_mean=[1.0, 1.5, 3.0, 4.0], c_0=1e-3)
 
 
@@ -183,8 +177,6 @@ def test_more_designs_than_go_through_in_one_call() -> None:
 
 
 # edges
-
-
 @pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize("options", ["ideal", "all"])
 @pytest.mark.parametrize("settle", [0.0, 3.0])
@@ -213,7 +205,6 @@ def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, desi
     assert (long.status == EventStatus.OK).all()
     assert_same_rows(short, whole_sample)  # one sample either way
     for out, more in ((none, 0.0), (short, 0.05), (long, 3.0)):
-        assert out.trajectories is not None
         ends = np.nanmax(out.trajectories.t[out.triggered], axis=1)
         np.testing.assert_allclose(ends, scenarios.T[out.triggered] + more, rtol=0, atol=1e-12)
         for name in ("S", "t_s", "status"):
@@ -242,8 +233,6 @@ def test_the_trigger_at_the_very_start() -> None:
 
 
 # trajectories
-
-
 @pytest.mark.parametrize(
     ("options", "design"), grid(["ideal", "all"], ["linear", "general"], ("ideal", "linear"), ("all", "general"))
 )
@@ -253,7 +242,6 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
     bare = drive(DESIGNS[design], over)
     every = drive(DESIGNS[design], over, trajectories=True)
     assert bare.trajectories is None
-    assert every.trajectories is not None
     np.testing.assert_array_equal(every.trajectories.rows, np.arange(50))
     never = np.flatnonzero(np.isinf(over.t_s))
     assert never.size > 2
@@ -263,7 +251,6 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
         run = drive(DESIGNS[design], over, trajectories=rows, threads=2)
         assert_same_rows(run, bare)
         paths = run.trajectories
-        assert paths is not None
         np.testing.assert_array_equal(paths.rows, rows)
         length = paths.t.shape[1]
         for name in ("t", "x", "delta"):
@@ -277,7 +264,6 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
         first = np.where(np.isin(paths.rows, never), np.nan, over.t_s[paths.rows])
         np.testing.assert_array_equal(paths.t[:, 0], first)
     one = drive(DESIGNS[design], over, trajectories=4).trajectories
-    assert one is not None
     np.testing.assert_array_equal(one.rows, [4])
 
 
@@ -305,7 +291,6 @@ def test_the_end_of_the_departure_is_an_entry_once() -> None:
     for settle in (0.0, 0.05, 0.3):
         for design in (DESIGNS["linear"], DESIGNS["general"]):
             paths = simulate(design, scenarios, y_s=0.0, settle=settle, trajectories=True).trajectories
-            assert paths is not None
             for i, T in enumerate(scenarios.T):
                 t = paths.t[i, ~np.isnan(paths.t[i])]
                 assert (np.diff(t) > 1e-6).all()

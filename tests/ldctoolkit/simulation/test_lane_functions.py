@@ -1,7 +1,5 @@
 """Functions that the lanes of the compiled loops share, against NumPy and scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
@@ -24,16 +22,11 @@ def test_arc_tangent_sine_cosine_and_decay() -> None:
 @pytest.mark.parametrize(
     ("x_0", "x_1", "n_0", "n_1"),
     [
-        (0.3, -0.5, -0.2, -0.4),
-        (-0.1, 0.2, 0.4, -0.3),
-        (0.02, -1.0, 0.03, 1.2),
-        (0.4, -0.1, 0.3, -0.2),
+        (0.3, -0.5, -0.2, -0.4), (-0.1, 0.2, 0.4, -0.3), (0.02, -1.0, 0.03, 1.2), (0.4, -0.1, 0.3, -0.2),
         (0.1, -0.3, 0.2, 0.4),
     ],
-)
-def test_the_integral_of_the_absolute_value_is_that_of_the_quartic(
-    x_0: float, x_1: float, n_0: float, n_1: float
-) -> None:
+)  # fmt: skip
+def test_the_integral_of_the_absolute_value_is_the_quartics(x_0: float, x_1: float, n_0: float, n_1: float) -> None:
     """One crossing, over and back, none: against a fine sum on a cubic, which is a quartic without its last term."""
     h = 0.4
     curve = CubicHermiteSpline([0.0, h], [x_0, n_0], [x_1, n_1])

@@ -1,7 +1,5 @@
 """True vehicles: distribution of the factors, the nominal vehicle to the bit, matrices vehicle by vehicle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.stats

@@ -1,7 +1,6 @@
 """Every deterministic plant option, alone and together, against an independent closed loop; both loops alike.
 
-The reference integrates each departure with scipy to 1e-13, in other coordinates and in the road frame.
-"""
+The reference integrates each departure with scipy to 1e-13, in other coordinates and in the road frame."""
 
 from __future__ import annotations
 
@@ -46,25 +45,15 @@ class Everything(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         n = plant.n
         return LinearLaw(
-            F=np.tile(F, (n, 1)),
-            preview_times=np.array(TIMES),
-            G_yaw_rate=np.tile(G_YAW_RATE, (n, 1)),
-            G_heading=np.tile(G_HEADING, (n, 1)),
-            f_u=np.full(n, F_U),
-        )
+            F=np.tile(F, (n, 1)), preview_times=np.array(TIMES), G_yaw_rate=np.tile(G_YAW_RATE, (n, 1)),
+            G_heading=np.tile(G_HEADING, (n, 1)), f_u=np.full(n, F_U),
+        )  # fmt: skip
 
 
 SCENARIOS = Scenarios.from_arrays(
-    side=[-1, 1, 1],
-    T=[1.43, 1.0, 0.83],
-    d_y=[0.45, 0.3, 0.06],
-    v_mean=[27.0, 12.0, 20.0],
-    a_mean=[-0.8, 0.6, 0.0],
-    c_0=[1.2e-3, -2e-3, 1e-3],
-    dc=[-8e-4, 3e-3, 0.0],
-    sigma_y=[0.03, 0.015, 0.0],
-    sigma_v=[0.12, 0.2, 0.0],
-)
+    side=[-1, 1, 1], T=[1.43, 1.0, 0.83], d_y=[0.45, 0.3, 0.06], v_mean=[27.0, 12.0, 20.0], a_mean=[-0.8, 0.6, 0.0],
+    c_0=[1.2e-3, -2e-3, 1e-3], dc=[-8e-4, 3e-3, 0.0], sigma_y=[0.03, 0.015, 0.0], sigma_v=[0.12, 0.2, 0.0],
+)  # fmt: skip
 """The last one never triggers."""
 
 MAGIC = Tyres(model="magic_formula", mu=0.35, shape=1.4)
@@ -140,15 +129,9 @@ SCORED = (
 
 
 def driven(
-    scenarios: Scenarios,
-    options: PlantOptions,
-    i: int,
-    *,
-    dt: float = DT,
-    as_printed: bool = False,
-    law: reference.Law = formula,
-    **more: Any,
-) -> Any:
+    scenarios: Scenarios, options: PlantOptions, i: int, *, dt: float = DT, as_printed: bool = False,
+    law: reference.Law = formula, **more: Any,
+) -> Any:  # fmt: skip
     """The reference's drive of scenario i, with the package's draws."""
     a, b = (), ()
     if not options.residuals.ideal:
@@ -174,7 +157,6 @@ def run(law: Controller, options: PlantOptions, scenarios: Scenarios, **more: An
 
 
 def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    assert out.trajectories is not None
     driven = ~np.isnan(out.trajectories.t[i])
     return tuple(getattr(out.trajectories, name)[i, driven] for name in ("t", "x", "delta"))  # type: ignore[return-value]
 
@@ -224,11 +206,9 @@ def of_row(law: LinearLaw, j: int) -> reference.Law:
 
 
 QUICK = [
-    ("late filter", 10, True),
-    ("all, late filter", 10, False),
-    ("mismatch", 20, True),
+    ("late filter", 10, True), ("all, late filter", 10, False), ("mismatch", 20, True),
     ("all, magic formula", 15, True),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -259,7 +239,6 @@ def test_half_the_substep_has_a_sixteenth_of_the_error(case: str, monkeypatch: p
     def states(reach: float) -> np.ndarray:
         monkeypatch.setattr(takeover, "_REACH", reach)
         paths = run(LQR(), CASES[case], slow, dt=0.2).trajectories
-        assert paths is not None
         return paths.x
 
     finest = states(1 / 64)
@@ -278,8 +257,7 @@ def test_never_triggered_is_the_recorded_path(case: str) -> None:
         for i in range(gentle.n):
             expected = driven(gentle, CASES[case], i)
             assert np.isinf(expected.t_s)
-            assert out.S[i] == pytest.approx(expected.S, abs=1e-9)
-            assert out.S_uncorrected[i] == out.S[i]
+            assert (out.S[i], out.S_uncorrected[i]) == (pytest.approx(expected.S, abs=1e-9), out.S[i])
             for name in METRICS:
                 assert getattr(out.companions, name)[i] == pytest.approx(expected.companions[name], abs=1e-9), name
 

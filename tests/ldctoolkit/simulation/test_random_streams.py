@@ -1,7 +1,5 @@
 """Counter-based draws: published vectors, distributions, independence of neighbours, independence of order."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -39,9 +37,7 @@ def philox_in_whole_numbers(counter: list[int], key: list[int]) -> list[int]:
         ),
     ],
 )
-def test_the_generator_in_whole_numbers_gives_the_published_vectors(
-    given_words: tuple[int, ...], expected: tuple[int, ...]
-) -> None:
+def test_the_generator_gives_the_published_vectors(given_words: tuple[int, ...], expected: tuple[int, ...]) -> None:
     assert tuple(philox_in_whole_numbers(list(given_words[:4]), list(given_words[4:]))) == expected
 
 

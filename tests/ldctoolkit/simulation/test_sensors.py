@@ -70,7 +70,6 @@ def watch(scenarios: Scenarios, sensors: Sensors, *, seed: int = 0, **options: A
     )  # fmt: skip
     assert out.triggered.all()
     seen, paths = witness.seen.arrays(), out.trajectories
-    assert paths is not None
     at_samples = [np.flatnonzero(np.abs(paths.t[0] - t) < 1e-9)[0] for t in seen.t[:, 0]]
     return seen, paths.x[:, at_samples].transpose(1, 0, 2)
 
@@ -120,9 +119,7 @@ def test_values_are_rounded_to_the_step_last_of_all() -> None:
 
 def recorded(scenarios: Scenarios, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """e_y and e_psi of the first scenario's recorded path, from the paper's parabola and Table I's steady side slip."""
-    T, d_y, v_mean, a_mean, c_0, dc = (
-        getattr(scenarios, name)[0] for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")
-    )
+    T, d_y, v_mean, a_mean, c_0, dc = (getattr(scenarios, n)[0] for n in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc"))
     x, v = v_mean * t + a_mean * (t**2 - T * t) / 2, v_mean + a_mean * (t - T / 2)
     bend = -4 * d_y / (v_mean * T) ** 2
     slope = 2 * bend * (x - v_mean * T / 2)
@@ -140,8 +137,7 @@ def test_delay_and_rate_are_exact(period: int, delay: float) -> None:
     for k in range(seen.t.shape[0]):
         sample = math.floor((k - delay) / period) * period
         if sample >= 0:
-            assert seen.x[k, 0, 0] == true[sample, 0, 0]
-            assert seen.x[k, 0, 2] == true[sample, 0, 2]
+            assert (seen.x[k, 0, 0], seen.x[k, 0, 2]) == (true[sample, 0, 0], true[sample, 0, 2])
         else:
             e_y, e_psi = recorded(scenarios, t_s + sample * DT)
             assert seen.x[k, 0, 0] == pytest.approx(e_y, abs=1e-14)
@@ -197,8 +193,7 @@ def test_the_filter_knows_rates_that_differencing_does_not() -> None:
 @pytest.mark.parametrize(("delay", "late", "first"), [(0.0, 0, 0), (0.07, 2, 20)])
 def test_the_filter_with_true_frames_on_the_true_model_is_the_truth(delay: float, late: int, first: int) -> None:
     """It knows the model, the command, a lane without a kink, and how late frames are: nothing to correct but a start
-    on a recorded path, which is not driven by the model.
-    """
+    on a recorded path, which is not driven by the model."""
     seen, true = watch(alike(2, dc=0.0, T=4.0), Sensors(delay=delay, kalman=KalmanFilter()))
     error = seen.x[first + late :] - true[first : true.shape[0] - late]
     assert (np.abs(error) < 1e-5 * np.abs(true).max(axis=(0, 1))).all()

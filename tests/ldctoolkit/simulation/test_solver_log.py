@@ -87,8 +87,7 @@ def test_a_solver_that_is_always_called_is_in_the_log_at_every_sample() -> None:
         inner="linear_mpc", inner_gains="horizon=5, always_solve=true, solver=daqp", e_y_max=9.0, delta_max=1.0
     )
     inside = simulate(wrapped, SCENARIOS, y_s=0.1, settle=0.2).solver_log
-    assert inside.row.tolist() == log.row.tolist()
-    assert inside.sample.tolist() == log.sample.tolist()
+    assert (inside.row.tolist(), inside.sample.tolist()) == (log.row.tolist(), log.sample.tolist())
 
 
 def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:

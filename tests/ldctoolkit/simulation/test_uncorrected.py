@@ -1,7 +1,5 @@
 """Recorded paths: closed forms against quadrature and differences, residuals against what they must reduce to."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -32,16 +30,10 @@ def mixed(n: int, seed: int = 0) -> Scenarios:
     rng = np.random.default_rng(seed)
     T = rng.uniform(0.5, 10.0, n)
     return Scenarios.from_arrays(
-        T=T,
-        d_y=rng.uniform(0.05, 0.8, n),
-        v_mean=rng.uniform(15.0, 40.0, n),
-        a_mean=rng.uniform(-1.0, 1.0, n),
-        c_0=rng.uniform(-0.004, 0.004, n),
-        dc=rng.uniform(-0.004, 0.004, n),
-        sigma_y=rng.uniform(0.0, 0.08, n),
-        sigma_v=rng.uniform(0.0, 0.6, n),
-        side=rng.choice([-1, 1], n),
-    )
+        T=T, d_y=rng.uniform(0.05, 0.8, n), v_mean=rng.uniform(15.0, 40.0, n), a_mean=rng.uniform(-1.0, 1.0, n),
+        c_0=rng.uniform(-0.004, 0.004, n), dc=rng.uniform(-0.004, 0.004, n), sigma_y=rng.uniform(0.0, 0.08, n),
+        sigma_v=rng.uniform(0.0, 0.6, n), side=rng.choice([-1, 1], n),
+    )  # fmt: skip
 
 
 FEW = mixed(12)
@@ -59,8 +51,6 @@ def at(path: UncorrectedPath, i: int, name: str) -> Any:
 
 
 # --- without residuals: the functions of `departures`, to the bit
-
-
 @pytest.mark.parametrize("shape", [(), (7,)])
 def test_without_residuals_every_bit_is_that_of_the_closed_forms(shape: tuple[int, ...]) -> None:
     path = UncorrectedPath.of(MANY, OFF, seed=5)
@@ -104,8 +94,6 @@ def test_extremes_in_closed_form_and_searched_equal_a_dense_search(residuals: Re
 
 
 # --- closed forms with residuals
-
-
 @pytest.mark.parametrize("residuals", KINDS)
 def test_derivatives_equal_central_differences(residuals: Residuals) -> None:
     path = UncorrectedPath.of(MANY, residuals, seed=2)
@@ -138,8 +126,6 @@ def test_area_and_distance_equal_quadrature(residuals: Residuals, share: float) 
 
 
 # --- what the residuals are
-
-
 @pytest.mark.parametrize("residuals", some(KINDS[1:], BOTH))
 def test_reducing_the_path_gives_its_parameters_back(residuals: Residuals) -> None:
     k = 4001
@@ -257,8 +243,6 @@ def test_the_seed_decides_and_residuals_have_nothing_in_common() -> None:
 
 
 # --- the trigger
-
-
 @pytest.mark.parametrize(("residuals", "y_s"), grid(KINDS[1:], [0.0, 0.05, 0.2, 0.5], (BOTH, 0.0), (BOTH, 0.2)))
 def test_crossing_equals_brute_force(residuals: Residuals, y_s: float) -> None:
     path = UncorrectedPath.of(MANY.take(slice(60)), residuals, seed=9)

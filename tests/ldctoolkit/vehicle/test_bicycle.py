@@ -1,7 +1,5 @@
 """Error dynamics, discretisation and steady cornering against independent routes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -29,19 +27,12 @@ def test_every_entry_is_rajamanis(p: VehicleParameters, v: float) -> None:
         [0, -(2 * Caf + 2 * Car) / (m * v), (2 * Caf + 2 * Car) / m, (-2 * Caf * lf + 2 * Car * lr) / (m * v)],
         [0, 0, 0, 1],
         [
-            0,
-            -(2 * Caf * lf - 2 * Car * lr) / (Iz * v),
-            (2 * Caf * lf - 2 * Car * lr) / Iz,
+            0, -(2 * Caf * lf - 2 * Car * lr) / (Iz * v), (2 * Caf * lf - 2 * Car * lr) / Iz,
             -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v),
         ],
-    ]
+    ]  # fmt: skip
     book_B = [0, 2 * Caf / m, 0, 2 * Caf * lf / Iz]
-    book_E = [
-        0,
-        -(2 * Caf * lf - 2 * Car * lr) / (m * v) - v,
-        0,
-        -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v),
-    ]
+    book_E = [0, -(2 * Caf * lf - 2 * Car * lr) / (m * v) - v, 0, -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v)]
     np.testing.assert_allclose(A, book_A, rtol=1e-14)
     np.testing.assert_allclose(B, book_B, rtol=1e-14)
     np.testing.assert_allclose(E, book_E, rtol=1e-14)

@@ -1,7 +1,5 @@
 """The nonlinear plant: compiled against CasADi, its linearisation, its symmetry, its tyres, another library's model."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from typing import Any
@@ -47,9 +45,7 @@ def grip(p: VehicleParameters, mu: float) -> npt.NDArray[np.float64]:
     return mu * p.m * 9.81 * np.array([p.l_r, p.l_f]) / length
 
 
-def axle_forces(
-    motion: tuple[float, ...], v: float, p: VehicleParameters, mu: float, shape: float = SHAPE
-) -> npt.NDArray[np.float64]:
+def axle_forces(motion: Any, v: float, p: VehicleParameters, mu: float, shape: float = SHAPE) -> np.ndarray:
     """Front force along the wheel's axis and rear force, from the accelerations that they cause."""
     _, yaw, a_y = nonlinear_rhs(*motion, v, 0.0, *numbers(p, mu, shape))
     front, rear = p.m * a_y * p.l_r + p.I_z * yaw, p.m * a_y * p.l_f - p.I_z * yaw
@@ -57,14 +53,9 @@ def axle_forces(
 
 
 vehicles = st.builds(
-    VehicleParameters,
-    C_af=st.floats(3e4, 2e5),
-    C_ar=st.floats(3e4, 2e5),
-    l_f=st.floats(0.8, 2.0),
-    l_r=st.floats(0.8, 2.0),
-    m=st.floats(700.0, 3000.0),
-    I_z=st.floats(800.0, 6000.0),
-)
+    VehicleParameters, C_af=st.floats(3e4, 2e5), C_ar=st.floats(3e4, 2e5), l_f=st.floats(0.8, 2.0),
+    l_r=st.floats(0.8, 2.0), m=st.floats(700.0, 3000.0), I_z=st.floats(800.0, 6000.0),
+)  # fmt: skip
 # e_y_rate, e_psi, e_psi_rate, delta, r: everything that is mirrored
 motions = st.tuples(*(st.floats(-size, size) for size in (5.0, 0.5, 1.0, 0.6, 0.6)))
 speeds, friction, shapes = st.floats(2.0, 60.0), st.floats(0.05, 1.5), st.floats(1.0, 2.0)
@@ -76,9 +67,7 @@ def test_the_compiled_function_has_the_order_of_casadis() -> None:
 
 
 @given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_the_compiled_function_equals_casadis(
-    motion: tuple[float, ...], v: float, dv: float, p: VehicleParameters, mu: float, shape: float
-) -> None:
+def test_compiled_is_casadis(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
     arguments = (*motion, v, dv, *numbers(p, mu, shape))
     ours, theirs = np.array(nonlinear_rhs(*arguments)), np.array(DYNAMICS(*arguments)).ravel()
     # relative to the terms that are added up: where they cancel, nothing is left to be relative to
@@ -91,9 +80,7 @@ def test_the_compiled_function_equals_casadis(
 @pytest.mark.parametrize("p", [VehicleParameters(), OTHER])
 @pytest.mark.parametrize("v", [3.0, 13.7, 28.0, 60.0])
 @pytest.mark.parametrize(("mu", "shape"), [(0.9, 1.3), (0.3, 1.9)])
-def test_straight_driving_linearises_to_rajamanis_matrices(
-    p: VehicleParameters, v: float, mu: float, shape: float
-) -> None:
+def test_straight_driving_has_rajamanis_matrices(p: VehicleParameters, v: float, mu: float, shape: float) -> None:
     dv = -0.7
     J = np.array(JACOBIAN(0.0, 0.0, 0.0, 0.0, 0.0, v, dv, *numbers(p, mu, shape)))
     A, B, E = (matrix[0] for matrix in BicycleModel(p).matrices(v))
@@ -109,26 +96,20 @@ def test_straight_driving_linearises_to_rajamanis_matrices(
 
 
 @given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_a_mirrored_motion_has_mirrored_accelerations(
-    motion: tuple[float, ...], v: float, dv: float, p: VehicleParameters, mu: float, shape: float
-) -> None:
+def test_mirrored_motions(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
     ours = np.array(nonlinear_rhs(*motion, v, dv, *numbers(p, mu, shape)))
     mirrored = np.array(nonlinear_rhs(*(-value for value in motion), v, dv, *numbers(p, mu, shape)))
     np.testing.assert_array_equal(mirrored, -ours)  # sine, arctangent and every sum are odd to the bit
 
 
 @given(motion=motions, v=speeds, p=vehicles, mu=friction, shape=shapes)
-def test_no_axle_has_more_than_its_grip(
-    motion: tuple[float, ...], v: float, p: VehicleParameters, mu: float, shape: float
-) -> None:
+def test_no_axle_exceeds_its_grip(motion: Any, v: float, p: VehicleParameters, mu: float, shape: float) -> None:
     # rounding of a moment in which both axles' forces cancel
     assert np.all(np.abs(axle_forces(motion, v, p, mu, shape)) <= grip(p, mu) + 1e-12 * grip(p, mu).sum())
 
 
 @given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_large_angles_equal_forces_and_velocities_as_vectors(
-    motion: tuple[float, ...], v: float, dv: float, p: VehicleParameters, mu: float, shape: float
-) -> None:
+def test_large_angles_by_hand(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
     """Forces along the wheels' axes, moments as cross products, de_y/dt differentiated by a complex step."""
     e_y_rate, e_psi, e_psi_rate, delta, r = motion
     omega = e_psi_rate + r
@@ -183,11 +164,9 @@ def drive(p: VehicleParameters, v: float, delta: Any, end: float, mu: float, tim
 
 
 def commonroad(p: VehicleParameters, shift: float) -> Any:
-    """The other library's vehicle with our mass, inertia, lengths and axle stiffnesses.
-
-    Its axle stiffness is -p_ky1 times the axle's load, p_ky1 one number for both axles: with static loads this makes a
-    neutral vehicle. For another one the load is shifted: `shift` is longitudinal acceleration times height [m^2/s^2].
-    """
+    """The other library's vehicle with our mass, inertia, lengths and axle stiffnesses. Its axle stiffness is -p_ky1
+    times the axle's load, p_ky1 one number for both axles: with static loads this makes a neutral vehicle. For another
+    one the load is shifted: `shift` is longitudinal acceleration times height [m^2/s^2]."""
     other = setup_vehicle_parameters(vehicle_id=2)
     other.a, other.b, other.m, other.I_z, other.h_s = p.l_f, p.l_r, p.m, p.I_z, shift
     other.tire.p_ky1 = -2 * (p.C_af + p.C_ar) / (p.m * GRAVITY)
@@ -219,13 +198,11 @@ NEUTRAL = VehicleParameters(C_af=8e4 * 1.47 / 1.43, C_ar=8e4)
     ("p", "mu"), grid([NEUTRAL, OTHER, VehicleParameters()], [0.9, 1e6], (OTHER, 0.9), (VehicleParameters(), 1e6))
 )
 def test_a_lane_change_equals_commonroads_single_track_model(p: VehicleParameters, mu: float) -> None:
-    """Two models of one vehicle: what differs is of third order in the steering angle.
-
-    `vehicle_dynamics_st` has tyres linear in alpha = delta - beta - l_f omega/v and keeps the speed of the centre of
-    gravity constant, so m v (beta' + omega) = F_f + F_r with no cos delta. Ours keeps the component along the vehicle
-    constant and has v_y = v tan beta, arctangents, cos delta and the tyres' bend. Every one of these is odd and differs
-    from the first order by a third order; the bend of the tyres goes away as mu grows.
-    """
+    """Two models of one vehicle: what differs is of third order in the steering angle. `vehicle_dynamics_st` has tyres
+    linear in alpha = delta - beta - l_f omega/v and keeps the speed of the centre of gravity constant, so m v (beta' +
+    omega) = F_f + F_r with no cos delta. Ours keeps the component along the vehicle constant and has v_y = v tan beta,
+    arctangents, cos delta and the tyres' bend. Every one of these is odd and differs from the first order by a third
+    order; the bend of the tyres goes away as mu grows."""
     v, end = 20.0, 3.0
     times, frequency = np.linspace(0.0, end, 61), 2 * math.pi / 2.0
     differences, sizes = [], []

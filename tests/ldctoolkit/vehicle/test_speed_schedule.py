@@ -1,7 +1,5 @@
 """Interpolants over speed: exact for smooth functions, refused for others, made once."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

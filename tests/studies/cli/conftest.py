@@ -1,7 +1,5 @@
 """One finished study a session, which the commands that read a folder are tried on."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``ldc extract`` as people meet it: formats, what was left out, exit codes, restart."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re
@@ -119,16 +117,9 @@ def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], m
 def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
     (folder / "a.csv").write_text(recordings(0, 30))
     words = {
-        "--vehicle-width": 1.7,
-        "--step": 0.2,
-        "--nominal-lane-width": 3.5,
-        "--yaw-rate-factor": -1,
-        "--min-duration": 0.6,
-        "--max-duration": 9,
-        "--min-speed": 6,
-        "--max-gap": 0.5,
-        "--max-jump": 0.7,
-    }
+        "--vehicle-width": 1.7, "--step": 0.2, "--nominal-lane-width": 3.5, "--yaw-rate-factor": -1,
+        "--min-duration": 0.6, "--max-duration": 9, "--min-speed": 6, "--max-gap": 0.5, "--max-jump": 0.7,
+    }  # fmt: skip
     flat = [word for pair in words.items() for word in pair]
     assert ldc("a.csv", "-o", "d.parquet", *flat)[0] == 0
     departures, provenance = read_departures("d.parquet")
@@ -212,21 +203,16 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
     assert (provenance.reader, provenance.criteria.vehicle_width, provenance.preparation.step) == ("made", 1.8, 0.1)
     (folder / "a.csv").write_text(recordings(0))
     code, _, err = ldc("a.csv", "-o", "d.parquet", "--format", "made")
-    assert code == 2
-    assert err == "ldc: error: a.csv: is not made up\n"
+    assert (code, err) == (2, "ldc: error: a.csv: is not made up\n")
 
 
 @pytest.mark.parametrize(("problems", "told"), [(1, 1), (20, 20), (21, 21), (1500, 21)])
-def test_the_first_twenty_problems_are_told(
-    folder: Path, ldc: Ldc, third_party: Callable[..., None], problems: int, told: int
-) -> None:
+def test_twenty_problems_are_told(folder: Path, ldc: Ldc, third_party: Any, problems: int, told: int) -> None:
     third_party(MadeReader(problems=problems))
     (folder / "a.made").write_text("x")
     code, _, err = ldc("a.made", "-o", "d.parquet")
     lines = [line for line in err.splitlines() if "is wrong" in line or "problems" in line]
-    assert code == 3
-    assert len(lines) == told
-    assert lines[0] == "ldc: warning: a.made, line 1: is wrong"
+    assert (code, len(lines), lines[0]) == (3, told, "ldc: warning: a.made, line 1: is wrong")
     if problems > 20:
         assert lines[-1].startswith(f"ldc: warning: and {problems - 20:,} more problems, {problems:,} in all")
     assert len(read_departures("d.parquet")[1].problems) == problems
@@ -366,9 +352,7 @@ def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> N
     assert sorted(path.name for path in folder.iterdir()) == ["a.parquet", "d.parquet"]
 
 
-def test_workers_are_processes_only_where_there_is_much_to_read(
-    folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
     from studies.extraction import runner
     from studies.running.executors.protocol import SerialExecutor
@@ -395,12 +379,9 @@ FAULTS = {
     "spmd-das1": ("DataLane.csv", b"7,1,", b"x,1,", r"DataLane\.csv, line 2: it begins with 'x,1'"),
     "spmd-das2": ("HV_Primary.csv", b"\n7,1,", b"\nx,1,", r"HV_Primary\.csv, line 2: it begins with 'x,1'"),
     "uah-driveset": (
-        "PROC_LANE_DETECTION.txt",
-        b" 2 \n",
-        b" x \n",
-        r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
+        "PROC_LANE_DETECTION.txt", b" 2 \n", b" x \n", r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("source", FAULTS)

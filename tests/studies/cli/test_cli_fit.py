@@ -1,7 +1,5 @@
 """``ldc fit``, ``ldc sample --given``, ``ldc models``; one message for what is wrong."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -62,8 +60,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert "ldc: warning: left: c_0 is 0 in every event" in done.stderr
     assert not (folder / "m.html").exists()
     card = json.loads((folder / "m.json").read_text())["provenance"]
-    assert card["source"]["refused"]["gap"] == 3
-    assert card["source"]["criteria"]["min_speed"] == 4.0
+    assert (card["source"]["refused"]["gap"], card["source"]["criteria"]["min_speed"]) == (3, 4.0)
     assert card["settings"] == {
         "criterion": "held_out", "slack": None, "indifference": 0.0, "prior_strength": 20.0, "tol": 1e-4, "n_init": 1,
         "max_iter": 500,
@@ -85,16 +82,12 @@ def test_bounds_and_transforms(folder: Path) -> None:
     sides = side_of(folder / "b.json")
     departures, _ = read_departures(folder / "d.parquet")
     smallest = departures.T[departures.side == LEFT].min()
-    assert sides["d_y"] == (0.0, 3.0, "none")
-    assert sides["sigma_y"] == (0.0, None, "none")
+    assert (sides["d_y"], sides["sigma_y"]) == ((0.0, 3.0, "none"), (0.0, None, "none"))
     assert sides["v_mean"] == (4.0, None, "none")
     low = sides["T"][0]  # read off the data, not beyond the criteria of the extraction
-    assert low is not None
     assert 0.5 <= low < smallest
     assert sides["T"][2] == "logit"
     low, high, _ = sides["a_mean"]
-    assert low is not None
-    assert high is not None
     # uniform between -0.2 and 0.2: the ends within 4 mean gaps of 150 values
     assert abs(low + 0.2) < 4 * 0.4 / 150
     assert abs(high - 0.2) < 4 * 0.4 / 150

@@ -1,7 +1,5 @@
 """``ldc rank`` as people meet it: the study's own ranking again, other settings, races, one message for wrong input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -182,7 +180,6 @@ def test_json(folder: Path, rank: Rank) -> None:
 
 def test_a_race_is_told_and_what_it_gave_up_is_listed(folder: Path, rank: Rank) -> None:
     results = read_results(folder / "raced")
-    assert results.race is not None
     assert results.race.dropped
     done = rank("raced")
     assert re.search(r"^round 1: 100 scenarios, \d of 4 designs given up$", done.stdout, re.M)
@@ -224,10 +221,7 @@ def test_other_settings_of_a_raced_study(rank: Rank) -> None:
     ("arguments", "message"),
     [
         (["plain", "--require", "ay_p59 <= 3"], "did you mean 'a_y_peak_p95'"),
-        (
-            ["plain", "--require", "S"],
-            "allowed: a set (stable, comfort, lane-edge, physical), or a metric",
-        ),
+        (["plain", "--require", "S"], "allowed: a set (stable, comfort, lane-edge, physical), or a metric"),
         (["plain", "--pareto", "effrt"], "did you mean 'effort"),
         (["plain", "--baseline", "lqq"], "did you mean 'lqr'"),
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
@@ -241,6 +235,5 @@ def test_other_settings_of_a_raced_study(rank: Rank) -> None:
 def test_wrong_settings_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
     if "DROPPED" in arguments:
         race = read_results(folder / "raced").race
-        assert race is not None
         arguments = [*arguments[:-1], race.dropped[0].design.id]
     assert message in bad("rank", *arguments, cwd=folder)

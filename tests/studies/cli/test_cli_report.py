@@ -20,7 +20,6 @@ def test_departures_and_designs_are_put_into_the_page(folder: Path) -> None:
     good("report", "plain", *asked, "--no-robustness", "--no-figures", cwd=folder)
     page = (folder / "plain" / "report.html").read_text(encoding="utf-8")
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
     data = json.loads(found[1])["departures"]
     assert [one["number"] for one in data["departures"][:2]] == ["249", "7"]
     assert all("asked for" in one["name"] for one in data["departures"][:2])

@@ -1,7 +1,5 @@
 """``ldc review`` and the listing of ``ldc controllers``."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -74,8 +72,7 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     assert "LQR, y_s=0.1, 0.2 m, r_delta=30\nfault: " in out
     found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
     assert [len(entry["ids"]) for entry in found] == [1, 2, 2]
-    assert [entry["law"] for entry in found] == ["none", "lqr", "lqr"]
-    assert found[0]["loop"] == {}
+    assert ([entry["law"] for entry in found], found[0]["loop"]) == (["none", "lqr", "lqr"], {})
     assert "phase_margin" in {finding["name"] for finding in found[1]["findings"] if finding["severity"] == "fault"}
     assert all(finding["severity"] != "fault" for finding in found[2]["findings"])
     assert len(found[2]["loop"]["v_m_s"]) == 13
@@ -172,7 +169,6 @@ def test_a_design_that_raises_does_not_hide_the_others(folder: Path, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_labels_are_no_markup(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LQR, "title", "a [b]c[/b] [/x] :smile:")
     assert reviewed(0, "lqr", "--speed", "20", cwd=folder).count("a [b]c[/b] [/x] :smile:") == 1
@@ -201,22 +197,11 @@ def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> No
     assert found["loop"].pop("hessian_condition") == [None]
     assert found["loop"].pop("gain_reduction_margin_dB") == ["inf"]
     assert {name: pytest.approx(value, rel=1e-3, abs=1e-9) for name, (value,) in found["loop"].items()} == {
-        "v_m_s": 30.0,
-        "bend_rad_s": 2 / 30,
-        "stable": True,
-        "radius": 0.95539,
-        "damping": 0.69163,
-        "slowest_s": 1.09576,
-        "gain_margin_dB": 26.949,
-        "phase_margin_rad": 1.08276,
-        "delay_margin_s": 0.54749,
-        "disk_margin": 1.10371,
-        "crossover_rad_s": 1.97766,
-        "bandwidth_rad_s": 1.97722,
-        "e_y_bend_m": 0.0,
-        "e_y_bend_mismatched_m": -0.52047,
-        "bend_error": 0.0,
-    }
+        "v_m_s": 30.0, "bend_rad_s": 2 / 30, "stable": True, "radius": 0.95539, "damping": 0.69163,
+        "slowest_s": 1.09576, "gain_margin_dB": 26.949, "phase_margin_rad": 1.08276, "delay_margin_s": 0.54749,
+        "disk_margin": 1.10371, "crossover_rad_s": 1.97766, "bandwidth_rad_s": 1.97722, "e_y_bend_m": 0.0,
+        "e_y_bend_mismatched_m": -0.52047, "bend_error": 0.0,
+    }  # fmt: skip
 
 
 def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:

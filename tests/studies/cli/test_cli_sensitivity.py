@@ -1,7 +1,5 @@
 """``ldc sensitivity`` as people meet it: tables, the file, exit codes, one message for wrong input."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Widths that travel with a model, conditions beyond its data, and values that are likely in another unit."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from pathlib import Path

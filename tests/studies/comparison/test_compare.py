@@ -1,7 +1,5 @@
 """Two studies compared: shared scenarios, verdicts and their error rates, failures, refusals."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io
@@ -44,16 +42,9 @@ def study_of(d: int, **parts: Any) -> Study:
 
 
 def finished(
-    S: np.ndarray,
-    *,
-    source: str = "here",
-    scenarios: Scenarios | None = None,
-    status: np.ndarray | None = None,
-    cases: Sequence[CaseResults] | None = None,
-    rows: Sequence[int] | None = None,
-    of: int | None = None,
-    **parts: Any,
-) -> FinishedStudy:
+    S: np.ndarray, *, source: str = "here", scenarios: Scenarios | None = None, status: np.ndarray | None = None,
+    cases: Sequence[CaseResults] | None = None, rows: Sequence[int] | None = None, of: int | None = None, **parts: Any,
+) -> FinishedStudy:  # fmt: skip
     """A study whose scores are given; `rows` are the positions of its designs among `of` of them."""
     study = study_of(len(S) if of is None else of, **parts)
     designs = tuple(study.designs[i] for i in (range(len(S)) if rows is None else rows))
@@ -83,8 +74,6 @@ def scores() -> np.ndarray:
 
 
 # shared scenarios
-
-
 def test_draws_are_shared_with_seed_and_number_only() -> None:
     model = load_model("reference")
     small, large = model.sample(30, 50, seed=4), model.sample(70, 40, seed=4)
@@ -126,8 +115,6 @@ def test_what_a_plant_draws(options: PlantOptions, streams: set[RandomStream]) -
 
 
 # verdicts
-
-
 def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     noise = 0.05 * np.random.default_rng(1).normal(size=scores.shape)
     noise -= noise.mean(axis=1, keepdims=True)
@@ -144,18 +131,15 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     i = np.abs(new[0] - scores[0]).argmax()
     assert (S.largest_at[0], S.largest[0]) == (i, (new - scores)[0, i])
     assert comparison.any_worse
-    assert comparison.cases[0].order[0] == 0
-    assert comparison.cases[0].order[-1] == 3
+    assert (comparison.cases[0].order[0], comparison.cases[0].order[-1]) == (0, 3)
     assert "1 better, 1 worse, 1 not separated, 1 the same" in comparison.summary
 
 
 def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     comparison = compare(finished(scores, source="old"), finished(scores.copy()))
-    assert verdicts(comparison) == ["same"] * 4
-    assert comparison.differences == ()
+    assert (verdicts(comparison), comparison.differences) == (["same"] * 4, ())
     assert not comparison.any_worse
     winners = comparison.cases[0].winners
-    assert winners is not None
     assert winners.verdict is Verdict.SAME
     assert winners.same_design
 
@@ -274,8 +258,7 @@ def test_what_cannot_be_driven_counts_for_nobody(scores: np.ndarray) -> None:
     new = scores.copy()
     new[1, 3] = np.nan
     comparison = compare(finished(scores, source="old"), finished(new, status=status))
-    assert verdicts(comparison) == ["same"] * 4
-    assert comparison.shared.n == 399
+    assert (verdicts(comparison), comparison.shared.n) == (["same"] * 4, 399)
     assert comparison.cases[0].S.S_old[0] == pytest.approx(np.delete(scores[0], 3).mean())
     assert any("1 shared scenario cannot be driven" in warning for warning in comparison.warnings)
 
@@ -318,14 +301,11 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
             bootstrap=300,
         )
         winners = comparison.cases[0].winners
-        assert winners is not None
         alarms += winners.verdict is not Verdict.UNTOLD
     assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
 
 
 # designs
-
-
 def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     generator = np.random.default_rng(6)
     better = scores[:2] - 0.3 + 0.05 * generator.normal(size=(2, 400))
@@ -333,7 +313,6 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     comparison = compare(old, finished(better, rows=[4, 5], of=6))
     assert len(comparison.cases[0]) == 0
     winners = comparison.cases[0].winners
-    assert winners is not None
     best_old, best_new = scores.mean(axis=1).argmin(), better.mean(axis=1).argmin()
     assert (winners.old, winners.new) == (old.results.designs[best_old], comparison.only_new[best_new])
     assert winners.difference == pytest.approx((better[best_new] - scores[best_old]).mean())
@@ -358,16 +337,13 @@ def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
 
     comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
     first, second = (case.winners for case in comparison.cases)
-    assert first is not None
     assert (first.fresh, first.scenarios, first.old) == (True, 300, old.results.designs[2])
     assert first.difference == pytest.approx(-0.5)
     assert first.verdict is Verdict.BETTER
     # no finalist is among the best of the other case, whose winner met the study's own scenarios only
-    assert second is not None
     assert (second.fresh, second.scenarios) == (False, 400)
     assert second.old in old.results.designs[:2]
     one_sided = compare(with_fresh(old, fresh), new).cases[0].winners
-    assert one_sided is not None
     assert not one_sided.fresh
 
 
@@ -388,17 +364,13 @@ def test_the_winner_meets_the_requirements(scores: np.ndarray) -> None:
     status[best, 0] = EventStatus.TIMED_OUT
     new = finished(scores, status=status, ranking={"require": ["timed_out <= 0"]})
     winners = compare(old, new).cases[0].winners
-    assert winners is not None
     assert (winners.old, winners.new) == (old.results.designs[best], old.results.designs[second])
 
 
 def test_failed_designs(scores: np.ndarray) -> None:
     every = study_of(4).designs
     old = changed(finished(scores[:3], of=4, rows=[0, 1, 2]), failed=(FailedDesign(every[3], "it raised"),))
-    new = changed(
-        finished(scores[[1, 3]], of=4, rows=[1, 3]),
-        failed=(FailedDesign(every[0], "it raises now"),),
-    )
+    new = changed(finished(scores[[1, 3]], of=4, rows=[1, 3]), failed=(FailedDesign(every[0], "it raises now"),))
     comparison = compare(old, new)
     assert [one.reason for one in comparison.new_failures] == ["it raises now"]
     assert [one.design for one in comparison.repaired] == [every[3]]
@@ -416,9 +388,7 @@ def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarr
     race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
     raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
     comparison = compare(finished(scores, source="old"), raced)
-    assert len(comparison.cases[0]) == 3
-    assert comparison.given_up == (every[3],)
-    assert comparison.only_old == ()
+    assert (len(comparison.cases[0]), comparison.given_up, comparison.only_old) == (3, (every[3],), ())
     assert comparison.differences == ("race: not set -> True",)
 
 
@@ -513,8 +483,6 @@ def test_few_shared_scenarios_are_told(scores: np.ndarray, n: int, told: bool) -
 
 
 # refusals and files
-
-
 def test_refusals_of_results(scores: np.ndarray) -> None:
     old = finished(scores, source="old")
     with pytest.raises(InputError, match=r"no scenario in both \(seed: 0 -> 1\)"):
@@ -563,11 +531,9 @@ def test_files_hold_every_row(tmp_path: Path, scores: np.ndarray) -> None:
     for row, i in zip(rows, comparison.cases[0].order, strict=False):
         assert row["design_new"] == comparison.cases[0].designs[i].id
         assert float(row["difference_m_s"]) == S.difference[i]
-        assert float(row["difference_high_m_s"]) == S.high[i]
-        assert row["verdict"] == S.verdict[i]
+        assert (float(row["difference_high_m_s"]), row["verdict"]) == (S.high[i], S.verdict[i])
     assert rows[3]["largest_change_scenario"] == ""
     assert int(rows[0]["largest_change_scenario"]) == np.abs(new - scores)[comparison.cases[0].order[0]].argmax()
     content = json.loads(json.dumps(comparison_content(comparison), allow_nan=False))
     assert content["worse"] is True
-    assert content["summary"] == comparison.summary
-    assert len(content["rows"]) == len(rows)
+    assert (content["summary"], len(content["rows"])) == (comparison.summary, len(rows))

@@ -41,8 +41,6 @@ def gains(design: Design) -> dict[str, Any]:
 
 
 # ---- several laws, conditions
-
-
 def test_a_gain_goes_to_the_laws_that_have_it() -> None:
     found = block(law=["lqr", "linear_mpc"], y_s=[0.1, 0.2], gains={"r_delta": [50, 500], "horizon": [5, 10, 15]})
     wanted = [Design.from_gains("lqr", y_s, {"r_delta": r}) for y_s in (0.1, 0.2) for r in (50, 500)]
@@ -65,16 +63,11 @@ def test_laws_of_one_table_are_those_of_one_table_each() -> None:
 
 def test_a_gain_with_a_condition_keeps_its_default_otherwise() -> None:
     found = block(
-        law="linear_mpc",
-        gains={"blocks": [0, 3, 5], "solver": ["osqp", "daqp"]},
-        when={"blocks": {"solver": "osqp"}},
+        law="linear_mpc", gains={"blocks": [0, 3, 5], "solver": ["osqp", "daqp"]}, when={"blocks": {"solver": "osqp"}}
     ).designs()
     assert [(gains(d)["solver"], gains(d)["blocks"]) for d in found] == [
-        ("osqp", 0),
-        ("daqp", 0),
-        ("osqp", 3),
-        ("osqp", 5),
-    ]
+        ("osqp", 0), ("daqp", 0), ("osqp", 3), ("osqp", 5),
+    ]  # fmt: skip
 
 
 @given(
@@ -93,8 +86,7 @@ def test_conditions_leave_exactly_the_designs_that_differ(on: list[bool], N: lis
         ).id
         for n, o, c in itertools.product(N, on, ("as_printed", "consistent"))
     }
-    assert len(found) == len(wanted)
-    assert {d.id for d in found} == wanted
+    assert (len(found), {d.id for d in found}) == (len(wanted), wanted)
 
 
 def test_conditions_hold_in_a_sample_too() -> None:
@@ -110,8 +102,6 @@ def test_conditions_hold_in_a_sample_too() -> None:
 
 
 # ---- samples
-
-
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (7, 3), (16, 2)])
 def test_points_are_scipys_own(count: int, dimensions: int) -> None:
     lhs = unit_points(SampleSettings(method="latin_hypercube", count=count, seed=7), dimensions)
@@ -216,8 +206,6 @@ def test_without_salib_the_message_says_what_to_install(monkeypatch: pytest.Monk
 
 
 # ---- size, space, round trip
-
-
 @pytest.mark.parametrize(
     "parts",
     [
@@ -235,8 +223,7 @@ def test_content_goes_through_json_and_back(parts: dict[str, Any]) -> None:
     study = Study.from_dict({"name": "a", "design": [{"law": "toy"} | parts]})
     text = json.dumps(study.content())
     again = Study.from_dict(json.loads(text))
-    assert again == study
-    assert again.designs == study.designs
+    assert (again, again.designs) == (study, study.designs)
     assert json.dumps(again.content()) == text
     assert len(study.designs) <= study.design[0].size
 
@@ -333,10 +320,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         {"law": ["toy", "boom"], "gains": {"K": 0, "on": [True, False]}, "when": {"K": {"on": True}}},
         "when.K.on: no gain of 'boom', which has 'K'; allowed: a gain of the same law",
     ),
-    (
-        {"gains": {"N": [3, 4], "on": [True, False]}, "when": {"N": {"on": 1}}},
-        "when.N.on: 1 is not among gains.on",
-    ),
+    ({"gains": {"N": [3, 4], "on": [True, False]}, "when": {"N": {"on": 1}}}, "when.N.on: 1 is not among gains.on"),
 ]
 
 

@@ -1,7 +1,5 @@
 """A source whose parts are made up: what they hold is known, and they can misbehave."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal
@@ -33,18 +31,11 @@ def drive(seed: int) -> Recording:
         offset += sign * np.maximum(peak * (1 - (2 * (t - middle) / T) ** 2) + 0.9, 0.0)
     offset += 0.01 * generator.normal(size=t.size)
     return Recording(
-        name=f"drive {seed}",
-        t=t,
-        lane_offset=offset,
-        lane_width=np.full(t.size, 3.6),
-        speed=generator.uniform(20, 30) + 0.1 * generator.normal(size=t.size),
-        valid=np.ones(t.size, dtype=bool),
-        yaw_rate=0.01 * generator.normal(size=t.size),
-        labels=(Label("driver", f"D{seed % 2}"),),
-        source=f"file {seed % 3}",
-        lane_scale=1.0 if seed % 4 else 1.25,
-        notes=("no heading",),
-    )
+        name=f"drive {seed}", t=t, lane_offset=offset, lane_width=np.full(t.size, 3.6),
+        speed=generator.uniform(20, 30) + 0.1 * generator.normal(size=t.size), valid=np.ones(t.size, dtype=bool),
+        yaw_rate=0.01 * generator.normal(size=t.size), labels=(Label("driver", f"D{seed % 2}"),),
+        source=f"file {seed % 3}", lane_scale=1.0 if seed % 4 else 1.25, notes=("no heading",),
+    )  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """An extraction that is killed at any moment, or runs on a cluster: the same table, and nothing is left behind."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What was found in a part goes into a file and comes back bit for bit; anything else is refused in one way."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io
@@ -63,9 +61,7 @@ def test_what_is_not_a_part_is_refused(make_result: Callable[[], PartResult]) ->
 
 @examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_a_flipped_byte_is_refused_or_gives_a_result(
-    make_result: Callable[[], PartResult], data: st.DataObject
-) -> None:
+def test_a_flipped_byte_is_refused_or_a_result(make_result: Callable[[], PartResult], data: st.DataObject) -> None:
     """Nothing else comes out, whatever the byte; that numbers are as they were written, the checksum tells."""
     content = bytearray(part_bytes(make_result()))
     content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))

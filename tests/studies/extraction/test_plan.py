@@ -1,7 +1,5 @@
 """What makes the parts of an extraction another's: a change anywhere in the code that decides the numbers."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import sys
@@ -69,8 +67,6 @@ class Part:
 
 def load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)

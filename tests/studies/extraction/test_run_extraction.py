@@ -41,8 +41,7 @@ GOOD = ("good",) * 5
 def test_parts_in_this_process_are_as_the_library_extracts_them(made: Made, content: Content) -> None:
     source = made(*GOOD)
     found = run_extraction(source, workers=1)
-    assert content(found) == content(extract_departures(source))
-    assert len(found.departures) == 30
+    assert (content(found), len(found.departures)) == (content(extract_departures(source)), 30)
     assert found.recordings == 15
     assert texts(found) == ["file 9: is empty", *(f"part {i}, line 7: is left out" for i in range(5))]
     assert found.provenance.criteria.vehicle_width == 1.8
@@ -84,8 +83,7 @@ def test_what_a_part_raises_is_a_problem_of_that_part(made: Made, tmp_path: Path
     found = run_extraction(made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet")
     assert found.recordings == 6
     told = [text for text in texts(found) if "line 7" not in text]
-    assert told[0] == "file 9: is empty"
-    assert told[1] == "part 1: ZeroDivisionError: a reader's own fault"
+    assert (told[0], told[1]) == ("file 9: is empty", "part 1: ZeroDivisionError: a reader's own fault")
     assert told[2].startswith("part 2: ")
     assert "nothing here can be used" in told[2]
     assert len(told) == 3
@@ -96,8 +94,7 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
     words = r"\(4 problems in all\)" if len(how) > 1 else "nothing here can be used$"
     with pytest.raises(NothingReadError, match=f"^file 9: is empty; part 0: .*{words}") as told:
         run_extraction(made(*how), workers=1, output=tmp_path / "d.parquet")
-    assert len(told.value.problems) == 1 + len(how)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+    assert (len(told.value.problems), [path.name for path in tmp_path.iterdir()]) == (1 + len(how), ["notes"])
 
 
 def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:
@@ -114,8 +111,7 @@ def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: 
     told: list[tuple[int, int]] = []
     source = made(*how)
     found = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
-    assert times(source) == [1, 1, 2, 1]
-    assert told == [(200, 400), (300, 400), (400, 400)]
+    assert (times(source), told) == ([1, 1, 2, 1], [(200, 400), (300, 400), (400, 400)])
     assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 
@@ -143,9 +139,7 @@ def test_what_is_made_of_the_result_comes_before_the_parts_go(made: Made, tmp_pa
     assert not folder.exists()
 
 
-def test_one_part_removes_what_another_extraction_left(
-    made: Made, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_part_removes_what_another_run_left(made: Made, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     output = tmp_path / "d.parquet"
     folder = stopped(made, output)
     assert folder.is_dir()
@@ -181,7 +175,7 @@ def stopped(made: Made, output: Path, **named: Any) -> Path:
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "emptied", "not a part", "another"])
-def test_a_damaged_part_is_read_again(
+def test_damage_is_told(
     made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ) -> None:
     output = tmp_path / "d.parquet"
@@ -191,12 +185,9 @@ def test_a_damaged_part_is_read_again(
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 1
     contents = {
-        "cut": data[:-9],
-        "flipped": bytes(flipped),
-        "emptied": b"",
-        "not a part": b"hello",
+        "cut": data[:-9], "flipped": bytes(flipped), "emptied": b"", "not a part": b"hello",
         "another": other.read_bytes(),
-    }
+    }  # fmt: skip
     part.write_bytes(contents[damage])
     source = made("good", "good", "interrupted")
     found = run_extraction(source, workers=1, output=output)
@@ -208,13 +199,9 @@ def test_a_damaged_part_is_read_again(
 
 @pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest", "program", "versions"])
 def test_parts_of_another_extraction_are_never_used(
-    made: Made,
-    content: Content,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    made: Made, content: Content, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch,
     change: str,
-) -> None:
+) -> None:  # fmt: skip
     output = tmp_path / "d.parquet"
     folder = stopped(made, output)
     source = made(
@@ -306,18 +293,15 @@ def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("deadly", [{0}, {3}, {1, 2}, {0, 1, 2, 3, 4}])
-def test_the_parts_at_fault_are_found_whatever_ran_beside_them(
-    made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]
-) -> None:
+def test_parts_at_fault_are_found_beside_others(made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]) -> None:
     source = made(*GOOD, "good")
     with on(Mortal(lambda task: task.number in deadly), monkeypatch):
         found = run_extraction(source)
     told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
-    assert told == [f"part {i}" for i in sorted(deadly)]
-    assert found.recordings == 3 * (6 - len(deadly))
+    assert (told, found.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
 
 
-def test_one_death_among_many_workers_ends_nothing(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_death_among_many_is_no_end(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more parts than may be lost one after the other."""
     with on(Mortal(lambda task: task.number == 0, workers=30), monkeypatch):
         found = run_extraction(made(*["good"] * 70))

@@ -1,7 +1,5 @@
 """Racing: rounds, nested scenarios, and that the best design stays while most scenario runs are left out."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -38,8 +36,6 @@ def decide(scores: np.ndarray, side: np.ndarray, **changes: Any) -> Decision:
 
 
 # ---- rounds and their scenarios
-
-
 @given(st.integers(1, 1_000_000))
 def test_rounds_rise_and_end_with_all_scenarios(n: int) -> None:
     rounds = schedule(n)
@@ -83,8 +79,6 @@ def test_scenarios_that_are_not_there(m: int) -> None:
 
 
 # ---- one round
-
-
 def test_a_round_gives_up_what_is_clearly_worse() -> None:
     scores = table(np.array([1.5, 1.0, 1.001, 3.0]), 100, seed=4)
     decision = decide(scores, sides(50, 50))
@@ -118,8 +112,7 @@ def test_the_last_round_gives_up_nothing() -> None:
 def test_few_scenarios_give_up_nothing(left: int, right: int, kept: int) -> None:
     scores = table(np.array([1.0, 9.0]), left + right, seed=1, spread=0.05)
     decision = decide(scores, sides(left, right))
-    assert decision.keep.sum() == kept
-    assert np.isfinite(decision.low[1]) == (kept == 1)
+    assert (decision.keep.sum(), np.isfinite(decision.low[1])) == (kept, kept == 1)
 
 
 def test_a_single_design_stays() -> None:
@@ -135,10 +128,8 @@ def test_differences_of_a_solvers_tolerance_part_nothing(by: float, kept: bool) 
 @pytest.mark.parametrize("kept", [True, False])
 def test_what_was_not_met_yet_is_taken_off_by_hand(kept: bool) -> None:
     """Half of the scenarios have 1 m s, half 9; the other design d m s more in the first ones and as much in the rest.
-
     Four rounds decide, so that the error is 0.05 / 4. The capped difference is d or 0: Student's bound of it, less
-    log(80) / m of the largest, d. What is left scales with d, and 1e-6 m s decides.
-    """
+    log(80) / m of the largest, d. What is left scales with d, and 1e-6 m s decides."""
     m = 400
     easy = np.arange(m) % 4 < 3
     base = np.where(easy, 1.0, 9.0)
@@ -146,8 +137,7 @@ def test_what_was_not_met_yet_is_taken_off_by_hand(kept: bool) -> None:
     left = float(t - np.log(80) / m)
     d = (0.999e-6 if kept else 1.001e-6) / left
     decision = decide(np.stack([base, base + d * easy]), sides(200, 200))
-    assert decision.low[1] == pytest.approx(d * left, rel=1e-6)
-    assert decision.keep.tolist() == [True, kept]
+    assert (decision.low[1], decision.keep.tolist()) == (pytest.approx(d * left, rel=1e-6), [True, kept])
 
 
 def test_scenarios_that_could_not_be_driven_are_left_out_for_all() -> None:
@@ -185,8 +175,7 @@ def test_a_better_design_of_the_same_kind_shows_it_first() -> None:
     other, apart = rng.gamma(2.0, 0.5, 100), rng.normal(0.0, 0.6, 100)
     scores = np.stack([other + apart - apart.mean() - 0.02, other, other + 0.16])
     decision = decide(scores, sides(50, 50))
-    assert decision.best == 0
-    assert decision.keep.tolist() == [True, True, False]
+    assert (decision.best, decision.keep.tolist()) == (0, [True, True, False])
     assert decide(scores[[0, 2]], sides(50, 50)).keep.all()
 
 
@@ -228,8 +217,6 @@ def test_what_a_round_refuses(scores: np.ndarray, changes: dict[str, Any], messa
 
 
 # ---- whole races
-
-
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
 def test_a_race_keeps_the_winner_of_the_full_study_and_saves_runs(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -244,9 +231,7 @@ def test_a_race_keeps_the_winner_of_the_full_study_and_saves_runs(seed: int) -> 
 
 def rare_failures(seed: int) -> np.ndarray:
     """Design 0 never fails, the 39 others lose 3 m s in two departures of a hundred, and are a little worse in truth.
-
-    After 100 scenarios some of them have met no failure, and look better by 0.05 m s beyond any doubt of a t test.
-    """
+    After 100 scenarios some of them have met no failure, and look better by 0.05 m s beyond any doubt of a t test."""
     rng = np.random.default_rng(seed)
     scores = rng.gamma(2.0, 0.5, 2000) + 0.2 * rng.random((40, 2000))
     scores[1:] += 3.0 * (rng.random((39, 2000)) < 0.02) - 0.05
@@ -276,11 +261,9 @@ def naive(scores: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
-    """All designs have one true mean, design 0 among them: it may be given up in at most one race of twenty.
-
-    300 races: 15 expected where the error of 5 % is used up; the limit is its 99.9 % quantile, 28. A race that asks
-    each pair by itself goes far beyond it on the same tables.
-    """
+    """All designs have one true mean, design 0 among them: it may be given up in at most one race of twenty. 300 races:
+    15 expected where the error of 5 % is used up; the limit is its 99.9 % quantile, 28. A race that asks each pair by
+    itself goes far beyond it on the same tables."""
     side = sides(200, 200)
     lost = lost_naively = 0
     for seed in range(300):
@@ -292,8 +275,6 @@ def test_the_best_of_equal_designs_stays_in_as_many_races_as_promised() -> None:
 
 
 # ---- the catalog's own race
-
-
 def test_the_sweep_of_the_catalog_is_a_race_of_more_than_250_designs() -> None:
     study = load_study("zoo-sweep")
     assert study.race

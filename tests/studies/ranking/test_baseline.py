@@ -1,7 +1,5 @@
 """Which design the word of a study file names, and what is said where it names none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How often intervals hold on scores of the closed loop, whose differences are far more skewed than the scores."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,26 +8,15 @@ from ldctoolkit import load_model, simulate
 from studies.ranking.simultaneous import infer
 
 DESIGNS = (
-    NoControl(),
-    LQR(),
-    LQR(q_psi=5.0, r_delta=116.0),
-    PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),
-    LQI(q_y=1.14, q_i=0.031, r_delta=34.0),
-    LQI(q_y=0.33, q_i=0.075, r_delta=221.0),
-    LQI(q_y=0.17, q_i=0.068, r_delta=63.0),
-    LQI(q_y=1.09, q_i=0.047, r_delta=118.0),
-    Stanley(),
-    PurePursuit(T_lp=1.33, l_min=3.0),
-    PurePursuit(T_lp=1.0, l_min=13.5),
-    PurePursuit(T_lp=0.39, l_min=4.7),
-    SlidingMode(lambda_=5.3, k_1=5.75, k_2=0.83),
-    PID(K_p=-0.045, K_d=-0.0023, T_lp=2.0),
-    PID(K_p=-0.0067, K_d=-0.0034, T_lp=1.3),
-    PreviewProportional(K_y=-0.0055, K_psi=-0.18, T_lp=3.3),
-    PreviewProportional(K_y=-0.014, K_psi=-0.43, T_lp=1.1),
-    PreviewProportional(K_y=-0.0008, K_psi=-0.17, T_lp=0.74),
+    NoControl(), LQR(), LQR(q_psi=5.0, r_delta=116.0), PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),
+    LQI(q_y=1.14, q_i=0.031, r_delta=34.0), LQI(q_y=0.33, q_i=0.075, r_delta=221.0),
+    LQI(q_y=0.17, q_i=0.068, r_delta=63.0), LQI(q_y=1.09, q_i=0.047, r_delta=118.0), Stanley(),
+    PurePursuit(T_lp=1.33, l_min=3.0), PurePursuit(T_lp=1.0, l_min=13.5), PurePursuit(T_lp=0.39, l_min=4.7),
+    SlidingMode(lambda_=5.3, k_1=5.75, k_2=0.83), PID(K_p=-0.045, K_d=-0.0023, T_lp=2.0),
+    PID(K_p=-0.0067, K_d=-0.0034, T_lp=1.3), PreviewProportional(K_y=-0.0055, K_psi=-0.18, T_lp=3.3),
+    PreviewProportional(K_y=-0.014, K_psi=-0.43, T_lp=1.1), PreviewProportional(K_y=-0.0008, K_psi=-0.17, T_lp=0.74),
     PreviewProportional(K_y=-0.0028, K_psi=-0.13, T_lp=1.55),
-)
+)  # fmt: skip
 
 
 def scores_of(departures: int) -> np.ndarray:
@@ -40,10 +27,8 @@ def scores_of(departures: int) -> np.ndarray:
 
 
 def coverage(scores: np.ndarray, n: int, repetitions: int) -> tuple[float, float, float, float]:
-    """Share of draws of n departures in which all means, all differences to the baseline and to the best hold.
-
-    The fourth is that of the truly best one in the set of best. The truth is the mean over all departures.
-    """
+    """Share of draws of n departures in which all means, all differences to the baseline and to the best hold. The
+    fourth is that of the truly best one in the set of best. The truth is the mean over all departures."""
     truth, half = scores.mean(axis=1), scores.shape[1] // 2
     held = np.zeros(4)
     for repetition in range(repetitions):

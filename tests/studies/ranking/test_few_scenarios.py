@@ -1,7 +1,5 @@
 """Warnings about small samples and left-out references."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

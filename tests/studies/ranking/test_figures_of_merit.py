@@ -1,7 +1,5 @@
 """Metrics of a design by name, and requirements on them."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re
@@ -62,15 +60,11 @@ def test_values_come_from_mappings_objects_and_their_release() -> None:
 @pytest.mark.parametrize(
     ("text", "canonical"),
     [
-        ("ay_p95 <= 3.0", "a_y_peak_p95 <= 3"),
-        ("dtle_0p3_share>=0.99", "within_dtle >= 0.99"),
-        ("  S<.5 ", "S < 0.5"),
-        ("dtle_min > -0.3", "dtle_min > -0.3"),
-        ("jerk_peak_max_m_s3 <= 1e2", "jerk_peak_max <= 100"),
-        ("crashed <= 0", "crashed <= 0"),
-        ("reduction >= -1e-12", "reduction >= -1e-12"),
+        ("ay_p95 <= 3.0", "a_y_peak_p95 <= 3"), ("dtle_0p3_share>=0.99", "within_dtle >= 0.99"), ("  S<.5 ", "S < 0.5"),
+        ("dtle_min > -0.3", "dtle_min > -0.3"), ("jerk_peak_max_m_s3 <= 1e2", "jerk_peak_max <= 100"),
+        ("crashed <= 0", "crashed <= 0"), ("reduction >= -1e-12", "reduction >= -1e-12"),
     ],
-)
+)  # fmt: skip
 def test_requirements_are_read(text: str, canonical: str) -> None:
     assert parse_requirement(text).text == canonical
     assert parse_requirement(canonical).text == canonical
@@ -94,13 +88,10 @@ def test_an_unknown_figure_of_a_requirement_is_named_with_its_text() -> None:
 @pytest.mark.parametrize(
     ("text", "allowed"),
     [
-        ("S <= inf", "a finite number"),
-        ("S <= nan", "a finite number"),
-        ("S <= three", "a finite number"),
-        ("within_dtle >= 99", "a share from 0 to 1"),
-        ("crashed <= -1", "a number >= 0"),
+        ("S <= inf", "a finite number"), ("S <= nan", "a finite number"), ("S <= three", "a finite number"),
+        ("within_dtle >= 99", "a share from 0 to 1"), ("crashed <= -1", "a number >= 0"),
     ],
-)
+)  # fmt: skip
 def test_a_limit_that_makes_no_sense_is_refused(text: str, allowed: str) -> None:
     with pytest.raises(InputError, match=f"the limit is .*; allowed: {allowed}"):
         parse_requirement(text)
@@ -124,8 +115,7 @@ def test_a_figure_that_a_design_lacks_meets_nothing() -> None:
 )
 def test_the_text_reads_back_to_the_same(name: str, operator: str, limit: float) -> None:
     one = parse_requirement(f"{name} {operator} {limit!r}")
-    assert parse_requirement(one.text) == one
-    assert one.limit == limit
+    assert (parse_requirement(one.text), one.limit) == (one, limit)
 
 
 @given(st.text(max_size=30))

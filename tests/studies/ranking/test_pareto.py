@@ -1,7 +1,5 @@
 """The Pareto front against all pairs, one after the other."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import hypothesis.extra.numpy as hnp

@@ -1,7 +1,5 @@
 """Ranking: means, paired differences, intervals against independent routes, ties, warnings, the CSV."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import math
@@ -106,8 +104,7 @@ def test_weights_depend_on_the_seed_only() -> None:
 def test_equal_scores_share_a_rank_and_keep_the_study_order() -> None:
     S = np.random.default_rng(2).gamma(2.0, 1.0, 60)
     ranking = rank(results_of(np.stack([S + 1.0, S, S, S]), left=30))
-    assert ranking.index.tolist() == [1, 2, 3, 0]
-    assert ranking.rank.tolist() == [1, 1, 1, 4]
+    assert (ranking.index.tolist(), ranking.rank.tolist()) == ([1, 2, 3, 0], [1, 1, 1, 4])
     assert ranking.set_of_best.tolist() == [True, True, True, False]
     assert ranking.difference[:3].tolist() == [0.0, 0.0, 0.0]
 
@@ -127,12 +124,9 @@ def test_failures_count_in_means_and_are_told() -> None:
     case.failed_solves[1, 0] = 7
     ranking = rank(results)
     # S without control is 3 and 41: what failed counts as that, the rest as it is
-    assert ranking.S.tolist() == [2.5, 21.0]
-    assert ranking.S_left.tolist() == [3.0, 1.0]
-    assert ranking.diverged.tolist() == [0, 1]
-    assert ranking.solver_failed.tolist() == [1, 0]
-    assert ranking.failed_solves.tolist() == [7, 0]
-    assert ranking.triggered.tolist() == [0.5, 1.0]
+    assert (ranking.S.tolist(), ranking.S_left.tolist()) == ([2.5, 21.0], [3.0, 1.0])
+    assert (ranking.diverged.tolist(), ranking.solver_failed.tolist()) == ([0, 1], [1, 0])
+    assert (ranking.failed_solves.tolist(), ranking.triggered.tolist()) == ([7, 0], [0.5, 1.0])
 
 
 def test_scores_that_are_not_finite_are_refused() -> None:
@@ -242,17 +236,15 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
         array[1, [3, 200]] = array[2, 399] = np.nan
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
-    fewer = rank(
-        StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),))
-    )
+    few = rank(StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),)))
     assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
     assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
-    assert not fewer.warnings
+    assert not few.warnings
     for field in dataclasses.fields(Ranking):
         if field.name not in ("invalid", "warnings", "release"):
-            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(fewer, field.name))
+            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(few, field.name))
     for name in RELEASE_METRICS:
-        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(fewer.release, name))
+        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(few.release, name))
         assert name.endswith("margin") or np.isfinite(getattr(ranking.release, name)).all()
 
 
@@ -283,8 +275,7 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
     write_csv([ranking, ranking], tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 4
-    assert [row["rank"] for row in rows] == ["1", "2", "1", "2"]
+    assert (len(rows), [row["rank"] for row in rows]) == (4, ["1", "2", "1", "2"])
     assert [float(row["S_m_s"]) for row in rows[:2]] == ranking.S.tolist()
     by_law = {row["law"]: row for row in rows}
     assert float(by_law["lqr"]["gain_r_delta_1_per_rad2"]) == 1 / 3
@@ -306,16 +297,13 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     results = dataclasses.replace(results, designs=(Design.from_gains("none", 0.2, {}), *results.designs[1:]))
     order = np.array([4, 8, 0, 2, 6, 1, 7, 3, 5])
     case = results.cases[0]
-    arrays = {
-        name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
-    }
+    parts = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")}
     companions = Companions(**{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(Companions)})
-    turned = dataclasses.replace(case, **arrays, companions=companions)
+    turned = dataclasses.replace(case, **parts, companions=companions)
     other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
     one, two = (Ranking.of(r, r.cases[0], **settings) for r in (results, other))  # type: ignore[arg-type]
-    assert one.designs == two.designs
-    assert two.index.tolist() == [order.tolist().index(i) for i in one.index]
+    assert (one.designs, two.index.tolist()) == (two.designs, [order.tolist().index(i) for i in one.index])
     for field in dataclasses.fields(Ranking):
         if field.name not in ("index", "release"):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
@@ -345,17 +333,13 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
     peaks = results.cases[0].companions.a_y_peak
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
-    assert ranking.index.tolist() == [2, 0, 3, 1]
-    assert ranking.rank.tolist() == [1, 2, 3, 0]
-    assert ranking.ranked == 3
-    assert ranking.unmet == ((), (), (), ("a_y_peak_p95 <= 3",))
-    assert ranking.difference[0] == 0.0
+    assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)
+    assert (ranking.unmet, ranking.difference[0]) == (((), (), (), ("a_y_peak_p95 <= 3",)), 0.0)
     assert ranking.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
     assert ranking.set_of_best.tolist() == [True, False, False, False]
     assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
     # 0 is worse by S, better by its peak; 3 is worse in both
-    assert ranking.pareto.tolist() == [True, True, False, False]
-    assert ranking.winner == 0
+    assert (ranking.pareto.tolist(), ranking.winner) == ([True, True, False, False], 0)
     write_csv([ranking], tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         last = list(csv.DictReader(stream))[-1]
@@ -365,8 +349,7 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
 
 def test_requirements_that_nobody_meets_rank_nobody_and_say_so(scores: np.ndarray) -> None:
     ranking = rank(results_of(scores, left=150, law="toy"), require=("S <= 1e-3", "ay_max < 1e-3"))  # type: ignore[arg-type]
-    assert ranking.rank.tolist() == [0, 0, 0, 0]
-    assert ranking.S.tolist() == sorted(scores.mean(axis=1))
+    assert (ranking.rank.tolist(), ranking.S.tolist()) == ([0, 0, 0, 0], sorted(scores.mean(axis=1)))
     assert not ranking.set_of_best.any()
     assert not ranking.best_frequency.any()
     assert ranking.winner is None

@@ -1,7 +1,5 @@
 """ranking.md as a Markdown reader understands it: cells, numbers, escaped text, what is listed."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import re
@@ -62,8 +60,7 @@ def test_the_table_holds_the_numbers_of_the_ranking() -> None:
     ranking, found = ranked(scores(4))
     head, *rows = table(ranking_markdown([ranking], HEAD, found))
     assert head[:5] == ["#", "law", "y_s [m]", "gains", "S, 95 % [m s]"]
-    assert head[5:] == ["less [%]", "a_y [m/s2]", "jerk [m/s3]", "needless [%]", "verdict"]
-    assert len(rows) == 4
+    assert (head[5:], len(rows)) == (["less [%]", "a_y [m/s2]", "jerk [m/s3]", "needless [%]", "verdict"], 4)
     for i, row in enumerate(rows):
         assert row[:3] == [str(ranking.rank[i]), "LQR", f"{ranking.designs[i].y_s:g}"]
         value, low, high = map(float, row[4].replace("..", " ").split())

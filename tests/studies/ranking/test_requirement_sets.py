@@ -1,7 +1,5 @@
 """Named sets of requirements, margins as metrics, and the verdict that follows from them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -47,8 +45,6 @@ def light(found: Verdict, name: str) -> tuple[str, str]:
 
 
 # ------------------------------------------------------------------------------------------------ sets
-
-
 def test_the_sets_ask_what_the_standards_ask() -> None:
     assert [one.text for one in requirements_of(["comfort"])] == ["a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5"]
     lost, gain, phase = requirements_of(["stable"])
@@ -90,8 +86,7 @@ def test_designs_that_meet_all_come_first_by_S() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 4.0, 2.0, 1.0], jerk_added_peak=[0, 9.0, 4.0, 2.0])
     ranking, found = ranked(results, "comfort")
     assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 3, 0, 1)]
-    assert ranking.rank.tolist() == [1, 2, 3, 0]
-    assert [len(some) for some in ranking.missed] == [0, 0, 0, 2]
+    assert (ranking.rank.tolist(), [len(some) for some in ranking.missed]) == ([1, 2, 3, 0], [0, 0, 0, 2])
     assert (
         found.title
         == f"Best design that meets the limits: LQR, y_s = 0.1 m{', r_delta = 1000' if LQR().r_delta != 1000 else ''}"
@@ -111,10 +106,7 @@ def test_studies_take_sets_by_name(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------ margins
 
 
-SETUPS = {
-    "ideal": Setup(),
-    "lag and delay": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.1))),
-}
+SETUPS = {"ideal": Setup(), "lag and delay": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.1)))}
 
 
 @pytest.mark.parametrize("name", SETUPS)
@@ -125,7 +117,6 @@ def test_margins_are_those_of_the_review(name: str, controller: Any) -> None:
     v = np.array([10.0, 25.0, 40.0])
     gain, phase = design_margins([controller], setup, v)
     loop = review(controller, model=setup.model, dt=setup.dt, options=setup.options, speeds=v).loop
-    assert loop is not None
     assert (gain[0] > 0).tolist() == loop.stable.tolist()
     for i in np.flatnonzero(loop.stable):
         assert 20 * math.log10(gain[0, i]) == pytest.approx(loop.gain_margin[i], abs=0.1)
@@ -152,14 +143,11 @@ def test_margins_rank_designs(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ the verdict
-
-
 def test_no_control_alone_is_no_winner() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 9.0, 8.0, 7.0])
     ranking, found = ranked(results, "comfort")
     assert ranking.winner is None
-    assert found.title == "None of 3 designs meets the limits"
-    assert found.nearest[0] == 3
+    assert (found.title, found.nearest[0]) == ("None of 3 designs meets the limits", 3)
     assert "misses Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times)." in found.sentences[0]
     assert found.try_next == ("The nearest design stands at an end of its sweep: try r_delta above 10000.",)
     assert not found.usable

@@ -1,7 +1,5 @@
 """Tables larger than a block: every row is as if it stood alone, to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

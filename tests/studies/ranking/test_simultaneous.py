@@ -23,12 +23,10 @@ CONFIDENCE = 0.95
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """Designs with known mean S, and scenarios drawn for them.
-
-    S >= 0 is a scenario's own depth, which all designs share in their own measure, plus three further traits of the
-    scenario that designs react to differently, plus what is between this design and this scenario alone. All are
-    skewed (2, and 6.6 for the last), left departures are worse than right ones, and S correlates between designs.
-    """
+    """Designs with known mean S, and scenarios drawn for them. S >= 0 is a scenario's own depth, which all designs
+    share in their own measure, plus three further traits of the scenario that designs react to differently, plus what
+    is between this design and this scenario alone. All are skewed (2, and 6.6 for the last), left departures are worse
+    than right ones, and S correlates between designs."""
 
     mean: np.ndarray
     depth: np.ndarray
@@ -89,10 +87,8 @@ def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 
 @pytest.mark.slow
 def test_coverage_at_1000_scenarios() -> None:
-    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each.
-
-    docs/ranking.md has the figures of some thousand repetitions.
-    """
+    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each. docs/ranking.md
+    has the figures of some thousand repetitions."""
     found = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
     assert 0.93 <= found.S <= 0.97
     assert 0.93 <= found.baseline <= 0.97
@@ -235,8 +231,7 @@ def test_solver_tolerance_is_no_difference() -> None:
     S = np.random.default_rng(0).gamma(2.0, 1.0, 60)
     side = np.repeat([1, -1], 30)
     found = separable(np.stack([S + 5e-6, S, S + 5e-7, S]), side, seed=1, confidence=0.95, samples=200)
-    assert found.clear.tolist() == [True, False, False, False]
-    assert found.difference[3] == 0.0
+    assert (found.clear.tolist(), found.difference[3]) == ([True, False, False, False], 0.0)
     assert found.low[3] == found.high_of_all[3] == 0.0
 
 
@@ -246,8 +241,7 @@ def test_who_cannot_be_the_best_does_not_decide_who_is(scores: tuple[np.ndarray,
     resampled = Resampled.of(np.concatenate([values, 0.5 * values[:, ::-1] - 0.2]), side, seed=1, samples=200)
     found = compare_with_best(resampled, 0.95, contenders=6)
     alone = compare_with_best(Resampled.of(values, side, seed=1, samples=200), 0.95)
-    assert found.best == alone.best
-    assert found.critical == alone.critical
+    assert (found.best, found.critical) == (alone.best, alone.critical)
     assert found.critical_of_all > alone.critical_of_all  # one more interval that has to hold
     np.testing.assert_array_equal(found.low[:6], alone.low)
     assert (found.difference[6:] < -0.1).all()

@@ -1,7 +1,5 @@
 """The bad end of S against the definition of the conditional value at risk, and figures over marked columns."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a study runs makes no difference: one process, two, a Dask cluster over TCP; the same rows and rankings."""
 
-from __future__ import annotations
-
 import concurrent.futures
 import contextlib
 import dataclasses
@@ -60,10 +58,8 @@ def study(make_study: MakeStudy) -> Study:
 def cluster(
     folder: Path, workers: int = 2, scheduler: tuple[str, ...] = (), later: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them.
-
-    With `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line.
-    """
+    """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them. With
+    `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -100,18 +96,14 @@ def assert_same(one: StudyResults, other: StudyResults, study: Study) -> None:
 
 
 @pytest.mark.slow
-def test_serial_processes_and_a_dask_cluster_give_the_same_bits(
-    study: Study, tmp_path: Path, stored_rows: Callable[..., Any]
-) -> None:
+def test_serial_processes_and_dask_are_equal(study: Study, tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     """With any block size; the rows of both stores, the study's and its finalists', and the rankings."""
     reference = run_study(study, directory=tmp_path / "serial", executor="serial")
     ways: dict[str, dict[str, Any]] = {
-        "serial-1": {"executor": "serial", "block_size": 1},
-        "serial-7": {"executor": "serial", "block_size": 7},
-        "processes": {"workers": 2},
-        "processes-1": {"workers": 2, "block_size": 1},
+        "serial-1": {"executor": "serial", "block_size": 1}, "serial-7": {"executor": "serial", "block_size": 7},
+        "processes": {"workers": 2}, "processes-1": {"workers": 2, "block_size": 1},
         "processes-5": {"workers": 2, "block_size": 5},
-    }
+    }  # fmt: skip
     with cluster(tmp_path) as (address, _):
         ways |= {"dask": {"dask": address}, "dask-1": {"dask": address, "block_size": 1}}
         for name, how in ways.items():
@@ -277,9 +269,7 @@ def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> Non
     assert [ended.done for ended in executor.wait()] == [done]
 
 
-def test_a_run_without_workers_warns_and_ends(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_no_workers(client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
     executor = connected()
     executor.start(a_task())
@@ -288,9 +278,7 @@ def test_a_run_without_workers_warns_and_ends(
     client.threads = {}
     for _ in range(5):
         assert executor.wait() == []
-    assert [record.getMessage() for record in caplog.records] == [
-        "dask: all workers have gone; the run waits 60 s for others"
-    ]
+    assert caplog.messages == ["dask: all workers have gone; the run waits 60 s for others"]
     # one comes back, and the time begins anew
     client.threads = {"tcp://w:2": 1}
     executor.wait()
@@ -302,9 +290,7 @@ def test_a_run_without_workers_warns_and_ends(
         executor.wait()
 
 
-def test_a_task_is_late_only_where_nothing_else_took_the_time(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_is_late_where_nothing_else_took_the_time(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
     """A limit of 10 s and four attempts: 41 s alone are too long; 39 s, or 41 s beside another task, tell nothing."""
     now = 0.0
     monkeypatch.setattr(dask_cluster.time, "monotonic", lambda: now)

@@ -64,10 +64,8 @@ class Broken(Controller):
 
 def broken(how: str) -> type[Controller]:
     K = gain(0.0, unit="1", lower=0.0, upper=9.0, description="a number")
-    spaces = {"name": f"broken_{how}", "title": f"Broken {how}", "how": how, "__module__": __name__}
-    return dataclasses.make_dataclass(
-        f"Broken_{how}", [("K", float, K)], bases=(Broken,), namespace=spaces, frozen=True
-    )
+    space = {"name": f"broken_{how}", "title": f"Broken {how}", "how": how, "__module__": __name__}
+    return dataclasses.make_dataclass(f"Broken_{how}", [("K", float, K)], bases=(Broken,), namespace=space, frozen=True)
 
 
 FAULTS = {
@@ -180,9 +178,7 @@ def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, mo
     assert len(read_results(tmp_path).designs) == 2
 
 
-def test_a_design_that_fails_in_one_convention_is_in_no_case(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failing_in_one_case_is_in_none(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def prepare(self: Controller, plant: Plant) -> BrokenLaw:
         if plant.model.convention == "as_printed":
             raise ValueError("a misprint")
@@ -195,9 +191,7 @@ def test_a_design_that_fails_in_one_convention_is_in_no_case(
     assert failed.reason.startswith("in the convention as_printed: ValueError: a misprint (")
 
 
-def test_what_is_no_fault_of_a_law_ends_the_study(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from studies.running.simulate_designs import Simulator
 
     def broken_takeover(*settings: Any) -> None:
@@ -210,10 +204,8 @@ def test_what_is_no_fault_of_a_law_ends_the_study(
 
 def test_a_study_of_failures_alone_ends_with_an_error(make_study: MakeStudy, tmp_path: Path) -> None:
     study = make_study(design=[{"law": "broken_step"}, {"law": "broken_shape"}])
-    message = (
-        r"every design failed; the first, design [0-9a-f]{12} \(Broken step, y_s=0\.2 m\): IndexError: no \[row\].*; "
-    )
-    message += r"all of them are in failures\.json"
+    message = r"every design failed; the first, design [0-9a-f]{12} \(Broken step, y_s=0\.2 m\): "
+    message += r"IndexError: no \[row\].*; all of them are in failures\.json"
     with pytest.raises(LdcError, match=rf"small: {message}"):
         run_study(study, directory=tmp_path, workers=1)
     with pytest.raises(LdcError, match=message):
@@ -301,8 +293,7 @@ def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
 
 
 @pytest.mark.parametrize(
-    ("workers", "block_size", "K"),
-    [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)],
+    ("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)]
 )
 def test_each_design_is_asked_whether_it_keeps_state(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
@@ -319,9 +310,7 @@ def test_each_design_is_asked_whether_it_keeps_state(
 
 
 @pytest.mark.parametrize(("yaw_rate", "plant"), [("path", {}), ("zero", {"speed": "profile"})])
-def test_a_law_without_memory_passes_on_every_plant(
-    make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]
-) -> None:
+def test_laws_without_memory_pass(make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]) -> None:
     simulation = {"initial_yaw_rate": yaw_rate, "settle": 1.0}
     designs = [{"law": law, "y_s": 0.05} for law in ("stanley", "pid", "linear_mpc")]
     study = make_study(design=designs, simulation=simulation, plant=plant)

@@ -1,7 +1,5 @@
 """A run that is killed at any moment: the next run into its folder ends with what an uninterrupted one would have."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """What is left behind by a run that was stopped between its stages, or of other settings, is never taken for new."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -23,11 +21,9 @@ FOUR = [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.1, 0.15, 0.2]}]
 
 def study_of(make_study: MakeStudy, **parts: Any) -> Study:
     settings: dict[str, Any] = {
-        "design": FOUR,
-        "simulation": {},
-        "scenarios": {"left": 30, "right": 30},
+        "design": FOUR, "simulation": {}, "scenarios": {"left": 30, "right": 30},
         "ranking": {"bootstrap": 200, "finalists": 3},
-    }
+    }  # fmt: skip
     return make_study(**(settings | parts))
 
 
@@ -47,7 +43,6 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     study = study_of(make_study)
     results = run_study(study, directory=tmp_path, workers=1)
     fresh = results.fresh
-    assert fresh is not None
     # three finalists, and the baseline, so that the gain is known on fresh scenarios too
     assert "none" in [design.law for design in fresh.designs]
     assert 3 <= len(fresh.designs) <= 4
@@ -55,7 +50,6 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     best = rank_study(results, study)[0].designs[0]
     assert best in fresh.designs
     again = read_results(tmp_path)
-    assert again.fresh is not None
     np.testing.assert_array_equal(again.fresh.cases[0].S, fresh.cases[0].S)
     none = study_of(make_study, ranking={"finalists": 0})
     assert run_study(none, directory=tmp_path, workers=1).fresh is None
@@ -91,8 +85,6 @@ def test_damaged_finalists_are_refused_and_repaired(make_study: MakeStudy, tmp_p
     with pytest.raises(StoreError, match=r"finalists/results/part-.*: broken: "):
         read_results(tmp_path)
     fresh = run_study(study, directory=tmp_path, workers=1).fresh
-    assert fresh is not None
-    assert expected is not None
     np.testing.assert_array_equal(fresh.cases[0].S, expected.cases[0].S)
 
 
@@ -113,12 +105,9 @@ RACE = {
 
 
 @pytest.mark.slow
-def test_the_race_of_other_designs_is_not_believed(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_races_are_not_believed(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = study_of(make_study, **RACE)
     results = run_study(study, directory=tmp_path, workers=1)
-    assert results.race is not None
     assert results.race.dropped
     assert read_results(tmp_path).race == results.race
     best = rank_study(results, study)[0].designs[0]
@@ -138,7 +127,6 @@ def test_the_race_of_other_designs_is_not_believed(
 def test_a_race_keeps_its_baseline_and_says_when_others_went(make_study: MakeStudy, tmp_path: Path) -> None:
     study = study_of(make_study, **RACE)
     results = run_study(study, directory=tmp_path, workers=1)
-    assert results.race is not None
     assert "none" in [design.law for design in results.designs]
     for one in results.race.dropped:
         assert one.low > 0

@@ -1,7 +1,5 @@
 """What a worker process does around a task: the time limit, and the folder that only one run may hold."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

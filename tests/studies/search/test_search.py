@@ -1,7 +1,5 @@
 """Search with Optuna: finds what is there to find, asks the same again when told the same, runs nothing twice."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -186,8 +184,7 @@ def test_tables_that_share_designs_run_them_once() -> None:
 def test_every_law_has_random_numbers_of_its_own() -> None:
     block = {"law": ["toy", "boom"], "y_s": {"from": 0.0, "to": 1.0}}
     asked = Search(make([block], trials=6, batch=6, sampler="random")).ask()
-    assert {design.law for design in asked} == {"toy", "boom"}
-    assert len({design.y_s for design in asked}) == 6
+    assert ({design.law for design in asked}, len({design.y_s for design in asked})) == ({"toy", "boom"}, 6)
 
 
 def test_a_space_whose_conditions_merge_designs_comes_to_its_end() -> None:
@@ -280,8 +277,6 @@ def test_optunas_own_settings_are_left_as_they_were() -> None:
 
 
 # --- requirements -----------------------------------------------------------------------------------------------------
-
-
 def drive_within(search: Search, objective: Objective, margins: Callable[[Design], tuple[float, ...]]) -> None:
     while batch := search.ask():
         search.tell({d.id: objective(d) for d in batch}, {d.id: margins(d) for d in batch})
@@ -361,9 +356,7 @@ def test_designs_that_fail_have_no_margins_and_wrong_ones_are_refused() -> None:
     assert len(search.ask()) == 2
 
 
-def test_a_run_asks_for_what_its_own_values_and_margins_lead_to(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable[..., Study], tmp_path: Path) -> None:
     """Told by hand from the ranking of what ran: S, and how far S <= 0.9 and reduction > 0 are missed, as parts."""
     study = make_study(
         design=[{"law": "none"}, {"law": "lqr", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"r_delta": [10, 5000]}}],

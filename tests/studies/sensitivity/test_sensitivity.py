@@ -19,15 +19,7 @@ from hypothesis import strategies as st
 from helpers.laws import Unsighted, known
 from helpers.results import case_of_outcomes
 from helpers.results import results_of as given_results
-from ldctoolkit import (
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Scenarios,
-    gain,
-    simulate,
-)
+from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
 from studies import Case, Design, Study, StudyResults
@@ -116,8 +108,6 @@ CUBE = {name: {"from": -math.pi, "to": math.pi} for name in "abc"}
 
 
 # --- the formulas -----------------------------------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**32), st.lists(st.integers(1, 4), min_size=1, max_size=4))
 def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: list[int]) -> None:
     """Every effect by inclusion and exclusion of conditional means; its sum of squares goes to all that are part."""
@@ -154,8 +144,6 @@ def test_samples_that_do_not_fit_are_refused() -> None:
 
 
 # --- blocks of a study ------------------------------------------------------------------------------------------------
-
-
 def only(found: tuple[BlockSensitivity, ...]) -> BlockSensitivity:
     assert len(found) == 1
     return found[0]
@@ -170,7 +158,6 @@ def test_a_full_grid_gives_the_indices_of_a_linear_function() -> None:
     )
     parts = np.array([np.var(y_s), 4 * np.var(b), 9 * np.var(a)])
     assert (found.names, found.method, found.designs) == (("y_s", "b", "a"), "factorial", 24)
-    assert found.indices is not None
     for index in ("first", "first_low", "first_high", "total", "total_low", "total_high"):
         # scores do not depend on the scenario: nor do the indices, whatever is drawn. 100 m s are added to all:
         # 14 of 16 digits are left, and the resampled means keep about twelve
@@ -182,7 +169,6 @@ def test_a_full_grid_gives_the_indices_of_a_linear_function() -> None:
 def test_a_grid_in_which_only_the_product_counts_is_all_interaction() -> None:
     study = study_of({"law": "waves", "gains": {"a": [-1.0, 1.0], "b": [-2.0, 2.0], "on": [True, False]}})
     found = only(sensitivity(results_of(study, lambda d: gain_value(d, "a") * gain_value(d, "b")), study))
-    assert found.indices is not None
     for end in ("", "_low", "_high"):
         np.testing.assert_allclose(getattr(found.indices, f"first{end}"), [0, 0, 0], atol=1e-9)
         np.testing.assert_allclose(getattr(found.indices, f"total{end}"), [1, 1, 0], atol=1e-9)
@@ -195,7 +181,6 @@ def test_the_interval_of_an_index_is_that_of_resampled_scenarios() -> None:
     slopes = np.random.default_rng(1).normal([[2.0], [1.0]], 1.0, (2, 200))
     scores = results_of(study, lambda d: gain_value(d, "a") * slopes[0] + gain_value(d, "b") * slopes[1], n=200)
     found = only(sensitivity(scores, study)).indices
-    assert found is not None
     means = bootstrap_means(slopes, scores.scenarios.side, samples=200, seed=5)
     index = means**2 / (means**2).sum(axis=1, keepdims=True)
     low, high = np.quantile(index, [0.025, 0.975], axis=0)
@@ -214,7 +199,6 @@ def test_scores_count_as_in_the_ranking() -> None:
     S[1, 0], before[1, 0], status[1, 0] = 0.0, 112.0, EventStatus.SOLVER_FAILED  # a = 0, b = 1
     changed = dataclasses.replace(case, S=S, status=status, S_uncorrected=before)
     found = only(sensitivity(dataclasses.replace(plain, cases=(changed,)), study)).indices
-    assert found is not None
     first, total = factorial_shares(np.array([[[0.0, 4.0], [1.0, 1.0]]]))
     np.testing.assert_allclose(found.first, first[0], rtol=1e-9)
     np.testing.assert_allclose(found.total, total[0], rtol=1e-9)
@@ -227,7 +211,6 @@ def test_a_saltelli_sample_gives_the_known_indices_of_ishigami(count: int, error
     found = only(sensitivity(results_of(study, ishigami), study))
     assert (found.names, found.method, found.designs) == (("a", "b", "c"), "saltelli", 5 * count)
     one = found.indices
-    assert one is not None
     np.testing.assert_allclose(one.first, ISHIGAMI_FIRST, atol=error)
     np.testing.assert_allclose(one.total, ISHIGAMI_TOTAL, atol=error)
     for index, wanted in (("first", ISHIGAMI_FIRST), ("total", ISHIGAMI_TOTAL)):
@@ -243,7 +226,6 @@ def test_an_even_sample_gives_the_first_order_indices_of_ishigami(method: str) -
     study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": method, "count": 512, "seed": 3}})
     found = only(sensitivity(results_of(study, ishigami), study))
     assert (found.method, found.designs) == ("rbd_fast", 512)
-    assert found.indices is not None
     np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.1)
     assert np.isnan(found.indices.total).all()
     assert "total indices need a full grid" in found.note
@@ -308,7 +290,6 @@ def test_a_few_failed_designs_of_an_even_sample_are_left_out_and_counted() -> No
     assert found.designs == 199
     assert "1 failed designs are left out" in found.note
     # the others keep their places: 200 designs know an index to about 0.05
-    assert found.indices is not None
     np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.2)
 
 
@@ -332,12 +313,9 @@ def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12)
 
 def _outcome(study: Study, design: Design, scenarios: Scenarios, case: Case) -> Any:
     return simulate(
-        design.controller(case.convention),
-        scenarios,
-        setup=study.setup(case.convention),
-        y_s=design.y_s,
+        design.controller(case.convention), scenarios, setup=study.setup(case.convention), y_s=design.y_s,
         window=case.window,
-    )
+    )  # fmt: skip
 
 
 def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:
@@ -360,8 +338,7 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
     winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
     counts: list[tuple[int, int]] = []
     found = by_name(winner_profile(results, study, winner, case=case, points=5, advance=lambda *c: counts.append(c)))
-    assert list(found) == ["y_s", "a", "N"]
-    assert found["y_s"].values == (0.1, 0.15, 0.2, 0.25, 0.3)
+    assert (list(found), found["y_s"].values) == (["y_s", "a", "N"], (0.1, 0.15, 0.2, 0.25, 0.3))
     assert found["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
     # whole, and even on a logarithmic scale
     assert found["N"].values == (2, 3, 4, 6, 8)
@@ -393,8 +370,7 @@ def test_a_profile_is_what_simulate_gives(case: int) -> None:
     assert 0.95 * scipy.stats.t.ppf(0.975, df) < critical[0] < 1.1 * scipy.stats.t.ppf(1 - 0.025 / len(critical), df)
     # nine designs and the winner, which is driven once more to see that nothing has changed
     assert counts == [(i, 10) for i in range(1, 11)]
-    assert found["a"].unit == "1"
-    assert found["y_s"].unit == "m"
+    assert (found["a"].unit, found["y_s"].unit) == ("1", "m")
 
 
 def test_driven_designs_count_as_stored_ones_do() -> None:
@@ -431,8 +407,7 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
     )
     results = driven(study, study.designs[:2])
     found = by_name(winner_profile(results, study, study.designs[0], points=3))
-    assert found["on"].values == (True, False)
-    assert found["on"].stored.tolist() == [True, False]
+    assert (found["on"].values, found["on"].stored.tolist()) == ((True, False), [True, False])
     assert np.isfinite(found["on"].S).all()
     # 1.6 is the middle of the range; the end is there although 2.9 is in the study and close to it
     assert found["c"].values == (0.0, 1.6, 2.9, 3.2)
@@ -455,9 +430,7 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
         ([0.0, 1.0, 2.0], lambda a: -0.1 * a + a * np.array([5.0, -5.0] * 3), None),  # chance
     ],
 )
-def test_the_end_of_a_range_is_told_where_s_goes_on_falling(
-    a: list[float], S: Callable[[float], Any], end: float | None
-) -> None:
+def test_the_end_of_a_range_is_told_where_s_falls(a: list[float], S: Callable[[float], Any], end: float | None) -> None:
     study = study_of({"law": "waves", "gains": {"a": a, "on": [False, True]}})
     results = results_of(study, lambda d: S(float(gain_value(d, "a"))))
     best = min(study.designs, key=lambda d: float(np.mean(S(float(gain_value(d, "a"))))))
@@ -497,8 +470,7 @@ def test_a_range_ends_where_the_study_file_says(more: dict[str, Any]) -> None:
     assert found["y_s"].at == 1
     assert (found["a"].values[0], found["a"].values[-1]) == (-1.0, 1.0)
     assert (found["N"].values[0], found["N"].values[-1]) == (2, 9)
-    assert {type(value) for value in found["N"].values} == {int}
-    assert set(found["on"].values) == {True, False}
+    assert ({type(value) for value in found["N"].values}, set(found["on"].values)) == ({int}, {True, False})
     assert len(set(found["y_s"].values)) == len(found["y_s"].values)
 
 
@@ -537,7 +509,6 @@ def test_the_table_holds_all_of_it(tmp_path: Path) -> None:
     table = pl.read_csv(tmp_path / "s.csv", infer_schema_length=None)
     assert table.columns == list(COLUMNS)
     total = table.filter(pl.col("kind") == "total")
-    assert blocks[0].indices is not None
     assert total["index"].to_list() == blocks[0].indices.total.tolist()
     assert total["dimension"].to_list() == ["a", "b"]
     assert table.filter(pl.col("kind") == "none")["note"].to_list() == [blocks[1].reason]

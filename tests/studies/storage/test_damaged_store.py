@@ -1,7 +1,5 @@
 """Full disks, folders that cannot be written, files that were cut or changed: told in one line, and repaired."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -51,14 +49,10 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="tmpfs is Linux's")
-def test_a_full_disk_is_told_and_what_fitted_is_kept(
-    make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any]
-) -> None:
+def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Path, stored_rows: Any) -> None:
     """A real one; then the same study with room goes on from what was stored."""
-    designs = [
-        {"law": "preview_proportional", "y_s": 0.1, "gains": {"K_y": {"from": -0.04, "to": -0.002, "count": 60}}}
-    ]
-    study = make_study(design=designs, scenarios={"left": 150, "right": 150})
+    blocks = [{"law": "preview_proportional", "y_s": 0.1, "gains": {"K_y": {"from": -0.04, "to": -0.002, "count": 60}}}]
+    study = make_study(design=blocks, scenarios={"left": 150, "right": 150})
     with small_disk(tmp_path / "disk", 500) as disk:
         with pytest.raises(StoreError, match=r"cannot be written: No space left on device; what was finished before"):
             run_study(study, directory=disk / "s", workers=1, block_size=1)
@@ -71,9 +65,7 @@ def test_a_full_disk_is_told_and_what_fitted_is_kept(
         assert stored_rows(disk / "s").equals(stored_rows(tmp_path / "whole"))
 
 
-def test_a_disk_that_fills_up_on_the_way_ends_the_command_with_one_line(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On every machine: the second part finds no room."""
     from studies.running import campaign
     from studies.storage import parts
@@ -135,12 +127,9 @@ def test_every_flipped_byte_and_every_cut_is_found(finished: Path, data: st.Data
 
 
 def test_only_what_is_bad_is_computed_anew(
-    make_study: MakeStudy,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stored_rows: Callable[..., Any],
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     caplog: pytest.LogCaptureFixture,
-) -> None:
+) -> None:  # fmt: skip
     from studies.running import campaign
     from studies.running.simulate_designs import Simulator
 

@@ -1,7 +1,5 @@
 """A table whose rows are mostly one and the same, against a plain array."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

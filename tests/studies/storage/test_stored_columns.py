@@ -1,7 +1,5 @@
 """A study that is too large for memory: its companions are read from the parts when they are asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from pathlib import Path
@@ -149,9 +147,7 @@ def test_scores_without_control_are_one_row_where_they_are_equal(stored: StudyRe
 
 
 @pytest.mark.parametrize("gone", [True, False])
-def test_a_part_that_changes_under_a_reader_is_told(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: bool
-) -> None:
+def test_a_part_that_changes_is_told(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: bool) -> None:
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     shutil.copytree(folder, tmp_path / "copy")
     cases = read_results(tmp_path / "copy").cases
@@ -165,9 +161,7 @@ def test_a_part_that_changes_under_a_reader_is_told(
         _ = [np.asarray(case.companions.deepest) for case in cases]  # it holds some of one convention
 
 
-def test_every_column_is_checked_though_it_is_not_kept(
-    folder: Path, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_columns_are_checked(folder: Path, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part whose checksum is right and whose numbers are not."""
     import polars as pl
 

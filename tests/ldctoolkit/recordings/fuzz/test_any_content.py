@@ -20,10 +20,8 @@ SHAPES_OF = {reader: tuple(range(len(shapes))) for reader, shapes in making.SOUN
 
 
 def fixed(examples: int) -> settings:
-    """Examples that follow from the code alone: without a seed or a store of earlier ones.
-
-    They are not the same in every run: hypothesis also takes numbers out of the modules that are loaded.
-    """
+    """Examples that follow from the code alone: without a seed or a store of earlier ones. They are not the same in
+    every run: hypothesis also takes numbers out of the modules that are loaded."""
     return settings(
         max_examples=examples, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck)
     )
@@ -36,8 +34,7 @@ def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int
     for format_ in (reader, "auto"):
         opened = making.open_recordings([tmp_path], format=format_)
         found = making.extract_departures(opened)
-        assert opened.reader.name == reader
-        assert found.problems == ()
+        assert (opened.reader.name, found.problems) == (reader, ())
         assert found.departures.n == making.DEPARTURES[reader]
 
 
@@ -142,12 +139,9 @@ def fuzz_recognise(reader: str, examples: int) -> Outcomes:
 
 
 FUZZ = {
-    "damaged": fuzz_damaged_files,
-    "elsewhere": fuzz_elsewhere,
-    "bytes": fuzz_bytes,
-    "places": fuzz_places,
+    "damaged": fuzz_damaged_files, "elsewhere": fuzz_elsewhere, "bytes": fuzz_bytes, "places": fuzz_places,
     "recognise": fuzz_recognise,
-}
+}  # fmt: skip
 FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
 SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 500, "places": 80, "recognise": 50}
 

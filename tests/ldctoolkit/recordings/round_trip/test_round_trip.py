@@ -1,7 +1,5 @@
 """A scenario model's departures come back out of the tables that a vehicle would have recorded."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tables of SPMD for the tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

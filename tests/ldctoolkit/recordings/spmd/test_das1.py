@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pickle
 from collections.abc import Iterable
 from pathlib import Path
@@ -39,11 +37,9 @@ def test_planted_departures_are_given_back(tmp_path: Path, first: int) -> None:
     found = extracted(READER.open([tmp_path])).departures
     assert found.n == len(das1.PLANTED)
     for i, one in enumerate(das1.PLANTED):
-        assert found.side[i] == one.side
-        assert found.recording[i] == "10107/60"
+        assert (found.side[i], found.recording[i]) == (one.side, "10107/60")
         assert found.start_time[i] == pytest.approx(first / 100.0 + one.start, abs=0.1)
-        assert found.T[i] == pytest.approx(one.T, abs=0.1)
-        assert found.d_y[i] == pytest.approx(one.d_y, abs=0.01)
+        assert (found.T[i], found.d_y[i]) == (pytest.approx(one.T, abs=0.1), pytest.approx(one.d_y, abs=0.01))
         c = one.side * das1.curvature_at(np.array([one.start, one.start + one.T]))
         assert np.sign(found.c_0[i]) == np.sign(c[0])
         # the road bends by a sine: near its crest the slope says nothing
@@ -77,17 +73,13 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
     (tmp_path / "DataLane.csv").write_text(lane)
     (tmp_path / "DataWsu.csv").write_text(wsu)
     (one,), problems = read_all(READER.open([tmp_path]))
-    assert problems == []
-    assert one.name == "7/1"
-    assert one.source == "DataLane.csv"
+    assert (problems, one.name, one.source) == ([], "7/1", "DataLane.csv")
     nan = np.nan
     np.testing.assert_allclose(one.t, np.arange(8) * 0.1)
     np.testing.assert_array_equal(one.lane_offset, [0.5, 0.0, 0.5, 0.5, nan, -0.5, -0.25, -0.25])
     np.testing.assert_array_equal(one.lane_width, [4.0, 3.75, 4.0, 4.0, nan, -4.0, 3.5, 3.5])
     np.testing.assert_array_equal(one.valid, [True, False, False, False, False, False, True, True])
     np.testing.assert_allclose(one.speed, [10, 10, 10, 10, 9, nan, 9, nan])
-    assert one.yaw_rate is not None
-    assert one.heading is not None
     np.testing.assert_allclose(one.yaw_rate, [np.pi, np.pi, np.pi, np.pi, nan, nan, np.pi, nan])
     np.testing.assert_allclose(one.heading, -np.pi / 2 * np.array([1, 1, 1, 1, 1, nan, 1, nan]))
     np.testing.assert_array_equal(one.turn_signal, [0, 1, -1, 0, 0, 0, 0, 0])
@@ -121,8 +113,7 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     recordings, problems = read_all(whole)
     assert len(whole.parts) == 2  # two lane tables
     assert [one.name for one in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
-    assert problems == []
-    assert whole.problems == ()
+    assert (problems, whole.problems) == ([], ())
     found = extracted(whole).departures
     assert found.n > 50
     largest = [part.bytes for part in SpmdDas1(part_bytes=1).open([tmp_path]).parts]  # one trip each
@@ -199,8 +190,7 @@ def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_bytes(b"\x89PNG")
     assert READER.recognise([tmp_path]) == "1 of DataLane, 1 of DataWsu"
     source = READER.open([tmp_path])
-    assert source.problems == ()
-    assert [one.name for one in source.files] == ["DataLane.csv", "DataWsu.csv"]
+    assert (source.problems, [one.name for one in source.files]) == ((), ["DataLane.csv", "DataWsu.csv"])
     assert [one.bytes for one in source.files] == [(inner / one.name).stat().st_size for one in source.files]
     assert READER.recognise([tmp_path / "DataFrontTargets.csv"]) == ""
     assert READER.recognise([tmp_path / "picture.png", inner]) == "1 of DataLane, 1 of DataWsu"
@@ -227,8 +217,7 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
         partner = tmp_path / "partner.csv"
         partner.write_bytes(das1.text_of(make([drive])))
         (one,), problems = read_all(READER.open([path, partner]))
-        assert problems == []
-        assert one.name == f"{device}/{trip}"
+        assert (problems, one.name) == ([], f"{device}/{trip}")
         assert one.samples == real.height == 19
         np.testing.assert_allclose(one.t, real["Time"].to_numpy() / 100)
         assert np.isfinite(one.speed).all()

@@ -1,7 +1,5 @@
 """What is wrong with a table is named by file and line; the rest is read."""
 
-from __future__ import annotations
-
 import gzip
 import os
 from collections.abc import Callable
@@ -39,12 +37,6 @@ def edit(path: Path, change: Callable[[list[bytes]], None]) -> None:
 
 def samples(recordings: dict[str, Recording]) -> list[int]:
     return [recordings[name].samples if name in recordings else 0 for name in ("7/1", "7/2", "7/3")]
-
-
-def test_clean_tables_have_no_problem(tables: tuple[Path, Path]) -> None:
-    recordings, problems = read(*tables)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == []
 
 
 def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
@@ -243,8 +235,7 @@ def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
     drives = [das1.planted_drive(7, trip, rows=3) for trip in range(1, 41)]
     tables[0].write_bytes(das1.text_of(das1.lane_frame(drives)))
     recordings, problems = read(*tables)
-    assert problems == []
-    assert list(recordings) == [f"7/{trip}" for trip in range(1, 41)]
+    assert (problems, list(recordings)) == ([], [f"7/{trip}" for trip in range(1, 41)])
     for trip, one in enumerate(recordings.values(), 1):
         known = trip <= 3  # of the others nothing can be used, but they are counted
         assert one.samples == 3
@@ -257,11 +248,8 @@ def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
 
 
 def test_tables_whose_clocks_never_meet(tables: tuple[Path, Path]) -> None:
-    tables[1].write_bytes(
-        das1.text_of(
-            das1.wsu_frame([das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)])
-        )
-    )
+    drives = [das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)]
+    tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
     recordings, problems = read(*tables)
     assert samples(recordings) == [ROWS, 0, ROWS]
     assert problems == [
@@ -277,8 +265,7 @@ def test_many_faulty_lines_are_counted(tables: tuple[Path, Path]) -> None:
 
     edit(tables[0], change)
     recordings, problems = read(*tables)
-    assert samples(recordings) == [ROWS - 99, ROWS, ROWS]
-    assert len(problems) == 42
+    assert (samples(recordings), len(problems)) == ([ROWS - 99, ROWS, ROWS], 42)
     assert problems[20] == "DataLane.csv: 29 more lines do not begin with a trip's numbers"
     assert problems[41] == "DataLane.csv, line 42: 30 more lines like line 2, to line 100"
 
@@ -373,8 +360,7 @@ def test_what_is_no_file(tables: tuple[Path, Path], tmp_path: Path) -> None:
     assert READER.recognise([pipe]) == READER.recognise([loop]) == "1 of DataLane by name alone"
     assert READER.recognise([folder]) == ""
     recordings, problems = read(tmp_path)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == []
+    assert (samples(recordings), problems) == ([ROWS] * 3, [])
 
 
 def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Path]) -> None:

@@ -1,7 +1,5 @@
 """The reader spmd-das2: shapes of the table, planted departures, what is usable, every fault by file and line."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from collections.abc import Callable, Sequence
@@ -25,13 +23,9 @@ BOM = b"\xef\xbb\xbf"
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
     def to_file(
-        lines: Sequence[str],
-        name: str = "HV_Primary.csv",
-        *,
-        header: bool = True,
-        start: bytes = b"",
+        lines: Sequence[str], name: str = "HV_Primary.csv", *, header: bool = True, start: bytes = b"",
         end: str = "\r\n",
-    ) -> Path:
+    ) -> Path:  # fmt: skip
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         head = [",".join(das2.COLUMNS)] if header else []
@@ -144,24 +138,18 @@ def test_what_is_usable(write: Write) -> None:
         LaneTrack_Lane_Width=width,
     )  # fmt: skip
     recordings, problems = read(write(lines))
-    assert problems == []
-    assert np.flatnonzero(~recordings["10/1"].valid).tolist() == [3, 5, 6, 7, 10]
+    assert (problems, np.flatnonzero(~recordings["10/1"].valid).tolist()) == ([], [3, 5, 6, 7, 10])
 
 
 def test_speed_signals_and_heading(write: Write) -> None:
     cells: dict[str, list[Any]] = {
-        "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""],
-        "GPS_Speed": [11.5] * 30,
-        "GPS_Valid": [1] * 20 + [0] * 9 + [1],
-        "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
+        "InVehicle_Longitudinal_Speed": [10.5] * 28 + ["NULL", ""], "GPS_Speed": [11.5] * 30,
+        "GPS_Valid": [1] * 20 + [0] * 9 + [1], "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
         "InVehicle_Turn_Signal_Right": [1, 0, 1] + [0] * 27,
-    }
+    }  # fmt: skip
     one = read(write(lines_of(1, **cells)))[0]["10/1"]
     np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
-    assert one.turn_signal is not None
-    assert one.turn_signal[:4].tolist() == [0, 1, -1, 0]
-    assert one.heading is not None
-    assert np.isnan(one.heading).sum() == 9
+    assert (one.turn_signal[:4].tolist(), np.isnan(one.heading).sum()) == ([0, 1, -1, 0], 9)
 
 
 def check(problems: list[Problem], place: str, words: str) -> None:
@@ -193,8 +181,7 @@ def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -
     recordings, problems = read(write([*rows, *lines_of(2)]))
     check(problems, place, words)
     assert all(one.file == "HV_Primary.csv" for one in problems)
-    assert recordings["10/1"].samples == 29
-    assert recordings["10/2"].samples == 30
+    assert (recordings["10/1"].samples, recordings["10/2"].samples) == (29, 30)
 
 
 def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(write: Write) -> None:

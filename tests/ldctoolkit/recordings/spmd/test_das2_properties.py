@@ -1,7 +1,5 @@
 """HV_Primary against plain Python."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path
@@ -78,16 +76,10 @@ def by_hand(lines: list[str]) -> tuple[dict[str, list[tuple[float, ...]]], set[i
         speed = v["speed"] if not math.isnan(v["speed"]) else v["gps_speed"] if gps else math.nan
         trips.setdefault(f"{cells[0]}/{cells[1]}", []).append(
             (
-                v["time"] / 1000,
-                (v["left"] + v["right"]) / 2000,
-                width,
-                speed,
-                valid,
-                math.radians(v["yaw_rate"]),
-                -math.radians(v["heading"]) if gps else math.nan,
-                (v["signal_left"] > 0) - (v["signal_right"] > 0),
+                v["time"] / 1000, (v["left"] + v["right"]) / 2000, width, speed, valid, math.radians(v["yaw_rate"]),
+                -math.radians(v["heading"]) if gps else math.nan, (v["signal_left"] > 0) - (v["signal_right"] > 0),
             )
-        )
+        )  # fmt: skip
     return trips, faulty
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import re
 import tempfile
@@ -84,10 +82,8 @@ text = st.builds(
 def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int, compiled_from: int) -> None:
     found = indexed(text, block_bytes=block_bytes, compiled_from=compiled_from)
     stretches, faults = by_hand(text)
-    assert list(found.stretches) == stretches
-    assert [fault.line for fault in found.faults] == faults[:20]
-    assert found.more_faults == len(faults[20:])
-    assert found.bytes == len(HEADER + text)
+    assert (list(found.stretches), [fault.line for fault in found.faults]) == (stretches, faults[:20])
+    assert (found.more_faults, found.bytes) == (len(faults[20:]), len(HEADER + text))
     assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 

@@ -1,7 +1,5 @@
 """Trips of UAH-DriveSet and what was planted in them."""
 
-from __future__ import annotations
-
 import pytest
 
 from helpers import uah

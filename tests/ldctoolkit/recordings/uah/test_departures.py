@@ -1,7 +1,5 @@
 """Departures planted in trips come back, whatever the defects of the files."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trips found in folders: names, labels, duplicates, missing files."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle
@@ -53,8 +51,7 @@ def test_the_protocols(root):
 
 def test_root_driver_trip_or_file(root):
     source = READER.open([root])
-    assert [part.key for part in source.parts] == sorted(NAMES)
-    assert source.problems == ()
+    assert ([part.key for part in source.parts], source.problems) == (sorted(NAMES), ())
     assert READER.recognise([root]) == "4 trips of 2 drivers"
     assert READER.recognise([root.parent]) == "4 trips of 2 drivers"
     d1 = READER.open([root / "D1"])
@@ -65,8 +62,7 @@ def test_root_driver_trip_or_file(root):
         assert READER.recognise([path]) == "1 trip of 1 driver"
     # given twice, one way or another, is read once
     again = READER.open([root / "D1" / one, root / "D2", root])
-    assert sorted(part.key for part in again.parts) == sorted(NAMES)
-    assert again.problems == ()
+    assert (sorted(part.key for part in again.parts), again.problems) == (sorted(NAMES), ())
 
 
 def test_a_folder_of_here(root, monkeypatch):
@@ -83,8 +79,7 @@ def test_labels_and_sources(root):
         driver, behaviour, road = NAMES[part.key]
         assert recording.name == part.key
         assert recording.labels == (Label("driver", driver), Label("behaviour", behaviour), Label("road", road))
-        assert recording.source == driver
-        assert pickle.loads(pickle.dumps(part)) == part
+        assert (recording.source, pickle.loads(pickle.dumps(part))) == (driver, part)
 
 
 def test_files_with_digests(root):
@@ -150,8 +145,7 @@ def test_traces_of_archives(root):
     (shadow / f"._{LANE}").write_bytes(b"\0\5\x16\7")
     (root / "D1" / second / LANE).rename(root / "D1" / second / LANE.lower())
     source = READER.open([root])
-    assert [part.key for part in source.parts] == sorted(NAMES)
-    assert source.problems == ()
+    assert ([part.key for part in source.parts], source.problems) == (sorted(NAMES), ())
     assert all(isinstance(item, Recording) for part in source.parts for item in part.read())
 
 

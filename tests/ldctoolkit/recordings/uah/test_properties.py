@@ -1,7 +1,5 @@
 """Text of numbers against plain Python."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

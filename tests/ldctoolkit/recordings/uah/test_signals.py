@@ -1,7 +1,5 @@
 """Interpolation and slopes against sample-by-sample code."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
