@@ -372,6 +372,8 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     _count("lost", "Departures that diverged though friction allows their recorded path"),
     Metric("gain_margin", "ratio", "more", "gain_margin", "Gain margin, least over speed", "loop", 2),
     Metric("phase_margin", "rad", "more", "phase_margin_rad", "Phase margin, least over speed", "loop", 1),
+    _score("S_worst", "Mean S, worst of the named vehicles"),
+    _share("comfortable_worst", "Comfortable, worst of the named vehicles", "comfort", better="more"),
 )
 """What a release asks for beside S, by its name, in the order of ``ranking.csv``."""
 

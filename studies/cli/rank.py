@@ -70,8 +70,8 @@ def run(chosen: argparse.Namespace) -> None:
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
-    if results.race is not None and results.race.dropped and study.ranking.confidence != own.ranking.confidence:
-        warn(f"the race gave designs up at the study's own confidence, {own.ranking.confidence:g}")
+    if results.race is not None and results.race.dropped and not _same_chances(own, study):
+        warn("the race gave designs up by the study's own requirements and confidence; they are not ranked")
     rankings = rank_study(results, study)
     found = verdict(
         rankings[0], results, study.setup(), stored_robustness(Path(chosen.folder), study, results, rankings[0])

@@ -239,6 +239,7 @@ def _ranking(side: FinishedStudy, case: Case) -> Ranking:
         D_y=study.report.D_y,
         require=study.ranking.require,
         setup=study.setup(),
+        vehicles=study.vehicles,
     )
 
 

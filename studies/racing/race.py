@@ -86,7 +86,14 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     """
     if not study.ranking.require:
         return np.arange(len(mean))
-    figures = Ranking.of(results, results.cases[0], bootstrap=100, setup=study.setup(), D_y=study.report.D_y)
+    figures = Ranking.of(
+        results,
+        results.cases[0],
+        bootstrap=100,
+        setup=study.setup(),
+        D_y=study.report.D_y,
+        vehicles=study.vehicles,
+    )
     worst = np.full(len(mean), -np.inf)
     for one in requirements_of(study.ranking.require, study.plant):
         excess = one.excess(metric_values(one.metric.name, figures))

@@ -225,8 +225,10 @@ class DrivableCase:
         return int(self.status.shape[1]) - len(self.scenarios)
 
 
-Margins = Mapping[str, tuple[float, float]]
-"""Design -> gain margin and phase margin [rad] of its linear loop."""
+Margins = Mapping[str, tuple[float, float, float, float]]
+"""Design -> gain and phase margin [rad] of its linear loop, S_worst [m s] and comfortable_worst of named vehicles."""
+
+_BESIDE = ("gain_margin", "phase_margin", "S_worst", "comfortable_worst")
 
 
 def case_figures(
@@ -262,9 +264,9 @@ def case_figures(
     taken["within_dtle_gain"] = taken["within_dtle"] - kept
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
     taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
-    nothing = (np.nan, np.nan)
-    loops = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64).reshape(-1, 2)
-    taken["gain_margin"], taken["phase_margin"] = loops.T
+    nothing = (np.nan,) * len(_BESIDE)
+    beside = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64)
+    taken |= dict(zip(_BESIDE, beside.reshape(-1, len(_BESIDE)).T, strict=True))
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)

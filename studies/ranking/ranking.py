@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,12 +15,13 @@ from ldctoolkit.review import design_margins
 from studies.design import Design
 from studies.ranking.case_figures import DrivableCase, Margins, case_figures, find_baseline, in_order
 from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
+from studies.ranking.named_vehicles import worst_of_vehicles
 from studies.ranking.pareto import pareto_costs, pareto_front
 from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.ranking_text import ranking_html
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
 from studies.ranking.simultaneous import Inference, infer
-from studies.results import CaseResults, StudyResults
+from studies.results import Case, CaseResults, StudyResults
 from studies.study_file.spec import Study
 
 if TYPE_CHECKING:
@@ -149,6 +151,7 @@ class Ranking(RankedDesigns):
         require: Sequence[str] = (),
         pareto: Sequence[str] = (),
         setup: Setup | None = None,
+        vehicles: Sequence[str] = (),
     ) -> Ranking:
         """Rank the designs of one case.
 
@@ -174,6 +177,9 @@ class Ranking(RankedDesigns):
             Metrics of the Pareto front; none for no front.
         setup : Setup, optional
             What the designs were driven with: for their margins and the friction. Without it margins are NaN.
+        vehicles : sequence of str
+            Named vehicles, of `studies.ranking.named_vehicles.VEHICLES`, that `S_worst` and `comfortable_worst` are
+            the worst of; they need `setup`.
 
         Returns
         -------
@@ -192,7 +198,7 @@ class Ranking(RankedDesigns):
         pareto_figures = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
-        margins = {} if setup is None else _margins(results.designs, setup.under(case.case.convention))
+        margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
         figures = case_figures(drivable, results.designs, D_y, margins, setup)
         missed = missed_by(requirements, figures)
         order = np.lexsort((figures.S, np.array([bool(some) for some in missed]))).astype(np.int64)
@@ -302,17 +308,22 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
             require=settings.require,
             pareto=settings.pareto,
             setup=study.setup(),
+            vehicles=study.vehicles,
         )
         for case in results.cases
     )
 
 
-def _margins(designs: Sequence[Design], setup: Setup) -> Margins:
-    """Margins of every design; they do not depend on its threshold."""
+def _margins(results: StudyResults, case: Case, setup: Setup, vehicles: Sequence[str]) -> Margins:
+    """Margins of every design, which do not depend on its threshold, and its worst numbers of named vehicles."""
+    designs = results.designs
+    worst = worst_of_vehicles(tuple(vehicles), designs, results.scenarios, setup, case) if vehicles else {}
+    unknown = (math.nan, math.nan)
     same: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
         same.setdefault((design.law, design.gains), []).append(design)
-    return {design.id: pair for key, pair in _margins_of(tuple(same), setup).items() for design in same[key]}
+    margins = _margins_of(tuple(same), setup)
+    return {one.id: (*margins[key], *worst.get(one.id, unknown)) for key, some in same.items() for one in some}
 
 
 @functools.lru_cache(maxsize=8)

@@ -55,7 +55,13 @@ def _values_and_margins(
         return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
     ranking = Ranking.of(
-        results, results.cases[0], seed=study.seed, bootstrap=_RESAMPLES, D_y=study.report.D_y, setup=study.setup()
+        results,
+        results.cases[0],
+        seed=study.seed,
+        bootstrap=_RESAMPLES,
+        D_y=study.report.D_y,
+        setup=study.setup(),
+        vehicles=study.vehicles,
     )
     columns = [metric_values(name, ranking) for name in study.search.objectives] if study.search else []
     wanted = requirements_of(study.ranking.require, study.plant)

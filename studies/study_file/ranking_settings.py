@@ -13,6 +13,8 @@ from studies.study_file._part import Part, fail
 
 T = TypeVar("T")
 
+VehicleName = Literal["light", "heavy", "soft", "stiff"]
+
 
 def _names(entry: Any) -> Any:
     values = (entry,) if isinstance(entry, str) else entry
@@ -52,6 +54,9 @@ class RankingSettings(Part):
         What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``.
     pareto : tuple of str
         Metrics of the Pareto front.
+    vehicles : tuple of str
+        Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement,
+        the front or the search asks for one of the two, for all.
     finalists : int
         At most so many of the best designs are scored again on fresh scenarios; 0 for none.
     """
@@ -66,6 +71,7 @@ class RankingSettings(Part):
         "a_y_peak_mean",
         "effort_mean",
     )
+    vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
     finalists: int = Field(default=10, ge=0, le=1000)
 
 

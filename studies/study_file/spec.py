@@ -38,7 +38,7 @@ from studies.design_space.design_block import DesignBlock, check_blocks
 from studies.results import Case
 from studies.study_file._part import Part, fail
 from studies.study_file.plant_table import read_plant
-from studies.study_file.ranking_settings import RankingSettings, SearchSettings
+from studies.study_file.ranking_settings import RankingSettings, SearchSettings, VehicleName
 
 
 def _condition(entry: Any) -> Any:
@@ -420,6 +420,13 @@ class Study(Part):
             seed=self.seed,
             **{field.name: getattr(self.simulation, field.name) for field in simulation_options()},
         )
+
+    @property
+    def vehicles(self) -> tuple[VehicleName, ...]:
+        """Named vehicles that designs are driven on beside the study's own."""
+        asked = (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
+        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in asked)
+        return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
 
     @property
     def model_path(self) -> Path:

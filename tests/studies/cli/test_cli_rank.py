@@ -212,9 +212,11 @@ def test_one_design_is_told_as_one(number: int, words: str, capsys: pytest.Captu
     assert f"75.0 % of the full study's; {words} separable from the best" in lines[2]
 
 
-def test_other_settings_of_a_raced_study(rank: Rank) -> None:
-    done = rank("raced", "--confidence", 0.99, "--quiet")
-    assert "ldc: warning: the race gave designs up at the study's own confidence, 0.95" in done.stderr
+@pytest.mark.parametrize("other", [("--confidence", 0.99), ("--require", "comfort")])
+def test_other_settings_of_a_raced_study(rank: Rank, other: tuple[str, Any]) -> None:
+    done = rank("raced", *other, "--quiet")
+    assert "ldc: warning: the race gave designs up by the study's own requirements and confidence" in done.stderr
+    assert "race gave" not in rank("raced", "--quiet").stderr
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
         rows = list(csv.DictReader(stream))
     for row, i in zip(rows, ranking.index, strict=True):
         wanted = by_hand(results, int(i))
-        loop = {"gain_margin", "phase_margin_rad"}
+        loop = {"gain_margin", "phase_margin_rad", "S_worst_m_s", "comfortable_worst_share"}
         assert set(wanted) == {one.column for one in RELEASE_METRICS.values()} - loop
         for name, value in wanted.items():
             if math.isnan(value):
@@ -221,6 +221,7 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
         assert empty == {
             "opposite_crossed_share", "opposite_crossing_max", "back_inside", "t_back_median", "comfortable",
             "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "gain_margin", "phase_margin",
+            "S_worst", "comfortable_worst",
             *(f"{name}_{word}" for name in ("a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak")
               for word in ("mean", "p95", "max")),
         }  # fmt: skip
@@ -245,7 +246,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
             np.testing.assert_array_equal(getattr(ranking, field.name), getattr(few, field.name))
     for name in RELEASE_METRICS:
         np.testing.assert_array_equal(getattr(ranking.release, name), getattr(few.release, name))
-        assert name.endswith("margin") or np.isfinite(getattr(ranking.release, name)).all()
+        assert name.endswith(("margin", "worst")) or np.isfinite(getattr(ranking.release, name)).all()
 
 
 def test_nothing_that_can_be_driven_is_refused() -> None:

@@ -20,6 +20,7 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Plant
 from studies.design import Design
+from studies.ranking.named_vehicles import drive_on_plants
 from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
 from studies.robustness import stored
@@ -29,7 +30,6 @@ from studies.robustness.robustness import (
     Robustness,
     RobustnessTask,
     chosen_designs,
-    drive_on_plants,
     paired_means,
     ranks,
     work_out,

@@ -1,0 +1,141 @@
+"""Designs on other vehicles than their laws were designed for: the worst of a few named ones, and any plant."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus, Scenarios, Setup
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.law_errors import raised
+from ldctoolkit.metrics import comfortable_share
+from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.simulation import Takeover, drive
+from studies.design import Design
+from studies.results import FAILED_STATUSES, Case, status_among
+
+VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
+    "light": {"m": 0.85, "I_z": 0.85},
+    "heavy": {"m": 1.3, "I_z": 1.3},
+    "soft": {"C_af": 0.8, "C_ar": 0.8},
+    "stiff": {"C_af": 1.2, "C_ar": 1.2},
+}
+"""Named vehicles: what the quantities of the study's vehicle are multiplied with; the others are as nominal."""
+
+DEPARTURES: Final = 50
+"""Of each side, that every design is driven on with every named vehicle."""
+
+Worst = Mapping[str, tuple[float, float]]
+"""Design -> its S_worst [m s] and comfortable_worst."""
+
+
+def worst_of_vehicles(
+    names: tuple[str, ...], designs: Sequence[Design], scenarios: Scenarios, setup: Setup, case: Case
+) -> Worst:
+    """The largest mean S and the least comfortable share over named vehicles, on the first departures of each side.
+
+    A number that is not known on one vehicle is not known at all.
+    """
+    some = first_of_each_side(scenarios, DEPARTURES)
+    content = b"".join(getattr(some, field.name).tobytes() for field in dataclasses.fields(some))
+    return _worst(names, tuple(designs), _Kept(content, some), setup, case)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Kept:
+    content: bytes
+    scenarios: Scenarios = dataclasses.field(compare=False)
+
+
+@functools.lru_cache(maxsize=8)
+def _worst(names: tuple[str, ...], designs: tuple[Design, ...], kept: _Kept, setup: Setup, case: Case) -> Worst:
+    """Kept for the next time: a run ranks more than once."""
+    plants = []
+    for name in names:
+        fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES[name].items()}
+        # friction is of the road, not of the vehicle
+        mismatch = Mismatch(mu=setup.options.mismatch.mu, **fixed)
+        plants.append(dataclasses.replace(setup.options, mismatch=mismatch))
+    drives = drive_on_plants(designs, plants, kept.scenarios, setup, case)
+    driven = drives.status != EventStatus.INVALID
+    S = np.where(driven, drives.S, 0.0).sum(axis=2) / np.maximum(driven.sum(axis=2), 1)
+    S_worst = np.where(driven.any(axis=2), S, np.nan).max(axis=0)
+    pairs = zip(S_worst.tolist(), drives.comfortable.min(axis=0).tolist(), strict=True)
+    return dict(zip((design.id for design in designs), pairs, strict=True))
+
+
+@dataclasses.dataclass(frozen=True)
+class Drives:
+    """Scores of d designs on p plants and n scenarios.
+
+    Attributes
+    ----------
+    S : (p, d, n) [m s]
+        As it counts: a failed scenario at least as bad as without control. NaN where the law raised, or the plant
+        cannot drive the scenario.
+    S_uncorrected : (p, d, n) [m s]
+        NaN in the same places.
+    status : (p, d, n) int8
+        `ldctoolkit.EventStatus`.
+    comfortable : (p, d) [1]
+        Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised.
+    raised : tuple of (plant, design, reason)
+        By position: laws that raised.
+    """
+
+    S: FloatArray
+    S_uncorrected: FloatArray
+    status: npt.NDArray[np.int8]
+    comfortable: FloatArray
+    raised: tuple[tuple[int, int, str], ...]
+
+
+def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
+    """At most so many scenarios of each side, with the numbers that they have."""
+    rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
+    return scenarios.take(np.concatenate(rows))
+
+
+def drive_on_plants(
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, case: Case
+) -> Drives:
+    """Drive every design on every plant; each by itself, so that no number depends on another.
+
+    The setup is in the convention of the case; its own plant does not count.
+    """
+    shape = (len(plants), len(designs), scenarios.n)
+    S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
+    status = np.full(shape, EventStatus.INVALID, dtype=np.int8)
+    comfortable = np.full(shape[:2], np.nan)
+    failed = []
+    for k, options in enumerate(plants):
+        takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
+        for i, design in enumerate(designs):
+            if design.y_s not in takeovers:
+                over = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                # designs know the actuator and the camera of the study, not the other ones
+                takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
+            over = takeovers[design.y_s]
+            try:
+                outcome = drive(design.controller(case.convention), over).outcome(case.window)
+            except Exception as error:  # a controller may be anybody's code
+                failed.append((k, i, raised(error)))
+                continue
+            bad = status_among(outcome.status, FAILED_STATUSES)
+            S[k, i] = np.where(bad, np.maximum(outcome.S, outcome.S_uncorrected), outcome.S)
+            S_uncorrected[k, i], status[k, i] = outcome.S_uncorrected, outcome.status
+            if not np.isfinite(S[k, i, outcome.status != EventStatus.INVALID]).all():
+                S[k, i] = np.nan
+                failed.append((k, i, "S is not finite in some scenario"))
+                continue
+            acted = ~status_among(outcome.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+            if not design.is_baseline:
+                peaks = outcome.companions
+                comfortable[k, i] = comfortable_share(peaks.a_y_added_peak, peaks.jerk_added_peak, acted)
+    return Drives(S, S_uncorrected, status, comfortable, tuple(failed))
