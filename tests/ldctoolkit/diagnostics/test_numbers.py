@@ -135,9 +135,17 @@ def test_kolmogorov_limit_is_the_known_quantile(n: int, parameters: int) -> None
     assert np.mean(distance > kolmogorov_limit(n, parameters)) == pytest.approx(share, abs=4.0 * error)
 
 
+@pytest.mark.parametrize("parameters", [1, 8])
+def test_kolmogorov_limit_is_close_to_the_exact_quantile(parameters: int) -> None:
+    n = np.array([20, 50, 149, 1000, 30_000])
+    limits = [kolmogorov_limit(size, parameters) for size in n]
+    np.testing.assert_allclose(limits, stats.kstwo.isf(0.05 / parameters, n), rtol=6e-3)
+    np.testing.assert_allclose(limits[2:], stats.kstwo.isf(0.05 / parameters, n[2:]), rtol=1e-3)
+
+
 def test_kolmogorov_limit_falls_with_the_effective_number() -> None:
-    limits = [kolmogorov_limit(n, 8) for n in (0.0, 1.0, 1.5, 149.25, 149.9, 150.0, 150.5, 2000.0, 1e6)]
-    assert limits[0] == limits[1]
+    limits = [kolmogorov_limit(n, 8) for n in (0.0, 1.0, 9.0, 149.25, 149.9, 150.0, 150.5, 2000.0, 1e6)]
+    assert limits[0] == limits[1] == 1.0
     assert all(one > other for one, other in itertools.pairwise(limits[1:]))
 
 
