@@ -51,23 +51,7 @@ def prove(
     multipliers: FloatArray,
     room: FloatArray,
 ) -> bool:
-    """Mend a guess until it proves itself; False if it does not within a few rounds.
-
-    Parameters
-    ----------
-    limits : Limits
-    C : (R, M)
-    y, low, high : (R,)
-        Rows at e = 0, and their bounds.
-    side : (R,) int
-        The guess: 1 where a row is held at its upper bound, -1 at its lower, else 0. Changed in place.
-    beyond : (3,) int
-        1 for a kind of soft limit whose slack is taken to be positive. Changed in place.
-    w : (M + 3,)
-        The corrections and slacks of the solution.
-    multipliers : (R,)
-    room : (M + 3, M + 4)
-    """
+    """Mend a guess until it proves itself; False if it does not within a few rounds."""
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
     for _ in range(3 * M + _MORE_MENDINGS):

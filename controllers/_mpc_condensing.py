@@ -128,19 +128,8 @@ class Wanted:
 
 
 def block_starts(horizon: int, blocks: int) -> IntArray:
-    """First sample of each free move: one sample each at first, then longer and longer, as even as whole samples allow.
-
-    Parameters
-    ----------
-    horizon : int
-        N.
-    blocks : int
-        Number of free moves; 0, or N and more, for one a sample.
-
-    Examples
-    --------
-    >>> block_starts(20, 6).tolist()
-    [0, 1, 2, 5, 9, 14]
+    """First sample of each free move: one sample each at first, then longer and longer, as even as whole samples
+    allow.
     """
     if not 0 < blocks < horizon:
         return np.arange(horizon)
@@ -150,13 +139,7 @@ def block_starts(horizon: int, blocks: int) -> IntArray:
 
 
 def jerk_window(dt: float) -> tuple[int, float]:
-    """Samples over which jerk is averaged, rounded up, and by how much.
-
-    Examples
-    --------
-    >>> jerk_window(0.05), jerk_window(0.2)
-    ((10, 0.0), (3, 0.5))
-    """
+    """Samples over which jerk is averaged, rounded up, and by how much."""
     window = int(np.ceil(WINDOW / dt - 1e-9))
     share = window - WINDOW / dt
     return window, share if share > 1e-9 else 0.0
@@ -184,25 +167,7 @@ def limits(wanted: Wanted, plant: Plant) -> Limits:
 
 
 def condense(plant: Plant, wanted: Wanted) -> Condensed:
-    """Solve the Riccati equation and work out the responses, for every scenario's speed.
-
-    Parameters
-    ----------
-    plant : Plant
-        n speeds.
-    wanted : Wanted
-
-    Returns
-    -------
-    Condensed
-
-    Raises
-    ------
-    InputError
-        For a speed without scheduled gains.
-    LdcError
-        If the Riccati equation has no stabilising solution.
-    """
+    """Solve the Riccati equation and work out the responses, for every scenario's speed."""
     n, N = plant.n, wanted.horizon
     lq = regulator(plant, wanted.weights, wanted.r_delta, actuator=True)
     K, P = lq.K, lq.P

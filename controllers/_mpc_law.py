@@ -59,62 +59,31 @@ def lane(r: FloatArray, dt: float, age: float) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class MPCState:
-    """What `MPCLaw` carries from sample to sample; one row a scenario.
+    """What `MPCLaw` carries from sample to sample; one row a scenario."""
 
-    Attributes
-    ----------
-    multipliers : (n, R)
-        Of the last QP's rows, positive at an upper bound; 0 where no limit was active.
-    slack : (n, 3)
-        Of the last QP, by kind of soft limit, as a share of the limit.
-    rung : (n,) int8
-        `Rung` of the last command.
-    calls : SolverCalls
-        Of the last sample; status is 1 where the answer could be used, the residuals are the largest violation of a
-        bound [rad, or share of a soft limit] and the largest |e + C' multipliers|.
-    workspaces : Workspaces
-        What solvers have allocated. No result depends on it.
-    sent : (n, delay + 1)
-        The last commands, the oldest first [rad]; this and what follows is NaN before the first sample.
-    wheel : (n,)
-        The wheel's angle at the next sample as the law predicts it [rad].
-    past : (n, 2, window)
-        a before and after each of the last samples [m/s^2].
-    """
-
-    multipliers: FloatArray
-    slack: FloatArray
-    rung: npt.NDArray[np.int8]
+    multipliers: FloatArray  # (n, R) Of the last QP's rows, positive at an upper bound; 0 where no limit was active
+    slack: FloatArray  # (n, 3) Of the last QP, by kind of soft limit, as a share of the limit
+    rung: npt.NDArray[np.int8]  # (n,) `Rung` of the last command
+    # Of the last sample; status is 1 where the answer could be used, the residuals are the largest violation of a bound
+    # [rad, or share of a soft limit] and the largest |e + C' multipliers|
     calls: SolverCalls
-    workspaces: Workspaces
+    workspaces: Workspaces  # What solvers have allocated. No result depends on it
+    # (n, delay + 1) The last commands, the oldest first [rad]; this and what follows is NaN before the first sample
     sent: FloatArray
-    wheel: FloatArray
-    past: FloatArray
+    wheel: FloatArray  # (n,) The wheel's angle at the next sample as the law predicts it [rad]
+    past: FloatArray  # (n, 2, window) a before and after each of the last samples [m/s^2]
 
 
 @final
 @dataclasses.dataclass(frozen=True)
 class MPCLaw(SteeringLaw):
-    """The condensed MPC of n scenarios.
-
-    Attributes
-    ----------
-    condensed : Condensed
-    limits : Limits
-    dt : float [s]
-    lagging : bool
-        The wheel's angle is a state.
-    age : float [s]
-        Of the state that is seen.
-    solver : str
-    always_solve : bool
-    """
+    """The condensed MPC of n scenarios."""
 
     condensed: Condensed
     limits: Limits
-    dt: float
-    lagging: bool
-    age: float
+    dt: float  # [s]
+    lagging: bool  # The wheel's angle is a state
+    age: float  # [s] Of the state that is seen
     solver: str
     always_solve: bool
 

@@ -109,21 +109,11 @@ class Form:
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """What a solver found.
+    """What a solver found."""
 
-    Attributes
-    ----------
-    solved : bool
-        The solver says so; otherwise w and y are not to be used.
-    w : (variables,)
-    y : (rows,)
-        Multipliers, positive at an upper bound.
-    iterations : int
-    """
-
-    solved: bool
-    w: FloatArray
-    y: FloatArray
+    solved: bool  # The solver says so; otherwise w and y are not to be used
+    w: FloatArray  # (variables,)
+    y: FloatArray  # (rows,) Multipliers, positive at an upper bound
     iterations: int
 
 
@@ -132,18 +122,7 @@ class Workspace(abc.ABC):
 
     @abc.abstractmethod
     def solve(self, low: FloatArray, high: FloatArray, y: FloatArray) -> Answer:
-        """Solve for these bounds.
-
-        Parameters
-        ----------
-        low, high : (rows,)
-        y : (rows,)
-            Multipliers to start from.
-
-        Returns
-        -------
-        Answer
-        """
+        """Solve for these bounds."""
 
 
 class Workspaces(dict[int, Workspace]):
@@ -157,13 +136,7 @@ class Workspaces(dict[int, Workspace]):
 
 
 def check_solver(word: object, owner: str) -> None:
-    """Raise unless a solver of that name is installed.
-
-    Raises
-    ------
-    InputError
-        Naming the solvers that are, and the nearest of them.
-    """
+    """Raise unless a solver of that name is installed."""
     if word in ("osqp", "daqp"):
         return
     there = tuple(name for name in KNOWN if name in ("osqp", "daqp", *_others()))

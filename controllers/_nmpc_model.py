@@ -50,12 +50,7 @@ def unpack(column: Any) -> dict[str, Any]:
 
 
 def pack(plant: Plant, mu: float, q: tuple[float, ...], r_delta: float, P: Any, K: Any, rate_step: float) -> FloatArray:
-    """Columns of `LAYOUT` for every scenario of a plant.
-
-    Returns
-    -------
-    (n, SIZE)
-    """
+    """Columns of `LAYOUT` for every scenario of a plant."""
     n, p = plant.n, plant.model.parameters
     A, B, E = plant.model.matrices(plant.v)
     G_1, G_2, G_3 = _forced(A, plant.dt)
@@ -93,17 +88,7 @@ def _forced(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def accelerations(x: Any, delta: Any, r: Any, v: Any, vehicle: Any) -> tuple[Any, Any, Any]:
-    """Accelerations of the lane errors and lateral tyre force over mass, as `ldctoolkit.vehicle._nonlinear_compiled`.
-
-    Parameters
-    ----------
-    x, delta, r, v, vehicle : CasADi expressions
-        State (4), steering angle [rad], lane yaw rate [rad/s], speed [m/s], C_af to the tyres' shape (8).
-
-    Returns
-    -------
-    e_y_acceleration, e_psi_acceleration, a_y : CasADi expressions
-    """
+    """Accelerations of the lane errors and lateral tyre force over mass, as in `_nonlinear_compiled`."""
     import casadi as ca
 
     C_af, C_ar, l_f, l_r, m, I_z, mu, shape = (vehicle[i] for i in range(8))
@@ -158,36 +143,16 @@ def sample(x: Any, delta: Any, r_0: Any, r_1: Any, column: Any) -> tuple[Any, An
 
 @dataclasses.dataclass(frozen=True)
 class Cornering:
-    """Steady cornering of the nonlinear bicycle with e_y = 0, one number for each lane yaw rate.
-
-    Attributes
-    ----------
-    e_psi, delta : arrays of the shape of the yaw rates [rad]
-    """
+    """Steady cornering of the nonlinear bicycle with e_y = 0, one number for each lane yaw rate."""
 
     e_psi: FloatArray
     delta: FloatArray
 
 
 def steady_cornering(plant: Plant, mu: float, r: FloatArray) -> Cornering:
-    """Heading error and steering angle that hold a bend on the law's tyres.
-
-    The axles carry m v r shared by their distances; the Magic Formula is inverted below its peak. Bends beyond the
-    tyres are taken at 95 % of their force.
-
-    Parameters
-    ----------
-    plant : Plant
-        n scenarios.
-    mu : float
-        Friction coefficient.
-    r : (n, k) [rad/s]
-        Lane yaw rates.
-
-    Returns
-    -------
-    Cornering
-        Arrays (n, k).
+    """Heading error and steering angle that hold a bend on the law's tyres. The axles carry m v r shared by their
+    distances; the Magic Formula is inverted below its peak. Bends beyond the tyres are taken at 95 % of their
+    force.
     """
     p, v = plant.model.parameters, plant.v[:, None]
     wheelbase = p.l_f + p.l_r

@@ -13,25 +13,19 @@ from controllers._nmpc_model import SIZE, sample, unpack
 
 
 class Program(NamedTuple):
-    """Functions of one horizon; X is (4, N), U (1, N), r (1, N+1) [rad/s], e_ref (1, N+1), u_ref (1, N) [rad].
+    """Functions of one horizon; X is (4, N), U (1, N), r (1, N+1) [rad/s], e_ref (1, N+1), u_ref (1, N) [rad]."""
 
-    Attributes
-    ----------
-    ahead : (x, u, r_0, r_1, c) -> (x after a sample, a_0, a_1)
-        One sample with a command that is known.
-    roll : (x_0, guess, share, delta_prev, r, e_ref, u_ref, low, high, c) -> (U, X)
-        Drive the model with commands guess, or, with share = 1, the LQR, moved into the limits.
-    value : (X, U, x_0, r, e_ref, u_ref, c) -> (J, gap, a_0, a_1)
-        Half the cost, sum of the absolute gaps, lateral acceleration just after each command and at each sample's end.
-    linearise : (X, U, x_0, r, e_ref, u_ref, c[, m_0, m_1, m_y]) -> (H, g, T, t, J_t, slope[, Y_0, Y_1, y_0, y_1])
-        The condensed QP: Delta X = T' Delta U + t, Hessian H of the Lagrangian, gradient g, change J_t of the cost by
-        t alone, largest multiplier; T is (N, 4 N). With soft limits also the rows of a_0 and a_1 and their change by
-        t, from multipliers m of a_0, a_1 and e_y.
-    """
-
-    ahead: Any
+    ahead: Any  # (x, u, r_0, r_1, c) -> (x after a sample, a_0, a_1) One sample with a command that is known
+    # (x_0, guess, share, delta_prev, r, e_ref, u_ref, low, high, c) -> (U, X) Drive the model with commands guess, or,
+    # with share = 1, the LQR, moved into the limits
     roll: Any
+    # (X, U, x_0, r, e_ref, u_ref, c) -> (J, gap, a_0, a_1) Half the cost, sum of the absolute gaps, lateral
+    # acceleration just after each command and at each sample's end
     value: Any
+    # (X, U, x_0, r, e_ref, u_ref, c[, m_0, m_1, m_y]) -> (H, g, T, t, J_t, slope[, Y_0, Y_1, y_0, y_1]) The condensed
+    # QP: Delta X = T' Delta U + t, Hessian H of the Lagrangian, gradient g, change J_t of the cost by t alone, largest
+    # multiplier; T is (N, 4 N). With soft limits also the rows of a_0 and a_1 and their change by t, from multipliers m
+    # of a_0, a_1 and e_y
     linearise: Any
 
 

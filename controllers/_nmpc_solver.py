@@ -35,24 +35,7 @@ _OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
 
 
 def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
-    """The functions from compiled C code, or as they are where that is switched off or does not work.
-
-    Parameters
-    ----------
-    functions : tuple of casadi.Function
-    name : str
-        First part of the library's file name.
-
-    Returns
-    -------
-    tuple of casadi.Function
-        In the same order.
-
-    Raises
-    ------
-    InputError
-        If the environment variable `CODE` holds another word than auto or vm.
-    """
+    """The functions from compiled C code, or as they are where that is switched off or does not work."""
     import casadi as ca
 
     choice = os.environ.get(CODE, "") or "auto"
@@ -134,23 +117,17 @@ _BLIND: Final = 3  # full steps taken where the merit of soft limits cannot fall
 
 @dataclasses.dataclass(frozen=True)
 class SoftLimits:
-    """Limits that a penalty holds: w v + w v^2/2 for each violation v, in units of a scale.
-
-    The rows are linear in y = (a_y just after each of N commands, a_y at each sample's end, e_y there); to them the
-    workspace's `offset` (m,) is added.
-
-    Attributes
-    ----------
-    rows : (m, 3 N)
-    bound, weight : (m,)
-        Largest values, and w.
-    before : (m, 2 window + 1)
-        Weights of the accelerations before and after each of the last samples, before the first command the last.
+    """Limits that a penalty holds: w v + w v^2/2 for each violation v, in units of a scale. The rows are linear in y =
+    (a_y just after each of N commands, a_y at each sample's end, e_y there); to them the workspace's `offset` (m,)
+    is added.
     """
 
-    rows: FloatArray
+    rows: FloatArray  # (m, 3 N)
+    # (m,) Largest values, and w
     bound: FloatArray
     weight: FloatArray
+    # (m, 2 window + 1) Weights of the accelerations before and after each of the last samples, before the first command
+    # the last
     before: FloatArray
 
     @property
@@ -166,25 +143,13 @@ class SoftLimits:
 
 @dataclasses.dataclass
 class Solution:
-    """What became of one solve.
+    """What became of one solve."""
 
-    Attributes
-    ----------
-    U : (N,) [rad]
-        Commands; they meet the limits whatever `solved` says.
-    solved : bool
-    iterations : int
-    step : float [rad]
-        Largest change of a command in the last iteration.
-    cost : float
-        Sum of the weighted squares, without the penalties.
-    """
-
-    U: FloatArray
+    U: FloatArray  # (N,) [rad] Commands; they meet the limits whatever `solved` says
     solved: bool
     iterations: int
-    step: float
-    cost: float
+    step: float  # [rad] Largest change of a command in the last iteration
+    cost: float  # Sum of the weighted squares, without the penalties
 
 
 class _Call:
@@ -203,15 +168,8 @@ class _Call:
 
 
 class Workspace:
-    """Arrays and functions for one horizon, used by one thread.
-
-    A solve starts from its arguments alone; nothing of the solve before is used.
-
-    Parameters
-    ----------
-    N : int
-    soft : bool
-        Whether there may be soft limits.
+    """Arrays and functions for one horizon, used by one thread. A solve starts from its arguments alone; nothing of
+    the solve before is used.
     """
 
     def __init__(self, N: int, soft: bool) -> None:
@@ -253,18 +211,7 @@ class Workspace:
         return x, float(a_0[0]), float(a_1[0])
 
     def solve(self, warm: FloatArray | None, soft: SoftLimits | None) -> Solution:
-        """Solve the problem in the input arrays.
-
-        Parameters
-        ----------
-        warm : (N,) [rad], optional
-            Commands to start from, where they promise less than the LQR.
-        soft : SoftLimits, optional
-
-        Returns
-        -------
-        Solution
-        """
+        """Solve the problem in the input arrays."""
         self.m_0[:], self.m_1[:], self.m_y[:], self._active[:] = 0.0, 0.0, 0.0, False
         J, merit, rows = self._start(warm, soft)
         step, gap = np.inf, 0.0

@@ -64,34 +64,7 @@ from ldctoolkit.errors import InputError, UnknownNameError, nearest
 
 
 def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Controller:
-    """The design that the options `inner` and `inner_gains` of a law name.
-
-    Parameters
-    ----------
-    inner : str
-        Registry key of a law that steers and is not the owner.
-    inner_gains : str
-        ``"gain=value, gain=value"``; empty for the defaults.
-    owner : type
-        The law whose options they are, for messages.
-
-    Returns
-    -------
-    Controller
-
-    Raises
-    ------
-    InputError
-        For a law that cannot be inside, or a gain that is written wrongly or lies outside its declaration.
-    UnknownNameError
-        For an unknown law or gain, with the nearest name.
-
-    Examples
-    --------
-    >>> from controllers.barrier_filter import BarrierFilter
-    >>> inner_design("preview_proportional", "K_y=-0.02, T_lp=0.5", BarrierFilter).T_lp
-    0.5
-    """
+    """The design that the options `inner` and `inner_gains` of a law name."""
     try:
         kind = controller_class(inner)
     except UnknownNameError as error:
@@ -131,25 +104,7 @@ def _value(declared: Gain, word: str) -> Any:
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
-    """Prepare a design as a law that is stepped, whatever its kind.
-
-    Parameters
-    ----------
-    design : Controller
-    plant : Plant
-        Model, speeds (n,) and sample time.
-    owner : str
-        The law around it, for messages.
-
-    Returns
-    -------
-    SteeringLaw
-
-    Raises
-    ------
-    InputError
-        If it does not steer.
-    """
+    """Prepare a design as a law that is stepped, whatever its kind."""
     law = design.prepare(plant)
     if isinstance(law, LinearLaw):
         return LinearSteps.of(law, plant)
@@ -239,26 +194,15 @@ def _along(column: FloatArray, gamma_1: float, dt: float) -> FloatArray:
 @final
 @dataclasses.dataclass(frozen=True)
 class BarrierLaw(SteeringLaw):
-    """The filter for n scenarios; its state is that of the law inside.
-
-    Attributes
-    ----------
-    inner : SteeringLaw
-    inner_name : str
-    dt : float [s]
-    centre : (n, 6)
-        Centre of the interval of commands, from (x, yaw rate of the lane now, at the next sample).
-    half_width : (n,) [rad]
-        Half of its width.
-    delta_max : float [rad]
-    """
+    """The filter for n scenarios; its state is that of the law inside."""
 
     inner: SteeringLaw
     inner_name: str
-    dt: float
+    dt: float  # [s]
+    # (n, 6) Centre of the interval of commands, from (x, yaw rate of the lane now, at the next sample)
     centre: FloatArray
-    half_width: FloatArray
-    delta_max: float
+    half_width: FloatArray  # (n,) [rad] Half of its width
+    delta_max: float  # [rad]
 
     @property
     def preview_times(self) -> FloatArray:
@@ -270,18 +214,7 @@ class BarrierLaw(SteeringLaw):
         return self.inner.init(n)
 
     def interval(self, x: FloatArray, yaw_rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Least and greatest command that meets both conditions.
-
-        Parameters
-        ----------
-        x : (n, 4)
-        yaw_rate : (n, 2) [rad/s]
-            Of the lane, now and at the next sample.
-
-        Returns
-        -------
-        (n,), (n,) [rad]
-        """
+        """Least and greatest command that meets both conditions."""
         # column by column: the same bits in a batch of any size
         middle = self.centre[:, 4] * yaw_rate[:, 0] + self.centre[:, 5] * yaw_rate[:, 1]
         for i in range(4):

@@ -165,20 +165,11 @@ class NonlinearMPCState:
 @final
 @dataclasses.dataclass(frozen=True)
 class NonlinearMPCLaw(SteeringLaw):
-    """The nonlinear MPC of n scenarios.
-
-    Attributes
-    ----------
-    design : NonlinearMPC
-    plant : Plant
-    columns : (n, k)
-        Each scenario's numbers, `controllers._nmpc_model.LAYOUT`.
-    soft : SoftLimits or None
-    """
+    """The nonlinear MPC of n scenarios."""
 
     design: NonlinearMPC
     plant: Plant
-    columns: FloatArray
+    columns: FloatArray  # (n, k) Each scenario's numbers, `controllers._nmpc_model.LAYOUT`
     soft: SoftLimits | None
 
     @property

@@ -86,21 +86,12 @@ class PID(Controller):
 @final
 @dataclasses.dataclass(frozen=True)
 class PIDLaw(SteeringLaw):
-    """The PID of n scenarios; its state is the integral I (n,) [rad].
-
-    Attributes
-    ----------
-    design : PID
-    dt : float [s]
-    distance : (n,) [m]
-        T_lp v.
-    e_psi_ss, delta_ss : (n,) [rad per rad/s]
-        Steady cornering per unit of lane yaw rate.
-    """
+    """The PID of n scenarios; its state is the integral I (n,) [rad]."""
 
     design: PID
-    dt: float
-    distance: FloatArray
+    dt: float  # [s]
+    distance: FloatArray  # (n,) [m] T_lp v
+    # (n,) [rad per rad/s] Steady cornering per unit of lane yaw rate
     e_psi_ss: FloatArray
     delta_ss: FloatArray
 

@@ -107,26 +107,15 @@ def _integral(T: FloatArray) -> tuple[FloatArray, FloatArray]:
 @final
 @dataclasses.dataclass(frozen=True)
 class PurePursuitLaw(SteeringLaw):
-    """Pure pursuit of n scenarios; it has no state.
-
-    Attributes
-    ----------
-    design : PurePursuit
-    L, l_r : float [m]
-        Wheel base, distance from the centre of gravity to the rear axle.
-    ahead : (n,) [m]
-        The goal point's distance along the lane from the centre of gravity.
-    of_heading : (n, p) [m/rad]
-    of_yaw_rate : (n, p) [m per rad/s]
-        Weights of the preview in the goal point's lateral position.
-    """
+    """Pure pursuit of n scenarios; it has no state."""
 
     design: PurePursuit
+    # [m] Wheel base, distance from the centre of gravity to the rear axle
     L: float
     l_r: float
-    ahead: FloatArray
-    of_heading: FloatArray
-    of_yaw_rate: FloatArray
+    ahead: FloatArray  # (n,) [m] The goal point's distance along the lane from the centre of gravity
+    of_heading: FloatArray  # (n, p) [m/rad]
+    of_yaw_rate: FloatArray  # (n, p) [m per rad/s] Weights of the preview in the goal point's lateral position
 
     @property
     def preview_times(self) -> FloatArray:

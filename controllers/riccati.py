@@ -26,43 +26,14 @@ __all__ = ["SPEED_RANGE", "Regulator", "feedback", "in_time", "linear_law", "reg
 
 @dataclasses.dataclass(frozen=True)
 class Regulator:
-    """Infinite-horizon LQR at n speeds: delta = -K s with the cost s' P s.
+    """Infinite-horizon LQR at n speeds: delta = -K s with the cost s' P s."""
 
-    Attributes
-    ----------
-    K : (n, k)
-    P : (n, k, k)
-    """
-
-    K: FloatArray
-    P: FloatArray
+    K: FloatArray  # (n, k)
+    P: FloatArray  # (n, k, k)
 
 
 def regulator(plant: Plant, q: Weights, r: float, *, actuator: bool = False) -> Regulator:
-    """LQR gain and cost at every scenario's speed.
-
-    Parameters
-    ----------
-    plant : Plant
-        Model, speeds (n,) and sample time.
-    q : tuple of 4 floats
-        Weights on e_y^2, (de_y/dt)^2, e_psi^2, (de_psi/dt)^2.
-    r : float [1/rad^2]
-        Weight on delta^2.
-    actuator : bool
-        For the states of `in_time` instead of the vehicle's alone.
-
-    Returns
-    -------
-    Regulator
-
-    Raises
-    ------
-    InputError
-        For a speed outside `SPEED_RANGE`.
-    LdcError
-        If the Riccati equation has no stabilising solution somewhere in the range.
-    """
+    """LQR gain and cost at every scenario's speed."""
     lag, part = _known(plant) if actuator else (0.0, 0.0)
     values = _scheduled(plant, _Riccati(plant.model, plant.dt, q, r, lag=lag, part=part), slice(None))
     k = int(math.sqrt(values.shape[1]))

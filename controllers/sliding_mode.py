@@ -108,28 +108,16 @@ class SlidingMode(Controller):
 @final
 @dataclasses.dataclass(frozen=True)
 class SlidingModeLaw(SteeringLaw):
-    """The super-twisting law of n scenarios; its state is w (n,) [m/s^2].
-
-    Attributes
-    ----------
-    design : SlidingMode
-    dt : float [s]
-    c : (n, 4)
-        The sliding variable is s = c x~.
-    drift : (n, 4)
-        c (A - I), change of s over a step without steering.
-    cB, cD : (n,)
-        Change of s for a unit of steering angle, and of change of the lane's yaw rate.
-    e_psi_ss, delta_ss : (n,) [rad per rad/s]
-        Steady cornering per unit of lane yaw rate.
-    """
+    """The super-twisting law of n scenarios; its state is w (n,) [m/s^2]."""
 
     design: SlidingMode
-    dt: float
-    c: FloatArray
-    drift: FloatArray
+    dt: float  # [s]
+    c: FloatArray  # (n, 4) The sliding variable is s = c x~
+    drift: FloatArray  # (n, 4) c (A - I), change of s over a step without steering
+    # (n,) Change of s for a unit of steering angle, and of change of the lane's yaw rate
     cB: FloatArray
     cD: FloatArray
+    # (n,) [rad per rad/s] Steady cornering per unit of lane yaw rate
     e_psi_ss: FloatArray
     delta_ss: FloatArray
 
@@ -174,32 +162,7 @@ def _row_sum(weights: FloatArray, x: FloatArray, e_psi: FloatArray) -> FloatArra
 
 
 def super_twisting(s: FloatArray, w: FloatArray, dt: float, k_1: float, k_2: float) -> FloatArray:
-    """The u of the implicit super-twisting algorithm for ds/dt = u.
-
-    Parameters
-    ----------
-    s : (n,)
-        Sliding variable.
-    w : (n,)
-        Integral part.
-    dt : float [s]
-        Sample time.
-    k_1, k_2 : float
-        Gains, >= 0.
-
-    Returns
-    -------
-    (n,)
-        u, constant over the step.
-
-    Examples
-    --------
-    Near the surface the root plays no part:
-
-    >>> import numpy as np
-    >>> super_twisting(np.array([1e-3]), np.zeros(1), 0.05, 1.5, 0.5)
-    array([-0.04])
-    """
+    """The u of the implicit super-twisting algorithm for ds/dt = u."""
     half = 0.5 * dt * k_1
     root = np.sqrt(half * half + np.maximum(np.abs(s) - dt * dt * k_2, 0.0)) - half
     y = np.copysign(root * root, s)
@@ -207,27 +170,5 @@ def super_twisting(s: FloatArray, w: FloatArray, dt: float, k_1: float, k_2: flo
 
 
 def conditioned(w: FloatArray, u: FloatArray, dt: float, k_2: float) -> FloatArray:
-    """The next integral part, given the u that came about.
-
-    Parameters
-    ----------
-    w : (n,)
-        Integral part.
-    u : (n,)
-        What `super_twisting` gave, or what a limit left of it.
-    dt : float [s]
-        Sample time.
-    k_2 : float
-        Gain, >= 0.
-
-    Returns
-    -------
-    (n,)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> conditioned(np.zeros(2), np.array([-0.04, 3.0]), 0.05, 0.5)
-    array([-0.02 ,  0.025])
-    """
+    """The next integral part, given the u that came about."""
     return np.asarray(w + np.clip(0.5 * (u - w), -dt * k_2, dt * k_2), dtype=np.float64)

@@ -80,21 +80,12 @@ class Stanley(Controller):
 @final
 @dataclasses.dataclass(frozen=True)
 class StanleyLaw(SteeringLaw):
-    """The Stanley law of n scenarios; its state is the command of the step before last, None at the first.
-
-    Attributes
-    ----------
-    design : Stanley
-    l_f : float [m]
-    v : (n,) [m/s]
-    slip : (n,) [rad per rad/s]
-        Correction of the heading error per unit of lane yaw rate.
-    """
+    """The Stanley law of n scenarios; its state is the command of the step before last, None at the first."""
 
     design: Stanley
-    l_f: float
-    v: FloatArray
-    slip: FloatArray
+    l_f: float  # [m]
+    v: FloatArray  # (n,) [m/s]
+    slip: FloatArray  # (n,) [rad per rad/s] Correction of the heading error per unit of lane yaw rate
 
     @property
     def preview_times(self) -> FloatArray:

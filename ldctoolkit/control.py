@@ -138,20 +138,11 @@ class SolverCalls:
 
 @dataclasses.dataclass(frozen=True)
 class SolverLog:
-    """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver.
+    """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver."""
 
-    Attributes
-    ----------
-    row : (k,) int
-        The scenario: in a run its place among the triggered ones, in an outcome its row number.
-    sample : (k,) int
-        0 is the trigger.
-    status, iterations, primal_residual, dual_residual : (k,)
-        As in `SolverCalls`.
-    """
-
-    row: IntArray
-    sample: IntArray
+    row: IntArray  # (k,) The scenario: in a run its place among the triggered ones, in an outcome its row number
+    sample: IntArray  # (k,) 0 is the trigger
+    # (k,) As in `SolverCalls`
     status: IntArray
     iterations: IntArray
     primal_residual: FloatArray
@@ -313,18 +304,7 @@ class Controller(abc.ABC):
 
 
 def check_class(controller: type[Controller]) -> None:
-    """Raise if a controller class is not made as `Controller` asks for.
-
-    Parameters
-    ----------
-    controller : type
-        A subclass of `Controller`.
-
-    Raises
-    ------
-    InputError
-        Naming the class and what to write.
-    """
+    """Raise if a controller class is not made as `Controller` asks for."""
     if controller in _checked:  # a class is looked at once: studies make thousands of designs of it
         return
     called = controller.__name__

@@ -20,17 +20,10 @@ from ldctoolkit.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class ExtraColumn:
-    """One more column of n departures.
+    """One more column of n departures."""
 
-    Attributes
-    ----------
-    name : str
-        Of the column in a departures table; a number's unit at its end.
-    values : (n,) str or float
-        Text, empty where it is not known, or numbers, NaN where they are not.
-    """
-
-    name: str
+    name: str  # Of the column in a departures table; a number's unit at its end
+    # (n,) or Text, empty where it is not known, or numbers, NaN where they are not
     values: npt.NDArray[np.str_] | npt.NDArray[np.float64]
 
     def take(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_] | slice) -> ExtraColumn:
@@ -39,24 +32,7 @@ class ExtraColumn:
 
 
 def joined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tuple[ExtraColumn, ...]:
-    """Extra columns of several tables, one after the other; what a table lacks is empty there.
-
-    Parameters
-    ----------
-    parts : sequence of (tuple of ExtraColumn, int)
-        Columns of each table and its number of departures.
-
-    Returns
-    -------
-    tuple of ExtraColumn
-        In the order in which the names first come. A column that is text anywhere is text.
-
-    Examples
-    --------
-    >>> a = ExtraColumn("road", np.array(["motorway"]))
-    >>> joined_columns([((a,), 1), ((), 1)])[0].values.tolist()
-    ['motorway', '']
-    """
+    """Extra columns of several tables, one after the other; what a table lacks is empty there."""
     names = dict.fromkeys(column.name for columns, _ in parts for column in columns)
     joined = []
     for name in names:
@@ -385,20 +361,6 @@ def curvature(p: DepartureParameters, t: FloatArray) -> FloatArray:
 def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
     """First time at which y(t) exceeds y_s [s]; infinite where the departure never gets that far.
 
-    Parameters
-    ----------
-    p : DepartureParameters
-        n departures.
-    y_s : float [m]
-        Trigger threshold, >= 0.
-
-    Returns
-    -------
-    (n,) [s]
-        0 for y_s = 0.
-
-    Notes
-    -----
     y(x) = y_s gives x_s = d_x/2 (1 - sqrt(1 - y_s/d_y)); x(t) = x_s is a quadratic in t, solved in the form that
     does not cancel for small a_mean.
     """
@@ -454,13 +416,7 @@ def no_departures() -> Departures:
 
 
 def joined_departures(parts: Sequence[Departures]) -> Departures:
-    """Departures one after the other; an extra column that a part lacks is empty there.
-
-    Examples
-    --------
-    >>> joined_departures([no_departures(), no_departures()]).n
-    0
-    """
+    """Departures one after the other; an extra column that a part lacks is empty there."""
     if not parts:
         return no_departures()
     names = [field.name for field in dataclasses.fields(Departures) if field.name != "extra"]

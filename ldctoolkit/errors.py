@@ -77,13 +77,6 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 
 def plain(value: Any) -> Any:
-    """A NumPy scalar as the Python number it holds, anything else as it is: for checks and for messages.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> plain(np.float64(0.5)), plain("a")
-    (0.5, 'a')
-    """
+    """A NumPy scalar as the Python number it holds, anything else as it is: for checks and for messages."""
     is_scalar = type(value).__module__ == "numpy" and getattr(value, "shape", None) == ()
     return value.item() if is_scalar else value

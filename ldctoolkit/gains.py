@@ -211,13 +211,7 @@ def _named(field: dataclasses.Field[Any]) -> Gain:
 
 
 def check_declarations(owner: type) -> None:
-    """Raise if a gain or option of a dataclass contradicts itself.
-
-    Raises
-    ------
-    InputError
-        Naming the class, the field, the value and what is allowed.
-    """
+    """Raise if a gain or option of a dataclass contradicts itself."""
     for field in dataclasses.fields(owner):
         if _KEY in field.metadata:
             declared = _named(field)
@@ -250,13 +244,7 @@ def _contradiction(declared: Gain, kind: str) -> str:
 
 
 def find_gain(owner: Any, name: str, owner_name: str) -> Gain:
-    """The declared gain of that name.
-
-    Raises
-    ------
-    UnknownNameError
-        Naming the nearest gain.
-    """
+    """The declared gain of that name."""
     gains = {g.name: g for g in declared_gains(owner)}
     if name not in gains:
         raise UnknownNameError(f"{owner_name}.{name}: no such gain; {nearest(name, gains)}")

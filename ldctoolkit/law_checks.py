@@ -29,29 +29,7 @@ _OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELT
 
 
 def check_controller(controller: object) -> Controller:
-    """Return the design, with its class checked; its gains were when it was made.
-
-    Parameters
-    ----------
-    controller : object
-        What was given as a design.
-
-    Returns
-    -------
-    Controller
-
-    Raises
-    ------
-    InputError
-        If it is no instance of a controller, or its class is not made as `Controller` asks for.
-
-    Examples
-    --------
-    >>> check_controller("lqr")
-    Traceback (most recent call last):
-    ...
-    ldctoolkit.errors.InputError: controller: 'lqr'; allowed: a controller instance, e.g. controller_class('lqr')()
-    """
+    """Return the design, with its class checked; its gains were when it was made."""
     if isinstance(controller, Controller):
         check_class(type(controller))
         return controller
@@ -64,27 +42,8 @@ def check_controller(controller: object) -> Controller:
 
 
 def check_law(law: object, n: int, name: str) -> Law:
-    """Return the law that ``prepare`` gave for n scenarios, with its type, shapes and preview times checked.
-
-    Gains that are not finite pass: the loop counts the commands that they give.
-
-    Parameters
-    ----------
-    law : object
-        What ``prepare`` returned.
-    n : int
-        Number of scenarios of its plant.
-    name : str
-        The controller, for the message.
-
-    Returns
-    -------
-    LinearLaw, SteeringLaw or RecordedPath
-
-    Raises
-    ------
-    InputError
-        Naming the controller, the field, what it is and what is allowed.
+    """Return the law that ``prepare`` gave for n scenarios, with its type, shapes and preview times checked. Gains
+    that are not finite pass: the loop counts the commands that they give.
     """
     where = f"controller {name!r}"
     if isinstance(law, RecordedPath):
@@ -114,30 +73,7 @@ def check_law(law: object, n: int, name: str) -> Law:
 
 def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, StatusArray]:
     """Return what ``SteeringLaw.step`` gave for n scenarios, with its types, shapes and status values checked.
-
     Commands that are not finite pass: the loop counts them.
-
-    Parameters
-    ----------
-    result : object
-        What ``step`` returned.
-    n : int
-        Number of scenarios.
-    name : str
-        The controller, for the message.
-
-    Returns
-    -------
-    delta : (n,) [rad]
-        A copy, free to be changed.
-    state : object
-        As it came.
-    status : (n,) int8
-
-    Raises
-    ------
-    InputError
-        Naming the controller, what was returned and what is allowed.
     """
     where = f"controller {name!r}"
     if not (isinstance(result, tuple) and len(result) == 3):
@@ -154,28 +90,7 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
 
 
 def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[SteeringLaw, Any] | None:
-    """Return what ``SteeringLaw.take`` gave for n scenarios that go on, with its types checked.
-
-    Parameters
-    ----------
-    result : object
-        What ``take`` returned.
-    n : int
-        Number of scenarios.
-    name : str
-        The controller, for the message.
-    times : (p,) [s]
-        Preview times of the law before, which stay.
-
-    Returns
-    -------
-    (SteeringLaw, object) or None
-
-    Raises
-    ------
-    InputError
-        Naming the controller, what was returned and what is allowed.
-    """
+    """Return what ``SteeringLaw.take`` gave for n scenarios that go on, with its types checked."""
     if result is None:
         return None
     if isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw):
@@ -188,22 +103,7 @@ def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[S
 
 
 def check_calls(calls: object, n: int, name: str) -> None:
-    """Raise if what ``SteeringLaw.solver_calls`` gave for n scenarios is not what the interface promises.
-
-    Parameters
-    ----------
-    calls : object
-        What ``solver_calls`` returned.
-    n : int
-        Number of scenarios.
-    name : str
-        The controller, for the message.
-
-    Raises
-    ------
-    InputError
-        Naming the controller, what was returned and what is allowed.
-    """
+    """Raise if what ``SteeringLaw.solver_calls`` gave for n scenarios is not what the interface promises."""
     where = f"controller {name!r}: solver_calls"
     if not isinstance(calls, SolverCalls):
         raise InputError(f"{where} returned {_shown(calls)}; allowed: SolverCalls or None")

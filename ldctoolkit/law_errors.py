@@ -13,23 +13,7 @@ _LONGEST = 500
 
 
 def raised(error: BaseException) -> str:
-    """What was raised, with the law's own file and line; messages of the toolkit as they are.
-
-    Parameters
-    ----------
-    error : BaseException
-
-    Returns
-    -------
-    str
-        One line of at most 500 characters that can be printed and stored anywhere, without absolute paths of the
-        toolkit's or the law's files.
-
-    Examples
-    --------
-    >>> raised(ZeroDivisionError("division by zero"))
-    'ZeroDivisionError: division by zero'
-    """
+    """What was raised, with the law's own file and line; messages of the toolkit as they are."""
     words = _clean(_said(error))
     if not isinstance(error, LdcError):
         called = _clean(type(error).__name__)

@@ -43,35 +43,16 @@ JERK_WINDOW: Final = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class ScenarioMetric:
-    """One number a scenario beside S: a row of the table, kept with the field of `Companions` that holds the values.
-
-    Attributes
-    ----------
-    unit : str
-    title : str
-        What a page calls it.
-    group : str
-        A key of `GROUPS`.
-    digits : int
-        Decimals on a page, in its shown unit.
-    over : {"all", "interventions"}
-        Which scenarios it is about; aggregates are taken over these.
-    better : {"less", "more"}
-        Which way is good.
-    limit : float
-        What a standard allows, NaN where none says anything.
-    short : str
-        Another beginning of its aggregates' names: ``ay_p95`` for ``a_y_peak_p95``.
-    """
+    """One number a scenario beside S: a row of the table, kept with the field of `Companions` that holds the values."""
 
     unit: str
-    title: str
-    group: str
-    digits: int
-    over: Over = "interventions"
-    better: Better = "less"
-    limit: float = math.nan
-    short: str = ""
+    title: str  # What a page calls it
+    group: str  # A key of `GROUPS`
+    digits: int  # Decimals on a page, in its shown unit
+    over: Over = "interventions"  # Which scenarios it is about; aggregates are taken over these
+    better: Better = "less"  # Which way is good
+    limit: float = math.nan  # What a standard allows, NaN where none says anything
+    short: str = ""  # Another beginning of its aggregates' names: ``ay_p95`` for ``a_y_peak_p95``
 
 
 def _column(name: str, unit: str) -> str:
@@ -190,46 +171,23 @@ class Interventions:
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """One number that a design is judged by.
+    """One number that a design is judged by."""
 
-    Attributes
-    ----------
-    name : str
-        What study files and `studies.Ranking` call it.
-    unit : str
-        SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
-        ``"ratio"`` for a factor, ``"1"`` for another pure number.
-    better : {"less", "more"}
-        Which way is good.
-    column : str
-        Its column in ``ranking.csv``.
-    title : str
-        What a page calls it.
-    group : str
-        A key of `GROUPS`.
-    digits : int
-        Decimals on a page, in its shown unit.
-    aliases : tuple of str
-        Other names beside the column.
-    of : tuple of str
-        The metrics of a scenario that it is taken from.
-    aggregate : str
-        ``"mean"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and for what comes
-        from elsewhere.
-    share : callable, optional
-        Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,).
-    """
-
-    name: str
+    name: str  # What study files and `studies.Ranking` call it
+    # SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
+    # ``"ratio"`` for a factor, ``"1"`` for another pure number
     unit: str
-    better: Better
-    column: str
-    title: str
-    group: str
-    digits: int
-    aliases: tuple[str, ...] = ()
-    of: tuple[str, ...] = ()
+    better: Better  # Which way is good
+    column: str  # Its column in ``ranking.csv``
+    title: str  # What a page calls it
+    group: str  # A key of `GROUPS`
+    digits: int  # Decimals on a page, in its shown unit
+    aliases: tuple[str, ...] = ()  # Other names beside the column
+    of: tuple[str, ...] = ()  # The metrics of a scenario that it is taken from
+    # ``"mean"``, ``"median"``, ``"min"``, ``"max"``, or a quantile as ``"p95"``; empty for a share and for what comes
+    # from elsewhere
     aggregate: str = ""
+    # Of `Interventions` and the values of the metrics `of`, (d, n) each; gives (d,)
     share: Callable[..., Any] | None = None
 
     @property
@@ -244,13 +202,7 @@ class Metric:
 
     @property
     def label(self) -> str:
-        """Title and unit, for an axis.
-
-        Examples
-        --------
-        >>> METRICS["delta_peak_max"].label
-        'Steering angle, largest [°]'
-        """
+        """Title and unit, for an axis."""
         return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
 
 

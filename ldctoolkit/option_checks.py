@@ -18,32 +18,17 @@ MOST_SEED: Final = 2**63 - 1
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """What is known of an option.
+    """What is known of an option."""
 
-    Attributes
-    ----------
-    unit : str
-        SI unit, ``"1"`` for a pure number.
-    above, least, most : float or None
-        It has to be > `above`, >= `least`, <= `most`.
-    choices : tuple of str
-        Allowed words; empty for a number or a switch.
-    usual : (float, float) or None
-        The narrower range that a study file allows.
-    kind : type or None
-        Of a table of options that is absent by default.
-    description : str
-        A few words; of a plant's option, for where it is not ideal.
-    """
-
-    unit: str = "1"
+    unit: str = "1"  # SI unit, ``"1"`` for a pure number
+    # It has to be > `above`, >= `least`, <= `most`
     above: float | None = None
     least: float | None = None
     most: float | None = None
-    choices: tuple[str, ...] = ()
-    usual: tuple[float, float] | None = None
-    kind: type | None = None
-    description: str = ""
+    choices: tuple[str, ...] = ()  # Allowed words; empty for a number or a switch
+    usual: tuple[float, float] | None = None  # (, ) or None The narrower range that a study file allows
+    kind: type | None = None  # Of a table of options that is absent by default
+    description: str = ""  # A few words; of a plant's option, for where it is not ideal
 
 
 def declaration(**limits: Any) -> dict[str, Declaration]:
@@ -89,13 +74,7 @@ def kind_of(field: dataclasses.Field[Any]) -> type | None:
 
 
 def check_declared(owner: Any, table: str = "") -> None:
-    """Check every declared number, word and switch of a frozen value, and make the numbers floats.
-
-    Raises
-    ------
-    InputError
-        Naming ``table.key``, the value and what is allowed.
-    """
+    """Check every declared number, word and switch of a frozen value, and make the numbers floats."""
     for field in dataclasses.fields(owner):
         if _KEY in field.metadata:
             _check(owner, field, f"{table}.{field.name}" if table else field.name)
@@ -128,13 +107,7 @@ def is_number(value: object) -> bool:
 def checked_number(
     where: str, value: Any, *, above: float | None = None, least: float | None = None, most: float | None = None
 ) -> float:
-    """A finite number within limits, as a float.
-
-    Raises
-    ------
-    InputError
-        Naming `where`, the value and what is allowed.
-    """
+    """A finite number within limits, as a float."""
     value = plain(value)
     bounds = [f"{sign} {bound:g}" for sign, bound in ((">", above), (">=", least), ("<=", most)) if bound is not None]
     if not is_number(value) or not (
@@ -146,13 +119,7 @@ def checked_number(
 
 
 def checked_seed(seed: object) -> int:
-    """The seed as an int.
-
-    Raises
-    ------
-    InputError
-        If it is not a whole number from 0 to 2^63 - 1.
-    """
+    """The seed as an int."""
     whole = plain(seed)
     if isinstance(whole, bool) or not isinstance(whole, int) or not 0 <= whole <= MOST_SEED:
         raise InputError(f"seed: {seed!r}; allowed: a whole number from 0 to 2^63 - 1")

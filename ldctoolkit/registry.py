@@ -148,14 +148,8 @@ def controller_class(name: str) -> type[Controller]:
 
 def check_not_shadowed(package: str) -> None:
     """Raise if one of the toolkit's own packages is, or would be, imported from a user's folder of the same name.
-
     ``controllers`` and ``studies`` are general names; a folder so called in the working directory or on
     ``PYTHONPATH`` comes before the installed one. Nothing of the user's is run to find out.
-
-    Raises
-    ------
-    ShadowedPackageError
-        Naming the folder.
     """
     if package not in ("controllers", "studies"):
         return

@@ -44,22 +44,7 @@ _SLIPS: Final[dict[str, tuple[Slip, ...]]] = {
 
 
 def unit_slip(name: str, value: object) -> str:
-    """What is likely wrong with a value; empty for nothing.
-
-    Parameters
-    ----------
-    name : str
-        Of the field: ``vehicle.m``, ``actuator.rate_max``, ``y_s``, ``v_mean``.
-    value : object
-        Anything that is no number is none of this function's business.
-
-    Examples
-    --------
-    >>> unit_slip("vehicle.m", 1.65)
-    'vehicle.m: 1.65 kg; likely tonnes were meant: 1650 kg'
-    >>> unit_slip("vehicle.m", 1650.0)
-    ''
-    """
+    """What is likely wrong with a value; empty for nothing."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         for slip in _SLIPS.get(name, ()):
             if slip.low < value < slip.high:

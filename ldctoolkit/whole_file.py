@@ -11,33 +11,7 @@ from typing import IO
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[IO[bytes]]:
-    """A binary stream that becomes the file `path` when the block ends well, and leaves no trace when it does not.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file is replaced at once, by a rename inside its folder.
-
-    Yields
-    ------
-    binary stream
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    ValueError
-        If the path has no file name.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with whole_file(Path(folder, "a.txt")) as stream:
-    ...         _ = stream.write(b"all of it")
-    ...     [path.name for path in Path(folder).iterdir()]
-    ['a.txt']
-    """
+    """A binary stream that becomes the file `path` when the block ends well, and leaves no trace when it does not."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as stream:

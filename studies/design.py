@@ -22,13 +22,7 @@ _PAPER_DESIGN: Final = {"y_s": 0.2, "K_y": -0.005, "K_psi": -0.2, "T_lp": 2.0}
 
 
 def is_paper_design(design: Design) -> bool:
-    """Whether it is the design of the paper's Table I.
-
-    Examples
-    --------
-    >>> is_paper_design(Design.from_gains("preview_proportional", 0.2, {"K_y": -0.01}))
-    False
-    """
+    """Whether it is the design of the paper's Table I."""
     values = {"y_s": design.y_s, **dict(design.gains)}
     return design.law == PAPER_LAW and all(values.get(name) == value for name, value in _PAPER_DESIGN.items())
 

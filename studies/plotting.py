@@ -99,13 +99,7 @@ def curve_styles(results: StudyResults, case: CaseResults, chosen: Sequence[int]
 
 
 def chosen_case(results: StudyResults, case: str | int) -> CaseResults:
-    """A case by its position or its label.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """A case by its position or its label."""
     labels = [one.case.label for one in results.cases]
     if isinstance(case, str):
         if case not in labels:
@@ -117,13 +111,7 @@ def chosen_case(results: StudyResults, case: str | int) -> CaseResults:
 
 
 def chosen_designs(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
-    """Positions of designs in the results.
-
-    Raises
-    ------
-    InputError
-        For a design that has no results, or a position that does not exist.
-    """
+    """Positions of designs in the results."""
     place = {design.id: i for i, design in enumerate(results.designs)}
     found = []
     for one in designs:

@@ -134,34 +134,16 @@ def per_scenario(companions: Companions, change: Any) -> Companions:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskResult:
-    """Results of k designs on m scenarios.
+    """Results of k designs on m scenarios."""
 
-    Attributes
-    ----------
-    keys : tuple of (str, str)
-        Design id and convention, k of them.
-    rows : (m,) int
-        Row numbers of the scenarios in the study.
-    values : (c, k, m)
-        `Job.columns`.
-    status : (k, m) int8
-    failed_solves : (k, m) int32
-    law_seconds : (k,) [s]
-        Wall time inside the laws' own steps.
-    commands : (k,) int
-        Scenarios times samples that they gave a command for.
-    seconds : float [s]
-        Wall time of the whole task.
-    """
-
-    keys: tuple[RunKey, ...]
-    rows: IntArray
-    values: FloatArray
-    status: npt.NDArray[np.int8]
-    failed_solves: npt.NDArray[np.int32]
-    law_seconds: FloatArray
-    commands: IntArray
-    seconds: float = 0.0
+    keys: tuple[RunKey, ...]  # Design id and convention, k of them
+    rows: IntArray  # (m,) Row numbers of the scenarios in the study
+    values: FloatArray  # (c, k, m) `Job.columns`
+    status: npt.NDArray[np.int8]  # (k, m)
+    failed_solves: npt.NDArray[np.int32]  # (k, m) int32
+    law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
+    commands: IntArray  # (k,) Scenarios times samples that they gave a command for
+    seconds: float = 0.0  # [s] Wall time of the whole task
 
     def take(self, places: list[int]) -> TaskResult:
         """The same for some of the designs."""
@@ -189,36 +171,19 @@ class TaskResult:
 
 @dataclasses.dataclass(frozen=True)
 class FailedRun:
-    """A run that a law's own fault ended.
+    """A run that a law's own fault ended."""
 
-    Attributes
-    ----------
-    key : (str, str)
-        Design id and convention.
-    piece : int
-        Number of the piece of scenarios in which it did.
-    reason : str
-        One sentence.
-    """
-
-    key: RunKey
-    piece: int
-    reason: str
+    key: RunKey  # Design id and convention
+    piece: int  # Number of the piece of scenarios in which it did
+    reason: str  # One sentence
 
 
 @dataclasses.dataclass(frozen=True)
 class FailedDesign:
-    """A design without results, because its law raised or gave what no law may give.
-
-    Attributes
-    ----------
-    design : Design
-    reason : str
-        One sentence: what happened.
-    """
+    """A design without results, because its law raised or gave what no law may give."""
 
     design: Design
-    reason: str
+    reason: str  # One sentence: what happened
 
     @property
     def sentence(self) -> str:
@@ -228,49 +193,26 @@ class FailedDesign:
 
 @dataclasses.dataclass(frozen=True)
 class Dropped:
-    """A design that a race gave up.
-
-    Attributes
-    ----------
-    design : Design
-    round : int
-        After which round, from 1 on.
-    scenarios : int
-        How many scenarios it had been run on.
-    S : float [m s]
-        Its mean S on them.
-    difference, low : float [m s]
-        Mean S minus that of the best of that round on the same scenarios, and the lower end of its simultaneous
-        interval, which was above 0.
-    """
+    """A design that a race gave up."""
 
     design: Design
-    round: int
-    scenarios: int
-    S: float
+    round: int  # After which round, from 1 on
+    scenarios: int  # How many scenarios it had been run on
+    S: float  # [m s] Its mean S on them
+    # [m s] Mean S minus that of the best of that round on the same scenarios, and the lower end of its simultaneous
+    # interval, which was above 0
     difference: float
     low: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Race:
-    """How a race went.
+    """How a race went."""
 
-    Attributes
-    ----------
-    rounds : tuple of int
-        Number of scenarios after each round.
-    alive : tuple of int
-        Designs that were left after each round.
-    dropped : tuple of Dropped
-        In the order in which they were given up.
-    runs, full_runs : int
-        Scenario runs of this race, and of the study without one.
-    """
-
-    rounds: tuple[int, ...]
-    alive: tuple[int, ...]
-    dropped: tuple[Dropped, ...]
+    rounds: tuple[int, ...]  # Number of scenarios after each round
+    alive: tuple[int, ...]  # Designs that were left after each round
+    dropped: tuple[Dropped, ...]  # In the order in which they were given up
+    # Scenario runs of this race, and of the study without one
     runs: int
     full_runs: int
 

@@ -277,24 +277,15 @@ class Distribution:
 
 @dataclasses.dataclass(frozen=True)
 class Conditional(Distribution):
-    """A distribution given intervals or values of some columns; its rows have all columns.
-
-    `weights` and `truncated` are those of the columns that are left to draw, `transform` maps these columns.
-
-    Attributes
-    ----------
-    lower, upper : (d,)
-        The box and the intervals' common part, in the data's units; equal in a column with a given value.
-    free : (d - fixed,) int
-        Columns that are left to draw.
-    log_mass : float
-        Logarithm of the condition's probability; where values are given, of its density at them.
+    """A distribution given intervals or values of some columns; its rows have all columns. `weights` and `truncated`
+    are those of the columns that are left to draw, `transform` maps these columns.
     """
 
+    # (d,) The box and the intervals' common part, in the data's units; equal in a column with a given value
     lower: FloatArray
     upper: FloatArray
-    free: IntArray
-    log_mass: float
+    free: IntArray  # (d - fixed,) Columns that are left to draw
+    log_mass: float  # Logarithm of the condition's probability; where values are given, of its density at them
 
     @property
     def dimension(self) -> int:

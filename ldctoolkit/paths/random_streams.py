@@ -28,36 +28,7 @@ class RandomStream(enum.IntEnum):
 def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
     """Independent uniform numbers on (0, 1).
 
-    Parameters
-    ----------
-    seed : int
-        0 to 2^63 - 1.
-    index : (n,) int
-        Number of each scenario, >= 0.
-    stream : int
-        A `RandomStream`.
-    count : int
-        How many numbers for each scenario.
-
-    Returns
-    -------
-    (n, count)
-        Column j is element j % 2 of the pair at counter j // 2, so the first columns do not depend on `count`.
-
-    Raises
-    ------
-    InputError
-        For a seed, number or count outside what is allowed.
-
-    Notes
-    -----
     Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits a number; 0 and 1 themselves do not occur.
-
-    Examples
-    --------
-    >>> both = uniforms(7, [0, 1], RandomStream.MISMATCH, 5)
-    >>> bool((uniforms(7, [1], RandomStream.MISMATCH, 2) == both[1:, :2]).all())
-    True
     """
     from ldctoolkit.paths.philox import fill_uniforms
 
@@ -69,35 +40,7 @@ def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatA
 def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
     """Independent standard normal numbers.
 
-    Parameters
-    ----------
-    seed : int
-        0 to 2^63 - 1.
-    index : (n,) int
-        Number of each scenario, >= 0.
-    stream : int
-        A `RandomStream`.
-    count : int
-        How many numbers for each scenario.
-
-    Returns
-    -------
-    (n, count)
-        Column j is element j % 2 of the pair at counter j // 2, so the first columns do not depend on `count`.
-
-    Raises
-    ------
-    InputError
-        For a seed, number or count outside what is allowed.
-
-    Notes
-    -----
     The transform of Box and Muller (Ann. Math. Statist. 29, 1958) of the uniform numbers; none is beyond 8.6.
-
-    Examples
-    --------
-    >>> normals(7, [0, 1], RandomStream.RESIDUAL_Y, 5).shape
-    (2, 5)
     """
     from ldctoolkit.paths.philox import fill_normals
 

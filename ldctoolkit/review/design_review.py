@@ -76,24 +76,7 @@ def review_plant(
 
 
 def positive(name: str, value: object, unit: str) -> float:
-    """A finite number above 0.
-
-    Parameters
-    ----------
-    name : str
-        For the message.
-    value : object
-    unit : str
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        For anything else.
-    """
+    """A finite number above 0."""
     given = plain(value)
     if not is_number(given) or not given > 0:
         raise InputError(f"{name}: {given!r} {unit}; allowed: a finite number > 0")

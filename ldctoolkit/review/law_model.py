@@ -30,28 +30,7 @@ from ldctoolkit.vehicle import Plant
 
 @contextlib.contextmanager
 def guarded(name: str, call: str) -> Iterator[None]:
-    """Turn what a law raises into an `LdcError`; errors of the toolkit pass as they are.
-
-    Parameters
-    ----------
-    name : str
-        The controller.
-    call : str
-        What is called of it.
-
-    Raises
-    ------
-    LdcError
-        Also where the law would end the process.
-
-    Examples
-    --------
-    >>> with guarded("my_law", "step"):  # doctest: +ELLIPSIS
-    ...     [][0]
-    Traceback (most recent call last):
-    ...
-    ldctoolkit.errors.LdcError: controller 'my_law': step raised IndexError: list index out of range...
-    """
+    """Turn what a law raises into an `LdcError`; errors of the toolkit pass as they are."""
     try:
         yield
     except (LdcError, KeyboardInterrupt, GeneratorExit):
@@ -78,47 +57,24 @@ _ORDER = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class LawModel:
-    """A law as a linear system at one speed.
+    """A law as a linear system at one speed."""
 
-    Attributes
-    ----------
-    A : (k, k)
-    B : (k, 7)
-    C : (k,)
-    D : (7,)
-    """
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
+    A: FloatArray  # (k, k)
+    B: FloatArray  # (k, 7)
+    C: FloatArray  # (k,)
+    D: FloatArray  # (7,)
 
 
 @dataclasses.dataclass(frozen=True)
 class LinearView:
-    """A law at n speeds as linear systems, and how far that is true.
+    """A law at n speeds as linear systems, and how far that is true."""
 
-    Attributes
-    ----------
-    models : tuple of LawModel
-        One a speed.
-    exact : bool
-        The law is linear by its type.
-    quiet : (n,) bool
-        Its command at straight, centred driving is zero.
-    finite : (n,) bool
-        All its answers are numbers.
-    nonlinearity : (n,)
-        Largest relative difference between answers to small pulses and to `LARGER` ones.
-    unexplained : (n,)
-        Part of the pulse response, relative to its largest value, that the model's memory does not give.
-    """
-
-    models: tuple[LawModel, ...]
-    exact: bool
-    quiet: npt.NDArray[np.bool_]
-    finite: npt.NDArray[np.bool_]
-    nonlinearity: FloatArray
+    models: tuple[LawModel, ...]  # One a speed
+    exact: bool  # The law is linear by its type
+    quiet: npt.NDArray[np.bool_]  # (n,) Its command at straight, centred driving is zero
+    finite: npt.NDArray[np.bool_]  # (n,) All its answers are numbers
+    nonlinearity: FloatArray  # (n,) Largest relative difference between answers to small pulses and to `LARGER` ones
+    # (n,) Part of the pulse response, relative to its largest value, that the model's memory does not give
     unexplained: FloatArray
 
     @property
@@ -128,25 +84,7 @@ class LinearView:
 
 
 def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
-    """A design as linear systems at the plant's n speeds.
-
-    Parameters
-    ----------
-    controller : Controller
-        The design.
-    plant : Plant
-        Nominal vehicle at the speeds to look at.
-
-    Returns
-    -------
-    LinearView or None
-        None for a design that leaves the recorded path alone.
-
-    Raises
-    ------
-    LdcError
-        If the design cannot be prepared, or its law does not keep to the interface.
-    """
+    """A design as linear systems at the plant's n speeds."""
     law = _prepared(controller, plant)
     if isinstance(law, RecordedPath):
         return None
@@ -206,25 +144,7 @@ def _answers(controller: Controller, plant: Plant, pulses: FloatArray) -> FloatA
 
 
 def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> FloatArray:
-    """Commands of a `SteeringLaw` at its first sample.
-
-    Parameters
-    ----------
-    controller : Controller
-    plant : Plant
-        At n speeds.
-    inputs : (q, n, 6)
-        What it is shown, in the order of this module.
-
-    Returns
-    -------
-    (q, n) [rad]
-
-    Raises
-    ------
-    LdcError
-        If the law does not keep to the interface.
-    """
+    """Commands of a `SteeringLaw` at its first sample."""
     (commands,) = _after(controller, plant, inputs, 1)
     return np.asarray(commands)
 

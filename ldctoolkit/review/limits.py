@@ -26,49 +26,20 @@ _ROUNDING = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """What limits are held against.
+    """What limits are held against."""
 
-    Attributes
-    ----------
-    v : (n,) [m/s]
-    dt : float [s]
-    steady : (n,) [rad]
-        Steering angle that holds the bend.
-    a_y : (n,) [m/s^2]
-        Lateral acceleration of the bend.
-    delta_prev : (m,) [rad]
-        Angles at which the wheels may stand at a trigger.
-    delta_prev_v : (m,) [m/s]
-        Speeds there.
-    e_y_trigger : float [m]
-        e_y at the trigger.
-    actuator : Actuator
-    """
-
-    v: FloatArray
-    dt: float
-    steady: FloatArray
-    a_y: FloatArray
-    delta_prev: FloatArray
-    delta_prev_v: FloatArray
-    e_y_trigger: float
+    v: FloatArray  # (n,) [m/s]
+    dt: float  # [s]
+    steady: FloatArray  # (n,) [rad] Steering angle that holds the bend
+    a_y: FloatArray  # (n,) [m/s^2] Lateral acceleration of the bend
+    delta_prev: FloatArray  # (m,) [rad] Angles at which the wheels may stand at a trigger
+    delta_prev_v: FloatArray  # (m,) [m/s] Speeds there
+    e_y_trigger: float  # [m] e_y at the trigger
     actuator: Actuator
 
 
 def limit_findings(controller: Controller, situation: Situation) -> Iterator[Finding]:
-    """Every contradiction between the limits that a design declares and what it will meet.
-
-    Parameters
-    ----------
-    controller : Controller
-        Gains named `delta_max`, `rate_max`, `horizon`, `a_y_max` and `e_y_max` are read; a limit that is infinite is
-        off, and so are an `a_y_max` and an `e_y_max` that are 0.
-    situation : Situation
-
-    Yields
-    ------
-    Finding
-    """
+    """Every contradiction between the limits that a design declares and what it will meet."""
     own = {g.name: getattr(controller, g.name) for g in controller.gains()}
     limits = {name: limit_of(controller, name) for name in ("delta_max", "rate_max", "a_y_max", "e_y_max")}
     yield from _against_actuator(limits, situation.actuator)
@@ -88,18 +59,7 @@ def limit_findings(controller: Controller, situation: Situation) -> Iterator[Fin
 
 
 def limit_of(controller: Controller, name: str) -> float | None:
-    """A limit that a design declares and has set, None otherwise.
-
-    Parameters
-    ----------
-    controller : Controller
-    name : str
-        Of the gain; for `a_y_max`, `jerk_max` and `e_y_max` 0 means that there is none.
-
-    Returns
-    -------
-    float or None
-    """
+    """A limit that a design declares and has set, None otherwise."""
     value = getattr(controller, name) if any(g.name == name for g in controller.gains()) else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
         return None

@@ -17,33 +17,17 @@ from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One number of a loop against its thresholds.
-
-    Attributes
-    ----------
-    name : str
-    values : (n,)
-        NaN where there is none.
-    limits : (float, float)
-        Where a warning starts, and a fault.
-    text : str
-        Half a sentence with {value}.
-    help : str
-        What helps, a sentence without its full stop.
-    factor, unit : float, str
-        How values are shown.
-    at_least : bool
-        Small values are the bad ones.
-    """
+    """One number of a loop against its thresholds."""
 
     name: str
-    values: FloatArray
-    limits: tuple[float, float]
-    text: str
-    help: str
+    values: FloatArray  # (n,) NaN where there is none
+    limits: tuple[float, float]  # Where a warning starts, and a fault
+    text: str  # Half a sentence with {value}
+    help: str  # What helps, a sentence without its full stop
+    # How values are shown
     factor: float = 1.0
     unit: str = ""
-    at_least: bool = True
+    at_least: bool = True  # Small values are the bad ones
 
     def finding(self, v: FloatArray) -> Finding | None:
         """The finding at the worst speed, None where all is well."""
@@ -72,20 +56,7 @@ def share(where: npt.NDArray[np.bool_]) -> str:
 
 
 def loop_findings(numbers: LoopNumbers, controller: Controller, dt: float, thresholds: Thresholds) -> Iterator[Finding]:
-    """What the numbers of a loop say.
-
-    Parameters
-    ----------
-    numbers : LoopNumbers
-    controller : Controller
-        Its gains are named where a remedy is.
-    dt : float [s]
-    thresholds : Thresholds
-
-    Yields
-    ------
-    Finding
-    """
+    """What the numbers of a loop say."""
     softer = _softer(controller)
     yield from _instability(numbers, dt, softer)
     checks = (

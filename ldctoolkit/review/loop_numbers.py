@@ -24,19 +24,7 @@ _WEIGHTS = ("q_y", "q_y_rate", "q_psi", "q_psi_rate")
 
 
 def hessian_condition(controller: Controller, plant: Plant) -> FloatArray:
-    """Condition number at each of n speeds, (n,); NaN for a design that is no MPC.
-
-    Parameters
-    ----------
-    controller : Controller
-        An MPC is known by its gains: `horizon`, `r_delta` and the four weights on the state. One without inequality
-        limits (`delta_max`) solves no QP.
-    plant : Plant
-
-    Returns
-    -------
-    (n,)
-    """
+    """Condition number at each of n speeds, (n,); NaN for a design that is no MPC."""
     declared = {g.name for g in controller.gains()}
     if not declared >= {"horizon", "r_delta", "delta_max", *_WEIGHTS}:
         return np.full(plant.n, np.nan)
@@ -131,25 +119,7 @@ class LoopNumbers:
 def loop_numbers(
     controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, bend: FloatArray
 ) -> LoopNumbers:
-    """Every number at every speed of a plant.
-
-    Parameters
-    ----------
-    controller : Controller
-        The design.
-    view : LinearView
-        Its law as linear systems, finite.
-    plant : Plant
-        Nominal vehicle at n speeds, with what the law knows of the actuator.
-    options : PlantOptions
-        Actuator and camera are read.
-    bend : (n,) [rad/s]
-        Lane yaw rate of the steady bend.
-
-    Returns
-    -------
-    LoopNumbers
-    """
+    """Every number at every speed of a plant."""
     dt, actuator = plant.dt, options.actuator
     A, B, E = plant.model.matrices(plant.v)
     cameras = _cameras(plant, options)

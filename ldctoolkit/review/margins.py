@@ -26,43 +26,16 @@ _BEYOND: Final = 100.0  # Nyquist frequencies up to which the bandwidth is looke
 
 @dataclasses.dataclass(frozen=True)
 class Poles:
-    """The closed loop's poles in short.
+    """The closed loop's poles in short."""
 
-    Attributes
-    ----------
-    stable : bool
-        All decay.
-    radius : float
-        Largest |z|.
-    damping : float
-        Smallest damping ratio.
-    slowest : float [s]
-        Longest time constant.
-    """
-
-    stable: bool
-    radius: float
-    damping: float
-    slowest: float
+    stable: bool  # All decay
+    radius: float  # Largest |z|
+    damping: float  # Smallest damping ratio
+    slowest: float  # [s] Longest time constant
 
 
 def poles(closed_A: FloatArray, dt: float) -> Poles:
-    """Poles of s+ = A s, as the continuous ones that they sample.
-
-    Parameters
-    ----------
-    closed_A : (k, k)
-    dt : float [s]
-
-    Returns
-    -------
-    Poles
-
-    Examples
-    --------
-    >>> poles(np.diag([0.5, math.exp(-0.1)]), 0.1).slowest
-    1.0
-    """
+    """Poles of s+ = A s, as the continuous ones that they sample."""
     import control
 
     k = closed_A.shape[0]
@@ -77,29 +50,14 @@ def poles(closed_A: FloatArray, dt: float) -> Poles:
 
 @dataclasses.dataclass(frozen=True)
 class Margins:
-    """Stability margins of a loop, infinite where nothing of that kind makes it unstable.
+    """Stability margins of a loop, infinite where nothing of that kind makes it unstable."""
 
-    Attributes
-    ----------
-    gain : float [dB]
-        How much the gain may grow.
-    gain_reduction : float [dB]
-        How much it may shrink, > 0.
-    phase : float [rad]
-    delay : float [s]
-        How much later the command may come.
-    disk : float
-        Balanced disk margin.
-    crossover : float [rad/s]
-        Highest frequency at which the sampled loop's gain is 1; NaN where there is none.
-    """
-
-    gain: float
-    gain_reduction: float
-    phase: float
-    delay: float
-    disk: float
-    crossover: float
+    gain: float  # [dB] How much the gain may grow
+    gain_reduction: float  # [dB] How much it may shrink, > 0
+    phase: float  # [rad]
+    delay: float  # [s] How much later the command may come
+    disk: float  # Balanced disk margin
+    crossover: float  # [rad/s] Highest frequency at which the sampled loop's gain is 1; NaN where there is none
 
 
 def margins(opened: System, dt: float) -> Margins:
@@ -187,21 +145,7 @@ _GRID: Final = 300
 
 
 def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatArray]:
-    """Gain and phase margin of loops of one size, as `margins` has them, in a hundredth of the time.
-
-    Parameters
-    ----------
-    loops : sequence of Loop
-        The loop of one design at k speeds.
-    dt : float [s]
-
-    Returns
-    -------
-    gain : (k,)
-        Factor by which the gain may grow; 0 where the loop is unstable, infinite where no gain makes it so.
-    phase : (k,) [rad]
-        The same of the phase.
-    """
+    """Gain and phase margin of loops of one size, as `margins` has them, in a hundredth of the time."""
     closed = np.stack([loop.closed_A for loop in loops])
     stable = np.asarray(np.isfinite(closed).all(axis=(1, 2)))
     stable[stable] = np.abs(np.linalg.eigvals(closed[stable])).max(axis=1) <= _STABLE

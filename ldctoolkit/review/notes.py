@@ -26,17 +26,7 @@ _UNEXPLAINED = 0.02
 
 
 def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
-    """What can be said of a law by itself.
-
-    Parameters
-    ----------
-    view : LinearView
-    v : (n,) [m/s]
-
-    Yields
-    ------
-    Finding
-    """
+    """What can be said of a law by itself."""
     if not view.finite.all():
         at = float(v[int(np.argmin(view.finite))])
         text = f"At {at:.3g} m/s the law gives commands that are not finite numbers near straight, centred driving."
@@ -79,18 +69,7 @@ def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
 
 
 def bound_notes(controller: Controller, view: LinearView) -> Iterator[Finding]:
-    """What a review does not see of a law that keeps a corridor.
-
-    Parameters
-    ----------
-    controller : Controller
-    view : LinearView
-
-    Yields
-    ------
-    Finding
-        At most one.
-    """
+    """What a review does not see of a law that keeps a corridor."""
     bound = limit_of(controller, "e_y_max")
     if bound is not None and not view.exact:
         text = f"The law keeps |e_y| <= e_y_max = {bound:g} m by itself: the loop while that bound holds the command"
@@ -98,17 +77,7 @@ def bound_notes(controller: Controller, view: LinearView) -> Iterator[Finding]:
 
 
 def bend_notes(numbers: LoopNumbers) -> Iterator[Finding]:
-    """Offsets in a bend that are left out because the law is not linear up to them.
-
-    Parameters
-    ----------
-    numbers : LoopNumbers
-
-    Yields
-    ------
-    Finding
-        At most one.
-    """
+    """Offsets in a bend that are left out because the law is not linear up to them."""
     i, wrong = int(np.argmax(numbers.bend_error)), numbers.bend_error > BEND_ERROR
     if wrong.any():
         text = (
@@ -120,17 +89,7 @@ def bend_notes(numbers: LoopNumbers) -> Iterator[Finding]:
 
 
 def plant_notes(options: PlantOptions) -> Iterator[Finding]:
-    """What of a plant the review leaves out.
-
-    Parameters
-    ----------
-    options : PlantOptions
-
-    Yields
-    ------
-    Finding
-        At most one.
-    """
+    """What of a plant the review leaves out."""
     sensors = options.sensors
     words = {
         "the speed profile": options.speed == "profile",

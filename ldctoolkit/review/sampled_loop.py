@@ -25,20 +25,12 @@ _ENTRIES = 4_000_000
 
 @dataclasses.dataclass(frozen=True)
 class System:
-    """A sampled linear system: s+ = A s + B u, y = C s + D u.
+    """A sampled linear system: s+ = A s + B u, y = C s + D u."""
 
-    Attributes
-    ----------
-    A : (k, k)
-    B : (k, p)
-    C : (q, k)
-    D : (q, p)
-    """
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
+    A: FloatArray  # (k, k)
+    B: FloatArray  # (k, p)
+    C: FloatArray  # (q, k)
+    D: FloatArray  # (q, p)
 
     def response(self, z: ComplexArray) -> ComplexArray:
         """Transfer function at points z (m,) of the complex plane, (m, q, p)."""
@@ -55,42 +47,17 @@ class System:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """What stands between the vehicle's state and the law.
+    """What stands between the vehicle's state and the law."""
 
-    Attributes
-    ----------
-    delay : float [samples]
-        Age of e_y and e_psi, which count as linear between samples; rates are true.
-    age : float [samples]
-        Age of the wheel angle that the law and the filter see; linear between samples too.
-    gain : (4, 2) or None
-        Gain of the Kalman filter that rebuilds all four states; None for no filter.
-    step : AugmentedStep
-        One sample of the filter's nominal vehicle and actuator, n = 1.
-    """
-
-    delay: float
-    age: float
+    delay: float  # [samples] Age of e_y and e_psi, which count as linear between samples; rates are true
+    age: float  # [samples] Age of the wheel angle that the law and the filter see; linear between samples too
+    # (4, 2) or None Gain of the Kalman filter that rebuilds all four states; None for no filter
     gain: FloatArray | None
-    step: AugmentedStep
+    step: AugmentedStep  # One sample of the filter's nominal vehicle and actuator, n = 1
 
 
 def sampled_vehicle(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, actuator: Actuator) -> System:
-    """Vehicle behind its actuator, sampled: inputs (command, lane yaw rate), outputs x and the wheel angle.
-
-    Parameters
-    ----------
-    A : (4, 4)
-    B, E : (4,)
-        Continuous-time matrices.
-    dt : float [s]
-    actuator : Actuator
-        Its delay and lag; limits are left out. The lane's yaw rate is held over a sample.
-
-    Returns
-    -------
-    System
-    """
+    """Vehicle behind its actuator, sampled: inputs (command, lane yaw rate), outputs x and the wheel angle."""
     step = augmented(A[None], B[None], E[None], dt, lag=actuator.lag, delay=actuator.delay)
     if actuator.lag == 0:  # the wheel stands where the last command that arrived has put it
         young, old, E_0, E_1 = (np.pad(w, ((0, 0), (0, 1))) for w in (step.B, step.B_old, step.E_0, step.E_1))
@@ -102,17 +69,7 @@ def sampled_vehicle(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, actu
 
 
 def controller_side(law: LawModel, camera: Camera) -> System:
-    """Camera, filter and law with its earlier commands: inputs (x, wheel angle, lane yaw rate), output the command.
-
-    Parameters
-    ----------
-    law : LawModel
-    camera : Camera
-
-    Returns
-    -------
-    System
-    """
+    """Camera, filter and law with its earlier commands: inputs (x, wheel angle, lane yaw rate), output the command."""
     d, a = (math.ceil(age - 1e-9) for age in (camera.delay, camera.age))
     kal, own, step = 4 if camera.gain is not None else 0, law.A.shape[0], camera.step
     at_wheel, at_filter = 2 * d, 2 * d + a
@@ -162,21 +119,11 @@ def controller_side(law: LawModel, camera: Camera) -> System:
 
 @dataclasses.dataclass(frozen=True)
 class Loop:
-    """The loop, open at the command.
+    """The loop, open at the command."""
 
-    Attributes
-    ----------
-    open : System
-        From the command that the actuator gets to minus the one that the law gives.
-    closed_A : (k, k)
-        One sample of the closed loop.
-    closed_E : (k,)
-        What a lane yaw rate of 1 rad/s adds.
-    """
-
-    open: System
-    closed_A: FloatArray
-    closed_E: FloatArray
+    open: System  # From the command that the actuator gets to minus the one that the law gives
+    closed_A: FloatArray  # (k, k) One sample of the closed loop
+    closed_E: FloatArray  # (k,) What a lane yaw rate of 1 rad/s adds
 
     @classmethod
     def of(cls, vehicle: System, controller: System) -> Loop:

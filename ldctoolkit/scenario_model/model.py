@@ -85,19 +85,7 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
 
 
 def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
-    """Conditions that reach beyond what a model was fitted to, one sentence each.
-
-    Parameters
-    ----------
-    model : ScenarioModel
-    given : mapping, optional
-        As `conditions` takes it.
-
-    Returns
-    -------
-    list of str
-        Empty where the model's file holds no summary of its departures.
-    """
+    """Conditions that reach beyond what a model was fitted to, one sentence each."""
     found: dict[str, str] = {}
     for key, side in (("left", model.provenance.left), ("right", model.provenance.right)):
         summary = None if side is None else side.source_summary

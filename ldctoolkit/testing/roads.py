@@ -23,29 +23,14 @@ _FARTHEST = (BOUND, 15.0, 1.5, 3.0)
 
 @dataclasses.dataclass(frozen=True)
 class Road:
-    """What n scenarios look like over k samples.
+    """What n scenarios look like over k samples."""
 
-    Attributes
-    ----------
-    v : (n,) [m/s]
-    x : (k, n, 4)
-        State.
-    yaw_rate : (k, n) [rad/s]
-        Of the lane, now.
-    yaw_change : (k, n) [rad/s^2]
-        Its change with lookahead time.
-    delta_0 : (n,) [rad]
-        Command before the first.
-    start : (n,) [s]
-        Time at the first sample.
-    """
-
-    v: FloatArray
-    x: FloatArray
-    yaw_rate: FloatArray
-    yaw_change: FloatArray
-    delta_0: FloatArray
-    start: FloatArray
+    v: FloatArray  # (n,) [m/s]
+    x: FloatArray  # (k, n, 4) State
+    yaw_rate: FloatArray  # (k, n) [rad/s] Of the lane, now
+    yaw_change: FloatArray  # (k, n) [rad/s^2] Its change with lookahead time
+    delta_0: FloatArray  # (n,) [rad] Command before the first
+    start: FloatArray  # (n,) [s] Time at the first sample
 
     @property
     def n(self) -> int:
@@ -134,16 +119,10 @@ def corners(samples: int) -> Road:
 
 @dataclasses.dataclass(frozen=True)
 class Commands:
-    """What a law said over k samples to n scenarios.
+    """What a law said over k samples to n scenarios."""
 
-    Attributes
-    ----------
-    delta : (k, n) [rad]
-    status : (k, n) int8
-    """
-
-    delta: FloatArray
-    status: npt.NDArray[np.int8]
+    delta: FloatArray  # (k, n) [rad]
+    status: npt.NDArray[np.int8]  # (k, n)
 
     def take(self, rows: IntArray) -> Commands:
         """Of some of the scenarios."""

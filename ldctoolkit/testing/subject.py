@@ -67,13 +67,7 @@ class ContractSettings:
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """A design under the contract.
-
-    Attributes
-    ----------
-    design : Controller
-    settings : ContractSettings
-    """
+    """A design under the contract."""
 
     design: Controller
     settings: ContractSettings

@@ -27,13 +27,7 @@ def nonlinear_rhs(
     mu: float,
     shape: float,
 ) -> tuple[float, float, float]:
-    """Accelerations of the lane errors and lateral acceleration, of `nonlinear_dynamics`: same order, same units.
-
-    Returns
-    -------
-    tuple of three floats
-        e_y_acceleration [m/s^2], e_psi_acceleration [rad/s^2], a_y [m/s^2].
-    """
+    """Accelerations of the lane errors and lateral acceleration, of `nonlinear_dynamics`: same order, same units."""
     w0 = math.sin(e_psi)
     w1 = dv * w0
     w2 = math.cos(e_psi)

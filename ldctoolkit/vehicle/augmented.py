@@ -21,30 +21,19 @@ _WHOLE = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class AugmentedStep:
-    """One sample of n vehicles: xi+ = A xi + B delta_(k-whole) + B_old delta_(k-whole-1) + E_0 r + E_1 r+.
+    """One sample of n vehicles: xi+ = A xi + B delta_(k-whole) + B_old delta_(k-whole-1) + E_0 r + E_1 r+."""
 
-    Attributes
-    ----------
-    A : (n, j, j)
-        xi is the error state x (j = 4); with a lag (e_y, de_y/dt, e_psi, de_psi/dt, wheel angle), j = 5.
-    B, B_old : (n, j)
-        Weights of the younger and the older of two commands that act within the sample; `B_old` is 0 where the delay is
-        a multiple of the sample time.
-    E_0, E_1 : (n, j)
-        Weights of the lane's yaw rate at the start and the end of the sample.
-    whole : int [samples]
-        Age of the younger command.
-    split : bool
-        Two commands act within a sample.
-    """
-
+    # (n, j, j) xi is the error state x (j = 4); with a lag (e_y, de_y/dt, e_psi, de_psi/dt, wheel angle), j = 5
     A: FloatArray
+    # (n, j) Weights of the younger and the older of two commands that act within the sample; `B_old` is 0 where the
+    # delay is a multiple of the sample time
     B: FloatArray
     B_old: FloatArray
+    # (n, j) Weights of the lane's yaw rate at the start and the end of the sample
     E_0: FloatArray
     E_1: FloatArray
-    whole: int
-    split: bool
+    whole: int  # [samples] Age of the younger command
+    split: bool  # Two commands act within a sample
 
     @property
     def past(self) -> int:
@@ -52,14 +41,7 @@ class AugmentedStep:
         return self.whole + int(self.split)
 
     def with_commands(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The same with the commands on their way as states: s = (xi, delta_(k-1), ..., delta_(k-m)), k = j + m.
-
-        Returns
-        -------
-        A : (n, k, k)
-        B, E_0, E_1 : (n, k)
-            s+ = A s + B delta_k + E_0 r + E_1 r+.
-        """
+        """The same with the commands on their way as states: s = (xi, delta_(k-1), ..., delta_(k-m)), k = j + m."""
         n, j = self.B.shape
         A, B, E_0, E_1 = np.zeros((n, j + self.past, j + self.past)), *np.zeros((3, n, j + self.past))
         A[:, :j, :j], E_0[:, :j], E_1[:, :j] = self.A, self.E_0, self.E_1

@@ -151,22 +151,7 @@ class BicycleModel:
 def error_dynamics_matrices(
     vehicle: SingleTrack, v: FloatArray, convention: Convention
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Continuous-time A, B, E of Rajamani's eq. 2.45, for one vehicle or n of them.
-
-    Parameters
-    ----------
-    vehicle : SingleTrack
-        `VehicleParameters`, or arrays of n in their place.
-    v : (n,) [m/s]
-        Longitudinal speeds, > 0.
-    convention : {"consistent", "as_printed"}
-
-    Returns
-    -------
-    A : (n, 4, 4)
-    B : (n, 4)
-    E : (n, 4)
-    """
+    """Continuous-time A, B, E of Rajamani's eq. 2.45, for one vehicle or n of them."""
     p = vehicle
     stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
     moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r
@@ -200,13 +185,7 @@ def steady_cornering(A: FloatArray, B: FloatArray, E: FloatArray) -> SteadyState
 
 
 def checked_speeds(v: npt.ArrayLike) -> FloatArray:
-    """Speeds (n,) [m/s] as an array.
-
-    Raises
-    ------
-    InputError
-        For a speed that is not a finite number > 0.
-    """
+    """Speeds (n,) [m/s] as an array."""
     speed = np.atleast_1d(np.asarray(v, dtype=float))
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():

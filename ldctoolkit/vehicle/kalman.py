@@ -23,40 +23,8 @@ _MEASURED = (0, 2)  # e_y and e_psi
 def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> FloatArray:
     """Gain of the correction z <- z + M (frame - z[[0, 2]]) at every scenario's speed.
 
-    Parameters
-    ----------
-    plant : Plant
-        Nominal model, speeds (n,) and sample time dt.
-    kalman : KalmanFilter
-        Densities of the process noise and standard deviations of a frame.
-    frame_samples : int
-        Samples from one frame to the next, >= 1.
-
-    Returns
-    -------
-    (n, 4, 2)
-        M = P C' (C P C' + R)^-1, with P the covariance of the prediction over one frame.
-
-    Raises
-    ------
-    InputError
-        For a speed outside `ldctoolkit.vehicle.speed_schedule.SPEED_RANGE`.
-    LdcError
-        If the Riccati equation has no stabilising solution somewhere in that range.
-
-    Notes
-    -----
     Over one frame the prediction has the transition A^p and the noise sum of A^j Q A^j' for j < p, where A is one
     sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). `scipy.linalg.solve_discrete_are` gives P.
-
-    Examples
-    --------
-    >>> plant = Plant.build(BicycleModel(), [20.0, 30.0], 0.05)
-    >>> M = filter_gain(plant, KalmanFilter(), frame_samples=2)
-    >>> M.shape
-    (2, 4, 2)
-    >>> bool(0 < M[0, 0, 0] < 1)
-    True
     """
     what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
     return scheduled(_FilterGain(plant.model, plant.dt, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)

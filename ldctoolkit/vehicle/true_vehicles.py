@@ -19,67 +19,24 @@ from ldctoolkit.vehicle.parameters import GRAVITY
 
 @dataclasses.dataclass(frozen=True)
 class TrueVehicles:
-    """The vehicle of each of n scenarios; the axles stand where they do on the nominal one.
+    """The vehicle of each of n scenarios; the axles stand where they do on the nominal one."""
 
-    Attributes
-    ----------
-    m : (n,) [kg]
-        Mass.
-    I_z : (n,) [kg m^2]
-        Yaw inertia.
-    C_af, C_ar : (n,) [N/rad]
-        Cornering stiffness of one front and one rear tyre.
-    mu : (n,)
-        Friction coefficient; linear tyres have no use for it.
-    l_f, l_r : float [m]
-        Distance from the centre of gravity to the front and rear axle.
-    """
-
-    m: FloatArray
-    I_z: FloatArray
+    m: FloatArray  # (n,) [kg] Mass
+    I_z: FloatArray  # (n,) [kg m^2] Yaw inertia
+    # (n,) [N/rad] Cornering stiffness of one front and one rear tyre
     C_af: FloatArray
     C_ar: FloatArray
-    mu: FloatArray
+    mu: FloatArray  # (n,) Friction coefficient; linear tyres have no use for it
+    # [m] Distance from the centre of gravity to the front and rear axle
     l_f: float
     l_r: float
 
     def matrices(self, v: npt.ArrayLike, convention: Convention) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Continuous-time A, B, E of Rajamani's eq. 2.45, each vehicle at its own speed.
-
-        Parameters
-        ----------
-        v : (n,) [m/s]
-            Speeds, > 0.
-        convention : {"consistent", "as_printed"}
-            As for `BicycleModel`.
-
-        Returns
-        -------
-        A : (n, 4, 4)
-        B : (n, 4)
-        E : (n, 4)
-
-        Raises
-        ------
-        InputError
-            For a speed that is not a finite number > 0.
-        """
+        """Continuous-time A, B, E of Rajamani's eq. 2.45, each vehicle at its own speed."""
         return error_dynamics_matrices(self, checked_speeds(v), convention)
 
     def steady_state(self, v: npt.ArrayLike, convention: Convention) -> SteadyState:
-        """Steering angle and heading error that hold a bend on linear tyres, as `BicycleModel.steady_state`.
-
-        Parameters
-        ----------
-        v : (n,) [m/s]
-            Speeds, > 0.
-        convention : {"consistent", "as_printed"}
-
-        Returns
-        -------
-        SteadyState
-            Per unit of lane yaw rate.
-        """
+        """Steering angle and heading error that hold a bend on linear tyres, as `BicycleModel.steady_state`."""
         return steady_cornering(*self.matrices(v, convention))
 
     def turn(
@@ -136,38 +93,7 @@ _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")
 def true_vehicles(
     parameters: VehicleParameters, mismatch: Mismatch, tyres: Tyres, scenarios: Scenarios, seed: int
 ) -> TrueVehicles:
-    """Draw the true vehicle of every scenario: the nominal one times factors, uniform on their ranges.
-
-    Parameters
-    ----------
-    parameters : VehicleParameters
-        Nominal vehicle.
-    mismatch : Mismatch
-        Ranges of the factors; a range (1, 1) leaves the nominal number as it is, to the bit.
-    tyres : Tyres
-        Holds the nominal friction coefficient.
-    scenarios : Scenarios
-        n departures.
-    seed : int
-        0 to 2^63 - 1; with a scenario's number it fixes the factors.
-
-    Returns
-    -------
-    TrueVehicles
-        n vehicles.
-
-    Raises
-    ------
-    InputError
-        For a seed outside what is allowed.
-
-    Examples
-    --------
-    >>> one = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0])
-    >>> heavier = true_vehicles(VehicleParameters(), Mismatch(m=(1.2, 1.2)), Tyres(), one, seed=0)
-    >>> float(heavier.m[0]), float(heavier.I_z[0])
-    (1200.0, 3344.0)
-    """
+    """Draw the true vehicle of every scenario: the nominal one times factors, uniform on their ranges."""
     nominal = {name: getattr(parameters, name) for name in _DRAWN[:-1]} | {"mu": tyres.mu}
     if mismatch.ideal:
         checked_seed(seed)

@@ -39,19 +39,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Of the process by default.
-
-    Returns
-    -------
-    int
-        0; 2 for wrong input, with one message on stderr; 3 where a command is done but says that a design is at fault,
-        or that some of the input was left out; 130 after an interrupt.
-    """
+    """Run one command."""
     try:
         with _warnings_on_stderr():
             chosen = parser().parse_args(arguments)

@@ -29,30 +29,19 @@ TOP: Final = 20
 
 @dataclasses.dataclass(frozen=True)
 class CaseComparison:
-    """The k designs that both studies ran, in one case; arrays have one entry a design, in the new study's order.
-
-    Attributes
-    ----------
-    case : Case
-    designs : tuple of Design
-    S : PairedDifferences
-        Mean S in both studies, their difference with its interval, and the verdict.
-    failed_old, failed_new : tuple of int
-        Shared scenarios that failed (solver failed, diverged, timed out, crashed).
-    winners : Winners or None
-        The new study's winner against the old one's; None where no design meets the requirements of one of them, or
-        a race was in another case.
-    raced_elsewhere : bool
-        A race gave designs up by their scores in another case. Its best design here may be among them, so that there is
-        no winner to compare.
-    """
+    """The k designs that both studies ran, in one case; arrays have one entry a design, in the new study's order."""
 
     case: Case
     designs: tuple[Design, ...]
-    S: PairedDifferences
+    S: PairedDifferences  # Mean S in both studies, their difference with its interval, and the verdict
+    # Shared scenarios that failed (solver failed, diverged, timed out, crashed)
     failed_old: tuple[int, ...]
     failed_new: tuple[int, ...]
+    # The new study's winner against the old one's; None where no design meets the requirements of one of them, or a
+    # race was in another case
     winners: Winners | None
+    # A race gave designs up by their scores in another case. Its best design here may be among them, so that there is
+    # no winner to compare
     raced_elsewhere: bool = False
 
     def __len__(self) -> int:
@@ -146,19 +135,7 @@ class Comparison:
 
 
 def comparison_html(comparison: Comparison, top: int = TOP) -> str:
-    """A comparison as HTML without script.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    top : int
-        Rows.
-
-    Returns
-    -------
-    str
-        Everything in it is escaped.
-    """
+    """A comparison as HTML without script."""
     case = comparison.cases[0]
     names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
     headings = "".join(f'<th scope="col" style="text-align:left;{CELL}">{html.escape(name)}</th>' for name in names)

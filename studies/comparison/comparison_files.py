@@ -39,18 +39,7 @@ COLUMNS = (
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """One row a case and design, one a case for its winners if it has some, and one for each design that failed.
-
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Yields
-    ------
-    dict
-        Some of `COLUMNS`. ``compared`` is ``design``, ``winners`` or ``failure``. A number that is not there, or an
-        open end of an interval, is None.
-    """
+    """One row a case and design, one a case for its winners if it has some, and one for each design that failed."""
     for case in comparison.cases:
         where = {"window": str(case.case.window), "convention": str(case.case.convention)}
         for i in case.order:
@@ -113,18 +102,7 @@ def _finite(value: Any) -> float | None:
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
-    """Write a comparison as one CSV file, whole or not at all.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    path : path
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+    """Write a comparison as one CSV file, whole or not at all."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -134,17 +112,7 @@ def write_comparison(comparison: Comparison, path: str | Path) -> None:
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:
-    """A comparison in plain JSON types.
-
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    dict
-        ``rows`` holds what the CSV file does.
-    """
+    """A comparison in plain JSON types."""
     shared = comparison.shared
     return {
         "old": {"folder": comparison.old, "study": comparison.old_name},

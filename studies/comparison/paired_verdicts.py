@@ -37,33 +37,19 @@ class Verdict(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class PairedDifferences:
-    """New minus old on n shared scenarios; arrays have one entry a row, k in all.
+    """New minus old on n shared scenarios; arrays have one entry a row, k in all."""
 
-    Attributes
-    ----------
-    S_old, S_new : (k,) [m s]
-        Means over the shared scenarios.
-    difference : (k,) [m s]
-        S_new - S_old.
-    low, high : (k,) [m s]
-        Its interval, simultaneous over all rows that were compared together; NaN where too few scenarios changed.
-    changed : (k,) int
-        Scenarios that differ by more than 1e-6 m s.
-    largest : (k,) [m s]
-        The largest change of one scenario, with its sign; 0 where nothing changed.
-    largest_at : (k,) int
-        Position of that scenario among the shared ones.
-    verdict : tuple of Verdict
-    """
-
+    # (k,) [m s] Means over the shared scenarios
     S_old: FloatArray
     S_new: FloatArray
-    difference: FloatArray
+    difference: FloatArray  # (k,) [m s] S_new - S_old
+    # (k,) [m s] Its interval, simultaneous over all rows that were compared together; NaN where too few scenarios
+    # changed
     low: FloatArray
     high: FloatArray
-    changed: IntArray
-    largest: FloatArray
-    largest_at: IntArray
+    changed: IntArray  # (k,) Scenarios that differ by more than 1e-6 m s
+    largest: FloatArray  # (k,) [m s] The largest change of one scenario, with its sign; 0 where nothing changed
+    largest_at: IntArray  # (k,) Position of that scenario among the shared ones
     verdict: tuple[Verdict, ...]
 
     def __len__(self) -> int:
@@ -80,48 +66,13 @@ def paired_differences(
 ) -> PairedDifferences:
     """Compare k rows pair by pair, all of them with one confidence.
 
-    Parameters
-    ----------
-    old, new : (k, n) [m s]
-        S of the same scenarios in two sets of runs.
-    side : (n,) int
-        Stratum of each scenario.
-    seed : int
-        Of the bootstrap.
-    bootstrap : int
-        Resamples, drawn within each side.
-    confidence : float
-        Of the intervals, all k together.
-
-    Returns
-    -------
-    PairedDifferences
-
-    Raises
-    ------
-    InputError
-        For scores that are not finite, no scenario, or settings outside what is allowed.
-
-    Notes
-    -----
-    The intervals are those of the studentised bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
-    section 12.5), symmetric, with the largest |t| over all rows in place of one row's own (max-t; Romano and Wolf,
-    Econometrica 73, 2005), so that they hold for all rows together. Unequal tails would follow the few scenarios that
-    changed most: where only some scenarios change, they miss too often.
-
-    A row is *the same* where no scenario changed by more than 1e-6 m s, or its interval lies within that of 0; *better*
-    or *worse* where the interval lies beyond it. Where only m scenarios changed, even equal signs come about by chance
-    with 2^(1 - m); rows where that is above (1 - confidence) / k have no interval and *not separated*.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> scores = np.random.default_rng(0).gamma(2.0, 1.0, (1, 400))
-    >>> side = np.repeat([1, -1], 200)
-    >>> noise = 0.1 * np.random.default_rng(1).normal(size=400)
-    >>> found = paired_differences(scores, scores + 0.1 + noise, side, seed=0)
-    >>> [str(verdict) for verdict in found.verdict]
-    ['worse']
+    The intervals are those of the studentised bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap,
+    1993, section 12.5), symmetric, with the largest |t| over all rows in place of one row's own (max-t; Romano and
+    Wolf, Econometrica 73, 2005), so that they hold for all rows together. Unequal tails would follow the few
+    scenarios that changed most: where only some scenarios change, they miss too often. A row is *the same* where no
+    scenario changed by more than 1e-6 m s, or its interval lies within that of 0; *better* or *worse* where the
+    interval lies beyond it. Where only m scenarios changed, even equal signs come about by chance with 2^(1 - m);
+    rows where that is above (1 - confidence) / k have no interval and *not separated*.
     """
     check_confidence(confidence)
     if not (np.isfinite(old).all() and np.isfinite(new).all()):

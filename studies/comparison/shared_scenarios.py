@@ -16,21 +16,13 @@ from ldctoolkit.plant_options import PlantOptions
 
 @dataclasses.dataclass(frozen=True)
 class SharedScenarios:
-    """Scenarios that two sets hold, as positions in each.
+    """Scenarios that two sets hold, as positions in each."""
 
-    Attributes
-    ----------
-    old, new : (n,) int
-        Position of each in the old and in the new set, in the order of the new one.
-    side : (n,) int
-        ``LEFT`` (+1) or ``RIGHT`` (-1).
-    other_draws : int
-        Scenarios whose departure both sets hold, but for which other numbers were drawn; they are not shared.
-    """
-
+    # (n,) Position of each in the old and in the new set, in the order of the new one
     old: IntArray
     new: IntArray
-    side: IntArray
+    side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
+    # Scenarios whose departure both sets hold, but for which other numbers were drawn; they are not shared
     other_draws: int = 0
 
     @property
@@ -54,25 +46,7 @@ class SharedScenarios:
 
 
 def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
-    """What a plant draws for each scenario beside its parameters.
-
-    Parameters
-    ----------
-    options : PlantOptions
-
-    Returns
-    -------
-    frozenset of RandomStream
-        Empty for a plant without chance.
-
-    Examples
-    --------
-    >>> from ldctoolkit.plant_options import Mismatch, PlantOptions
-    >>> drawn_streams(PlantOptions(mismatch=Mismatch(m=(1.1, 1.1))))
-    frozenset()
-    >>> drawn_streams(PlantOptions(mismatch=Mismatch(m=(1.0, 1.3))))
-    frozenset({<RandomStream.MISMATCH: 1>})
-    """
+    """What a plant draws for each scenario beside its parameters."""
     ranges = (getattr(options.mismatch, field.name) for field in dataclasses.fields(options.mismatch))
     uses = {
         RandomStream.MISMATCH: any(low != high for low, high in ranges),
@@ -87,30 +61,7 @@ def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
 def share_scenarios(
     old: Scenarios, new: Scenarios, *, both_draw: bool = False, same_seed: bool = True
 ) -> SharedScenarios:
-    """Find the scenarios that two sets share, by content.
-
-    Parameters
-    ----------
-    old, new : Scenarios
-    both_draw : bool
-        Both plants draw the same kind of number for each scenario: then the seed and the scenario's number
-        (`Scenarios.index`), which decide every draw, must be the same too. What only one plant draws needs no partner.
-    same_seed : bool
-        Whether both studies have the same seed.
-
-    Returns
-    -------
-    SharedScenarios
-        Side and all eight parameters agree to the bit. A departure that a set holds k times is shared as often as both
-        hold it.
-
-    Examples
-    --------
-    >>> one = Scenarios.from_arrays(T=[2.0, 3.0, 4.0], d_y=0.3, v_mean=25.0)
-    >>> shared = share_scenarios(one, one.take([2, 0]))
-    >>> shared.old.tolist(), shared.new.tolist()
-    ([2, 0], [0, 1])
-    """
+    """Find the scenarios that two sets share, by content."""
     group = _same_rows(np.concatenate([_rows(old), _rows(new)]))
     old_at, new_at = _pairs(group[: old.n], group[old.n :])
     if both_draw:

@@ -23,31 +23,16 @@ from studies.study_file.spec import Study
 
 @dataclasses.dataclass(frozen=True)
 class FinishedStudy:
-    """A study that ran to its end.
+    """A study that ran to its end."""
 
-    Attributes
-    ----------
-    source : str
-        What messages call it: its folder.
-    manifest : Manifest
-    study : Study
-    results : StudyResults
-    """
-
-    source: str
+    source: str  # What messages call it: its folder
     manifest: Manifest
     study: Study
     results: StudyResults
 
     @classmethod
     def read(cls, folder: str | Path) -> FinishedStudy:
-        """Read the folder of a study.
-
-        Raises
-        ------
-        StoreError
-            If it holds no study, or one that is broken or not finished.
-        """
+        """Read the folder of a study."""
         store = Store.open(folder)
         if not store.manifest.finished:
             raise StoreError(f"{folder}: the study is not finished; run it into this folder again to go on")
@@ -62,18 +47,7 @@ def held_designs(results: StudyResults) -> dict[str, Design]:
 
 
 def input_differences(old: FinishedStudy, new: FinishedStudy) -> tuple[str, ...]:
-    """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``.
-
-    Parameters
-    ----------
-    old, new : FinishedStudy
-
-    Returns
-    -------
-    tuple of str
-        The scenario model and the toolkit first, the designs and other packages last; empty if all inputs are the
-        same.
-    """
+    """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``."""
     return tuple(_differences(old, new))
 
 
@@ -116,34 +90,22 @@ _MOST_ENTRIES: Final = 20_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Winners:
-    """The new study's winner against the old study's.
+    """The new study's winner against the old study's."""
 
-    Attributes
-    ----------
-    old, new : Design
-        What each study's own ranking calls its winner.
-    S_old, S_new : float [m s]
-        Mean over the shared scenarios.
-    difference, low, high : float [m s]
-        S_new - S_old, and its interval, valid although both were chosen by their scores; NaN as in
-        `PairedDifferences`.
-    verdict : Verdict
-    scenarios : int
-        How many scenarios they were compared on.
-    fresh : bool
-        Whether these are fresh scenarios of both studies, on which no design was chosen.
-    """
-
+    # What each study's own ranking calls its winner
     old: Design
     new: Design
+    # [m s] Mean over the shared scenarios
     S_old: float
     S_new: float
+    # [m s] S_new - S_old, and its interval, valid although both were chosen by their scores; NaN as in
+    # `PairedDifferences`
     difference: float
     low: float
     high: float
     verdict: Verdict
-    scenarios: int
-    fresh: bool
+    scenarios: int  # How many scenarios they were compared on
+    fresh: bool  # Whether these are fresh scenarios of both studies, on which no design was chosen
 
     @property
     def same_design(self) -> bool:
@@ -163,28 +125,9 @@ def compare_winners(
 ) -> Winners | None:
     """Compare the winners of two studies in one case.
 
-    Parameters
-    ----------
-    before, after : FinishedStudy
-    case : Case
-        One that both have.
-    shared : SharedScenarios
-        Of the studies' own scenarios.
-    fresh : SharedScenarios or None
-        Of the fresh scenarios of their finalists, if both have some.
-    bootstrap : int
-    confidence : float
-
-    Returns
-    -------
-    Winners or None
-        None where one study has no winner, because no design meets its requirements.
-
-    Notes
-    -----
-    Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow. The
-    interval here holds for all pairs of a design that could have won the old study and one that could have won the new
-    one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
+    Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow.
+    The interval here holds for all pairs of a design that could have won the old study and one that could have won
+    the new one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
     """
     rankings = (_ranking(before, case), _ranking(after, case))
     if rankings[0].winner is None or rankings[1].winner is None:

@@ -27,23 +27,15 @@ from studies.study_file._part import Part, fail
 
 
 class SampleSettings(Part):
-    """``[design.sample]``: how many points of the space are taken, and how they are spread.
+    """``[design.sample]``: how many points of the space are taken, and how they are spread."""
 
-    Attributes
-    ----------
-    method : {"latin_hypercube", "sobol", "saltelli"}
-        Latin hypercube: every dimension is cut into `count` equal parts and each part is met once. Sobol: the first
-        points of a scrambled Sobol sequence, best as a power of two. Saltelli: what Sobol indices are computed from.
-    count : int
-        Points for each law; with ``"saltelli"`` the number N of base points, a power of two, which make N (d + 2)
-        designs in d dimensions.
-    seed : int
-        Of the sample; nothing else decides the points.
-    """
-
+    # Latin hypercube: every dimension is cut into `count` equal parts and each part is met once. Sobol: the first
+    # points of a scrambled Sobol sequence, best as a power of two. Saltelli: what Sobol indices are computed from
     method: Literal["latin_hypercube", "sobol", "saltelli"]
+    # Points for each law; with ``"saltelli"`` the number N of base points, a power of two, which make N (d + 2) designs
+    # in d dimensions
     count: int = Field(ge=1, le=100_000)
-    seed: int = Field(default=0, ge=0, lt=2**63)
+    seed: int = Field(default=0, ge=0, lt=2**63)  # Of the sample; nothing else decides the points
 
     @model_validator(mode="after")
     def _balanced(self) -> Self:
@@ -61,30 +53,7 @@ class SampleSettings(Part):
 
 
 def unit_points(sample: SampleSettings, dimensions: int) -> npt.NDArray[np.float64]:
-    """The points of a sample in the unit cube.
-
-    Parameters
-    ----------
-    sample : SampleSettings
-    dimensions : int
-        Number of dimensions that vary.
-
-    Returns
-    -------
-    (m, dimensions)
-        From 0 to 1. The rows of a Saltelli sample are in the order that `SALib.analyze.sobol.analyze` expects of a
-        sample without second-order indices.
-
-    Raises
-    ------
-    InputError
-        For a Saltelli sample without SALib.
-
-    Examples
-    --------
-    >>> unit_points(SampleSettings(method="sobol", count=4), 2).shape
-    (4, 2)
-    """
+    """The points of a sample in the unit cube."""
     if not dimensions:
         return np.zeros((1, 0))
     if sample.method == "saltelli":
@@ -120,50 +89,24 @@ Kinds = Sequence[type[Controller]]
 
 @dataclasses.dataclass(frozen=True)
 class LawSample:
-    """What ``[design.sample]`` makes of one law.
-
-    Attributes
-    ----------
-    space : LawSpace
-    shares : (m, d)
-        Points of the unit cube, a column for each name in ``space.varying``.
-    designs : tuple of Design
-        The design of each row; rows may share one.
-    """
+    """What ``[design.sample]`` makes of one law."""
 
     space: LawSpace
-    shares: Any
-    designs: tuple[Design, ...]
+    shares: Any  # (m, d) Points of the unit cube, a column for each name in ``space.varying``
+    designs: tuple[Design, ...]  # The design of each row; rows may share one
 
 
 class DesignBlock(Part):
-    """``[[design]]``: one law or several, and a space of their trigger threshold and gains.
+    """``[[design]]``: one law or several, and a space of their trigger threshold and gains."""
 
-    Attributes
-    ----------
-    law : str or tuple of str
-        Registry names. A gain goes to the laws that declare it.
-    y_s : tuple of float, or Span [m]
-        Trigger thresholds; a range without a count holds all between its ends.
-    gains : dict of str to tuple or Span
-        Values of every gain that is set; the others keep their defaults.
-    when : dict of str to dict
-        Conditions: gain -> other gain of the same law -> its values for which the first one varies.
-    sample : SampleSettings or None
-        Take points of the space instead of the full grid.
-
-    Examples
-    --------
-    >>> block = DesignBlock(law=("lqr", "linear_mpc"), gains={"r_delta": (50.0, 500.0), "horizon": (10, 20, 30)})
-    >>> [(space.law, space.size) for space in block.space()]
-    [('lqr', 2), ('linear_mpc', 6)]
-    """
-
-    law: str | tuple[str, ...]
+    law: str | tuple[str, ...]  # Registry names. A gain goes to the laws that declare it
+    # Trigger thresholds; a range without a count holds all between its ends
     y_s: tuple[float, ...] | InstanceOf[Span] = (0.2,)
+    # Values of every gain that is set; the others keep their defaults
     gains: dict[str, tuple[Any, ...] | InstanceOf[Span]] = Field(default_factory=dict)
+    # Conditions: gain -> other gain of the same law -> its values for which the first one varies
     when: dict[str, dict[str, tuple[Any, ...]]] = Field(default_factory=dict)
-    sample: SampleSettings | None = None
+    sample: SampleSettings | None = None  # Take points of the space instead of the full grid
 
     @model_validator(mode="before")
     @classmethod
@@ -233,25 +176,15 @@ class DesignBlock(Part):
         return tuple(spaces)
 
     def designs(self) -> list[Design]:
-        """The full grid, laws slowest, then thresholds, in the order written; or the sample, in which one may be twice.
-
-        Raises
-        ------
-        InputError
-            For a range without a count in a table without a sample, and for a sample whose library is missing.
+        """The full grid, laws slowest, then thresholds, in the order written; or the sample, in which one may be
+        twice.
         """
         if self.sample is None:
             return [design for space in self.space() for design in space.grid()]
         return [design for sample in self.samples() for design in sample.designs]
 
     def samples(self) -> tuple[LawSample, ...]:
-        """The sample of each law, in the order written; empty for a table without ``sample``.
-
-        Raises
-        ------
-        InputError
-            For a sample whose library is missing.
-        """
+        """The sample of each law, in the order written; empty for a table without ``sample``."""
         if self.sample is None:
             return ()
         found = []
@@ -262,21 +195,7 @@ class DesignBlock(Part):
 
 
 def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
-    """Refuse tables that do not fit a study with a search, or one without.
-
-    Parameters
-    ----------
-    blocks : sequence of DesignBlock
-        The study's tables.
-    searched : bool
-        Whether the study asks for its designs.
-
-    Raises
-    ------
-    pydantic_core.PydanticCustomError
-        For a range without a count that is neither sampled nor searched, and for a sample in a search; with the key
-        path from the study on.
-    """
+    """Refuse tables that do not fit a study with a search, or one without."""
     for i, block in enumerate(blocks):
         if searched and block.sample is not None:
             message = "a study with [search] asks for its designs itself; allowed: no sample"
@@ -297,13 +216,7 @@ def _dimension(entry: tuple[Any, ...] | Span) -> Dimension:
 
 
 def _read_laws(entry: Any) -> tuple[tuple[str, ...], Kinds]:
-    """The laws of a table: names and classes.
-
-    Raises
-    ------
-    pydantic_core.PydanticCustomError
-        With the key path in the table.
-    """
+    """The laws of a table: names and classes."""
     names = (entry,) if isinstance(entry, str) else entry
     if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
         raise fail("law", f"{entry!r}; allowed: text, or a list of different laws")
@@ -319,13 +232,7 @@ def _read_laws(entry: Any) -> tuple[tuple[str, ...], Kinds]:
 
 
 def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:
-    """The trigger thresholds [m] of a table.
-
-    Raises
-    ------
-    pydantic_core.PydanticCustomError
-        With the key path in the table.
-    """
+    """The trigger thresholds [m] of a table."""
     try:
         dimension = read_entry(entry)
     except EntryError as error:
@@ -342,22 +249,7 @@ def _threshold(value: Any) -> float:
 
 
 def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
-    """The values of a gain, which the laws that declare it must take for the same.
-
-    Parameters
-    ----------
-    kinds : sequence of type
-        The table's laws.
-    name : str
-        Of the gain.
-    entry : object
-        As written.
-
-    Raises
-    ------
-    pydantic_core.PydanticCustomError
-        With the key path in the table.
-    """
+    """The values of a gain, which the laws that declare it must take for the same."""
     readings = {kind.name: _reading(kind, name, entry, len(kinds) > 1) for kind in _declaring(kinds, name, "gains")}
     (first, reading), *others = readings.items()
     for law, other in others:
@@ -402,22 +294,7 @@ def _outside(path: str, error: LdcError, kind: type[Controller], name: str, name
 def _read_conditions(
     kinds: Kinds, when: dict[str, Any], gains: dict[str, Any]
 ) -> dict[str, dict[str, tuple[Any, ...]]]:
-    """``[design.when]``: gain -> other gain -> the values of the other for which the gain varies.
-
-    Parameters
-    ----------
-    kinds : sequence of type
-        The table's laws.
-    when : dict
-        As written.
-    gains : dict
-        The table's gains as read.
-
-    Raises
-    ------
-    pydantic_core.PydanticCustomError
-        With the key path in the table.
-    """
+    """``[design.when]``: gain -> other gain -> the values of the other for which the gain varies."""
     read = {name: _condition_table(kinds, name, table, gains) for name, table in when.items()}
     for name, others in read.items():
         for on in others:

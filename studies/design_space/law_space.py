@@ -27,20 +27,9 @@ MOST_VALUES: Final = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """A list of values, one or more.
+    """A list of values, one or more."""
 
-    Attributes
-    ----------
-    values : tuple of float, int, str or bool
-        Different values, in the order written.
-
-    Examples
-    --------
-    >>> Choices(("osqp", "daqp")).at(0.7)
-    'daqp'
-    """
-
-    values: tuple[GainValue, ...]
+    values: tuple[GainValue, ...]  # Different values, in the order written
 
     @property
     def size(self) -> int:
@@ -48,41 +37,20 @@ class Choices:
         return len(self.values)
 
     def at(self, share: float) -> GainValue:
-        """The value at a share of the list, every value over an equal part.
-
-        Parameters
-        ----------
-        share : float
-            From 0 to 1.
-        """
+        """The value at a share of the list, every value over an equal part."""
         return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
 
 
 @dataclasses.dataclass(frozen=True)
 class Span:
-    """Every number between two ends, or every whole one; both ends belong to it.
+    """Every number between two ends, or every whole one; both ends belong to it."""
 
-    Attributes
-    ----------
-    first, last : float
-        The ends as written, in either order, different.
-    scale : {"linear", "log"}
-        What is even: the numbers, or their logarithms (then both ends have one sign).
-    whole : bool
-        Whole numbers only; the ends are whole.
-
-    Examples
-    --------
-    >>> Span(0.01, 1.0, "log").at(0.5)
-    0.1
-    >>> [Span(1, 3, "linear", whole=True).at(share) for share in (0.0, 0.5, 1.0)]
-    [1, 2, 3]
-    """
-
+    # The ends as written, in either order, different
     first: float
     last: float
+    # What is even: the numbers, or their logarithms (then both ends have one sign)
     scale: Literal["linear", "log"] = "linear"
-    whole: bool = False
+    whole: bool = False  # Whole numbers only; the ends are whole
 
     @property
     def low(self) -> float:
@@ -100,13 +68,7 @@ class Span:
         return int(self.high - self.low) + 1 if self.whole else None
 
     def at(self, share: float) -> GainValue:
-        """The value at a share of the way from the first end to the last.
-
-        Parameters
-        ----------
-        share : float
-            From 0 to 1.
-        """
+        """The value at a share of the way from the first end to the last."""
         a, b = float(self.first), float(self.last)
         if self.whole:
             # half a number beyond each end: the ends get as much room as the others
@@ -119,13 +81,7 @@ Dimension = Choices | Span
 
 
 def rounded(value: float) -> float:
-    """A number with twelve significant digits: 0.3 and not 0.30000000000000004 in names and identities.
-
-    Examples
-    --------
-    >>> rounded(0.1 + 0.2)
-    0.3
-    """
+    """A number with twelve significant digits: 0.3 and not 0.30000000000000004 in names and identities."""
     return float(f"{value:.12g}") + 0.0
 
 
@@ -145,31 +101,7 @@ class EntryError(InputError):
 
 
 def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
-    """The dimension of a design space that one entry stands for.
-
-    Parameters
-    ----------
-    entry : scalar, list or table
-        As in `expand`; a table without ``count`` holds all numbers between its ends.
-    scale : {"linear", "log"}
-        Spacing of a table that does not say.
-    whole : bool
-        Whole numbers only, of a table.
-
-    Returns
-    -------
-    Choices or Span
-
-    Raises
-    ------
-    EntryError
-        As in `expand`.
-
-    Examples
-    --------
-    >>> read_entry({"from": 0.1, "to": 0.3})
-    Span(first=0.1, last=0.3, scale='linear', whole=False)
-    """
+    """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
     first, last, spacing = _ends(entry, scale)
@@ -179,33 +111,7 @@ def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole:
 
 
 def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
-    """The values of one entry, in the order written, each once.
-
-    Parameters
-    ----------
-    entry : scalar, list or table
-        A table is ``{from, to, count, scale}``, both ends included.
-    scale : {"linear", "log"}
-        Spacing of a table that does not say.
-    whole : bool
-        Round the values of a table to whole numbers.
-
-    Returns
-    -------
-    tuple
-
-    Raises
-    ------
-    EntryError
-        For an empty list, or a table with a wrong key or value.
-
-    Examples
-    --------
-    >>> expand({"from": 0.1, "to": 0.3, "count": 3})
-    (0.1, 0.2, 0.3)
-    >>> expand([1, 2, 2])
-    (1, 2)
-    """
+    """The values of one entry, in the order written, each once."""
     if isinstance(entry, dict):
         values = _range(entry, scale, whole)
     elif isinstance(entry, list | tuple):
@@ -260,46 +166,20 @@ def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float
 
 @dataclasses.dataclass(frozen=True)
 class Condition:
-    """A gain that varies only while another has one of some values; otherwise it keeps its default.
+    """A gain that varies only while another has one of some values; otherwise it keeps its default."""
 
-    Attributes
-    ----------
-    gain : str
-        The gain that varies.
-    on : str
-        The other gain, which has no condition of its own.
-    values : tuple of float, int, str or bool
-        Values of the other one.
-    """
-
-    gain: str
-    on: str
-    values: tuple[GainValue, ...]
+    gain: str  # The gain that varies
+    on: str  # The other gain, which has no condition of its own
+    values: tuple[GainValue, ...]  # Values of the other one
 
 
 @dataclasses.dataclass(frozen=True)
 class LawSpace:
-    """What a ``[[design]]`` table says about one law.
+    """What a ``[[design]]`` table says about one law."""
 
-    Attributes
-    ----------
-    law : str
-        Registry name.
-    y_s : Choices or Span [m]
-        Trigger thresholds.
-    gains : tuple of (str, Choices or Span)
-        The gains that are set, in the order written; the others keep their defaults.
-    conditions : tuple of Condition
-
-    Examples
-    --------
-    >>> space = LawSpace("lqr", Choices((0.1, 0.2)), (("r_delta", Choices((50.0, 500.0))),))
-    >>> [design.y_s for design in space.grid()]
-    [0.1, 0.1, 0.2, 0.2]
-    """
-
-    law: str
-    y_s: Dimension
+    law: str  # Registry name
+    y_s: Dimension  # Trigger thresholds
+    # The gains that are set, in the order written; the others keep their defaults
     gains: tuple[tuple[str, Dimension], ...] = ()
     conditions: tuple[Condition, ...] = ()
 
@@ -320,13 +200,7 @@ class LawSpace:
         return None if None in sizes else math.prod(size for size in sizes if size is not None)
 
     def grid(self) -> Iterator[Design]:
-        """Every design once, the threshold slowest, in the order written.
-
-        Raises
-        ------
-        InputError
-            If a dimension is a range without a count.
-        """
+        """Every design once, the threshold slowest, in the order written."""
         names, lists = [], []
         for name, dimension in self.dimensions:
             if not isinstance(dimension, Choices):
@@ -339,13 +213,7 @@ class LawSpace:
         return map(self._design, {tuple(values.items()): values for values in every}.values())
 
     def at(self, shares: npt.NDArray[np.float64]) -> tuple[Design, ...]:
-        """The designs at points of the unit cube; two points may be one design.
-
-        Parameters
-        ----------
-        shares : (m, d)
-            One column for each name in `varying`, from 0 to 1.
-        """
+        """The designs at points of the unit cube; two points may be one design."""
         varying = self.varying
         fixed = {name: dimension.at(0.0) for name, dimension in self.dimensions}
         dimensions = [dimension for name, dimension in self.dimensions if name in varying]
@@ -353,14 +221,7 @@ class LawSpace:
         return tuple(self.design(fixed | {name: dim.at(share) for name, dim, share in row}) for row in rows)
 
     def design(self, values: Mapping[str, GainValue]) -> Design:
-        """The design of one value for each dimension.
-
-        Parameters
-        ----------
-        values : mapping
-            Name of a dimension -> value. A dimension that is left out takes its first value if it has one only, and
-            otherwise the gain's default; a gain whose condition does not hold keeps its default in any case.
-        """
+        """The design of one value for each dimension."""
         single = {name: dimension.at(0.0) for name, dimension in self.dimensions if name not in self.varying}
         return self._design(self.active(single | dict(values)))
 

@@ -28,40 +28,20 @@ PACKAGES: Final = ("numpy", "polars", "numba")
 
 @dataclasses.dataclass(frozen=True)
 class Unread:
-    """Why nothing came out of a part.
+    """Why nothing came out of a part."""
 
-    Attributes
-    ----------
-    reason : str
-        One sentence.
-    """
-
-    reason: str
+    reason: str  # One sentence
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PartWork:
-    """Reads one part and finds its departures.
+    """Reads one part and finds its departures."""
 
-    Attributes
-    ----------
-    number : int
-        Place of the part in its source.
-    part : RecordingPart
-        What is read.
-    criteria : Criteria
-        What counts as a departure.
-    preparation : Preparation
-        How recordings are brought to a common form.
-    time_limit : float [s]
-        None: how long a file takes depends on the disk.
-    """
-
-    number: int
-    part: RecordingPart
-    criteria: Criteria
-    preparation: Preparation
-    time_limit: float = 0.0
+    number: int  # Place of the part in its source
+    part: RecordingPart  # What is read
+    criteria: Criteria  # What counts as a departure
+    preparation: Preparation  # How recordings are brought to a common form
+    time_limit: float = 0.0  # [s] None: how long a file takes depends on the disk
 
     def make_ready(self, kept: dict[str, Any]) -> None:
         """Nothing is needed."""
@@ -78,18 +58,10 @@ class PartWork:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Probe:
-    """Does nothing: tells whether workers live at all.
+    """Does nothing: tells whether workers live at all."""
 
-    Attributes
-    ----------
-    number : int
-        Of no part.
-    time_limit : float [s]
-        None.
-    """
-
-    number: int
-    time_limit: float = 0.0
+    number: int  # Of no part
+    time_limit: float = 0.0  # [s] None
 
     def make_ready(self, kept: dict[str, Any]) -> None:
         """Nothing is needed."""
@@ -113,19 +85,7 @@ Plan = dict[str, Any]
 
 
 def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
-    """What decides the numbers of all parts.
-
-    Parameters
-    ----------
-    reader : RecordingReader
-        What opened the source.
-    source : RecordingSource
-        Its files are told by their digests, its parts by their keys.
-    criteria : Criteria
-        What counts as a departure.
-    preparation : Preparation
-        How recordings are brought to a common form.
-    """
+    """What decides the numbers of all parts."""
     home = Path(ldctoolkit.__file__).parent
     keys = json.dumps([part.key for part in source.parts])
     plan = {

@@ -243,21 +243,8 @@ _ENDED = "ended its worker process each time it was read (out of memory?); it is
 
 
 def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[PartWork, PartResult | Unread]]:
-    """Run parts, and give each with what came out as soon as it is there.
-
-    A part that may have ended its worker is run again alone. If it ends that one too, it is `Unread`.
-
-    Parameters
-    ----------
-    executor : Executor
-        Where they run.
-    works : sequence of PartWork
-        In the order in which they begin.
-
-    Raises
-    ------
-    LdcError
-        If workers end whatever they run.
+    """Run parts, and give each with what came out as soon as it is there. A part that may have ended its worker is run
+    again alone. If it ends that one too, it is `Unread`.
     """
     waiting, alone = deque(works), deque[PartWork]()
     faults = Faults()

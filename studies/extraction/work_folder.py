@@ -38,15 +38,9 @@ _DIGITS: Final = 16
 
 
 class WorkFolder:
-    """Finished parts of one extraction.
-
-    Made by `work_folder`, which holds it for this process. A part's name has its number and a checksum of its content:
-    a file that was cut short or has a flipped bit is found out, and the part is read again.
-
-    Attributes
-    ----------
-    path : Path
-        The folder.
+    """Finished parts of one extraction. Made by `work_folder`, which holds it for this process. A part's name has its
+    number and a checksum of its content: a file that was cut short or has a flipped bit is found out, and the part
+    is read again.
     """
 
     def __init__(self, path: Path) -> None:
@@ -76,13 +70,7 @@ class WorkFolder:
         return frozenset(self._parts)
 
     def write(self, number: int, result: PartResult) -> None:
-        """Store a part, whole or not at all.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Store a part, whole or not at all."""
         content = part_bytes(result)
         path = self.path / f"part-{number:06d}-{_checksum(content)}.npz"
         with stored_file(path) as stream:
@@ -90,13 +78,7 @@ class WorkFolder:
         self._parts[number] = path
 
     def read(self, number: int) -> PartResult:
-        """A part that is there.
-
-        Raises
-        ------
-        StoreError
-            If it was changed or taken away since.
-        """
+        """A part that is there."""
         path = self._parts[number]
         content = read_bytes(path)
         if not path.stem.endswith(_checksum(content)):
@@ -132,22 +114,9 @@ def holds_parts(path: Path) -> bool:
 
 @contextlib.contextmanager
 def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
-    """Hold a work folder, made if need be, with the parts of the same plan that are in it.
-
-    Parts of another plan are removed, with a warning that says what differs. A folder without a finished part is
-    removed when the block ends in an error.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    plan : Plan
-        What the parts are of.
-
-    Raises
-    ------
-    StoreError
-        If it holds other things, is in use, or cannot be written.
+    """Hold a work folder, made if need be, with the parts of the same plan that are in it. Parts of another plan are
+    removed, with a warning that says what differs. A folder without a finished part is removed when the block ends
+    in an error.
     """
     try:
         path.mkdir(exist_ok=True)
@@ -235,23 +204,7 @@ _TREE: Final = "tree"
 
 
 def part_bytes(result: PartResult) -> bytes:
-    """A result as the content of a file.
-
-    Parameters
-    ----------
-    result : PartResult
-        Of one part.
-
-    Returns
-    -------
-    bytes
-        The same for the same result; `read_part` gives it back bit for bit.
-
-    Examples
-    --------
-    >>> read_part(part_bytes(PartResult())).departures.n
-    0
-    """
+    """A result as the content of a file."""
     arrays: list[np.ndarray[Any, Any]] = []
     text = json.dumps(_packed(result, arrays), ensure_ascii=False)
     content = io.BytesIO()
@@ -261,13 +214,7 @@ def part_bytes(result: PartResult) -> bytes:
 
 
 def read_part(content: bytes) -> PartResult:
-    """The result that `part_bytes` made the content of.
-
-    Raises
-    ------
-    StoreError
-        If it is anything else.
-    """
+    """The result that `part_bytes` made the content of."""
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as entries:
             tree = json.loads(entries[_TREE].tobytes().decode())

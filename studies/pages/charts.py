@@ -64,23 +64,12 @@ def law_styles(laws: Iterable[str]) -> dict[str, Style]:
 
 @dataclasses.dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart."""
 
-    Attributes
-    ----------
-    name : str
-        Letters, digits and dashes; the file's name.
-    title : str
-        For a screen reader.
-    width, height : float
-    body : str
-        SVG elements.
-    """
-
-    name: str
-    title: str
+    name: str  # Letters, digits and dashes; the file's name
+    title: str  # For a screen reader
     height: float
-    body: str
+    body: str  # SVG elements
     width: float = WIDTH
 
     @property
@@ -119,24 +108,14 @@ FILE_STYLE: Final = (
 
 @dataclasses.dataclass(frozen=True)
 class Axis:
-    """One axis.
+    """One axis."""
 
-    Attributes
-    ----------
-    label : str
-        Quantity and unit.
-    low, high : float
-        Its ends.
-    log : bool
-    categories : tuple of str
-        Names at 0, 1, ... instead of numbers.
-    """
-
-    label: str
+    label: str  # Quantity and unit
+    # Its ends
     low: float
     high: float
     log: bool = False
-    categories: tuple[str, ...] = ()
+    categories: tuple[str, ...] = ()  # Names at 0, 1, ... instead of numbers
 
     @classmethod
     def around(cls, label: str, *values: npt.ArrayLike, zero: bool = False, log: bool = False) -> Axis:
@@ -176,13 +155,7 @@ class Axis:
 
 
 def nice_step(span: float, most: int) -> float:
-    """1, 2 or 5 times a power of ten that divides a span into at most so many steps.
-
-    Examples
-    --------
-    >>> nice_step(1.0, 5), nice_step(43.0, 4)
-    (0.2, 20.0)
-    """
+    """1, 2 or 5 times a power of ten that divides a span into at most so many steps."""
     rough = max(span, 1e-300) / most
     ten = 10.0 ** math.floor(math.log10(rough))
     return next(m * ten for m in (1.0, 2.0, 5.0, 10.0) if m * ten >= rough * (1 - 1e-9))

@@ -214,13 +214,7 @@ def no_winners_sentence(case: CaseComparison) -> str:
 
 
 def interval_text(low: float, high: float) -> str:
-    """Both ends of an interval, or why there is none.
-
-    Examples
-    --------
-    >>> interval_text(-0.02, 0.01), interval_text(float("nan"), float("nan"))
-    ('−0.0200 to +0.0100', 'too few departures changed')
-    """
+    """Both ends of an interval, or why there is none."""
     if math.isnan(low) or math.isnan(high):
         return "too few departures changed"
     if math.isinf(low) or math.isinf(high):

@@ -114,13 +114,7 @@ def _charts(context: Context) -> Iterator[Chart]:
 
 
 def interleaved(side: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """An order of the scenarios in which every stretch holds left and right ones in their overall proportion.
-
-    Examples
-    --------
-    >>> interleaved(np.array([1, 1, -1, -1]))
-    array([0, 2, 1, 3])
-    """
+    """An order of the scenarios in which every stretch holds left and right ones in their overall proportion."""
     place = np.empty(side.size)
     for value in np.unique(side):
         rows = np.flatnonzero(side == value)
@@ -129,13 +123,7 @@ def interleaved(side: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def running_mean(values: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
-    """Mean of the first k values and 1.96 standard errors of it, at up to 160 counts k from 2 to n.
-
-    Examples
-    --------
-    >>> running_mean(np.array([1.0, 3.0]))
-    (array([2]), array([2.]), array([1.96]))
-    """
+    """Mean of the first k values and 1.96 standard errors of it, at up to 160 counts k from 2 to n."""
     n = values.size
     if n < 2:
         return np.arange(1, n + 1), values.copy(), np.full(n, np.nan)

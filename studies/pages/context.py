@@ -107,27 +107,14 @@ class ReportInput:
 
 @dataclasses.dataclass(frozen=True)
 class Context:
-    """A report's input, on the scenarios that can be driven under every design only.
-
-    Attributes
-    ----------
-    report : ReportInput
-    every : int
-        Number of scenarios, those that cannot be driven included.
-    """
+    """A report's input, on the scenarios that can be driven under every design only."""
 
     report: ReportInput
-    every: int
+    every: int  # Number of scenarios, those that cannot be driven included
 
     @classmethod
     def of(cls, report: ReportInput) -> Self:
-        """Check the input.
-
-        Raises
-        ------
-        InputError
-            If the results hold no design, scenario or case, or the rankings do not belong to the cases.
-        """
+        """Check the input."""
         results = report.results
         if not results.designs or not results.cases or results.scenarios.n == 0:
             raise InputError(
@@ -238,13 +225,7 @@ class Context:
 
 
 def metric_text(name: str, value: float, *, unit: bool = True) -> str:
-    r"""A metric with its own digits, in the unit of the page.
-
-    Examples
-    --------
-    >>> metric_text("a_y_added_peak_p95", 3.456), metric_text("needless", 0.5, unit=False)
-    ('3.46\xa0m/s²', '50.0')
-    """
+    r"""A metric with its own digits, in the unit of the page."""
     one = METRICS[name]
     shown = number(one.scale * value, one.digits)
     return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown

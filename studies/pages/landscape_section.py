@@ -24,19 +24,11 @@ MOST_LAWS: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class SweptAxis:
-    """Something that the designs of a law differ in.
-
-    Attributes
-    ----------
-    name, unit : str
-    values : tuple
-        In rising order where they are numbers.
-    log : bool
-    """
+    """Something that the designs of a law differ in."""
 
     name: str
     unit: str
-    values: tuple[GainValue, ...]
+    values: tuple[GainValue, ...]  # In rising order where they are numbers
     log: bool
 
     @property

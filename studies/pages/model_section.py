@@ -67,37 +67,7 @@ class SideMatch:
 def match(
     scenarios: Scenarios, model: ScenarioModel | None, *, source: Departures | None = None, given: Given | None = None
 ) -> tuple[SideMatch, ...]:
-    """Compare generated departures with the model, and with what it was fitted to.
-
-    Parameters
-    ----------
-    scenarios : Scenarios
-        The generated departures.
-    model : ScenarioModel, optional
-        What generated them.
-    source : Departures, optional
-        What the model was fitted to; else what the model's file holds of them.
-    given : mapping, optional
-        The conditions that they were drawn under.
-
-    Returns
-    -------
-    tuple of SideMatch
-        Left and right, without a side that has no departures. The same arguments give the same numbers.
-
-    Raises
-    ------
-    InputError
-        If the conditions are none, or the model cannot meet them.
-
-    Examples
-    --------
-    >>> from ldctoolkit import load_model
-    >>> model = load_model("reference")
-    >>> (left,) = match(model.sample(200, 0, seed=1), model)
-    >>> left.source, all(one.to_model.value < 0.15 for one in left.parameters)
-    (30000, True)
-    """
+    """Compare generated departures with the model, and with what it was fitted to."""
     wanted = conditions(given)
     return tuple(
         _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, wanted)

@@ -41,18 +41,7 @@ _GOLDEN: Final = 0.6180339887498949
 
 
 def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, ...]:
-    """Rows of the scenarios with these numbers, each once.
-
-    Raises
-    ------
-    InputError
-        For a number that no scenario has.
-
-    Examples
-    --------
-    >>> rows_of_numbers(Scenarios.from_arrays(T=[2.0, 3.0], d_y=0.3, v_mean=25.0), [1, 1])
-    (1,)
-    """
+    """Rows of the scenarios with these numbers, each once."""
     found = []
     for number in numbers:
         rows = np.flatnonzero(scenarios.index == number)
@@ -66,13 +55,7 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
 
 
 def designs_of_ids(designs: Sequence[Design], prefixes: Sequence[str]) -> tuple[int, ...]:
-    """Positions of the designs whose identifiers begin like this, each once.
-
-    Raises
-    ------
-    InputError
-        For a beginning that no design has, or several.
-    """
+    """Positions of the designs whose identifiers begin like this, each once."""
     ids = [design.id for design in designs]
     found = []
     for prefix in prefixes:
@@ -186,24 +169,12 @@ def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]
 
 @dataclasses.dataclass(frozen=True)
 class DesignPaths:
-    """One design on the p picked departures; arrays (p, k), NaN after the end and where there is no path.
+    """One design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
 
-    Attributes
-    ----------
-    t : [s]
-        Time since the crossing: the controller's samples from the trigger on, T, and the end.
-    y : [m]
-        Edge beyond the line, outward.
-    delta : [rad]
-        Steering angle of the wheel just after that time.
-    a_y : [m/s^2]
-        Lateral acceleration just after it.
-    """
-
-    t: FloatArray
-    y: FloatArray
-    delta: FloatArray
-    a_y: FloatArray
+    t: FloatArray  # [s] Time since the crossing: the controller's samples from the trigger on, T, and the end
+    y: FloatArray  # [m] Edge beyond the line, outward
+    delta: FloatArray  # [rad] Steering angle of the wheel just after that time
+    a_y: FloatArray  # [m/s^2] Lateral acceleration just after it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,26 +230,7 @@ def _driven(
 
 
 def path_acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
-    """Lateral acceleration of driven paths just after each sample: the axles' forces over the mass, true vehicles.
-
-    Parameters
-    ----------
-    over : Takeover
-        What was driven.
-    places : (c,) int
-        Of the paths' scenarios among the takeover's m.
-    t : (c, k) [s]
-        Times of the samples, NaN after the end.
-    x : (c, k, 4)
-        State (e_y, de_y/dt, e_psi, de_psi/dt).
-    delta : (c, k) [rad]
-        Steering angle of the wheel just after each sample.
-
-    Returns
-    -------
-    (c, k) [m/s^2]
-        NaN where t is.
-    """
+    """Lateral acceleration of driven paths just after each sample: the axles' forces over the mass, true vehicles."""
     path, cars = over.driven.take(places), over.vehicles
     known = np.isfinite(t)
     times = np.where(known, t, 0.0)

@@ -53,23 +53,7 @@ SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
 
 
 def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
-    """The report as one HTML document, and its charts.
-
-    Parameters
-    ----------
-    report : ReportInput
-
-    Returns
-    -------
-    html : str
-        The same input gives the same text.
-    charts : tuple of Chart
-
-    Raises
-    ------
-    InputError
-        If the results hold no design, scenario or case, or the rankings do not belong to the cases.
-    """
+    """The report as one HTML document, and its charts."""
     context = Context.of(report)
     sections = tuple(make(context) for make in SECTIONS)
     ranking = context.ranking
@@ -143,31 +127,7 @@ def report_input(
     shown_designs: Sequence[str] = (),
     robustness: Robustness | None = None,
 ) -> ReportInput:
-    """Gather what a report shows of a study that was run.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the study.
-    study : Study
-    manifest : Manifest
-    results : StudyResults
-    rankings : tuple of Ranking
-        One a case.
-    source : Departures, optional
-        What the scenario model was fitted to.
-    departures : sequence of int
-        Scenario numbers to be put into the explorer.
-    shown_designs : sequence of str
-        Beginnings of ids of designs to be put into the explorer.
-    robustness : Robustness, optional
-        Numbers on other plants.
-
-    Raises
-    ------
-    StoreError
-        If the folder's scenario model is broken.
-    """
+    """Gather what a report shows of a study that was run."""
     return ReportInput(
         title=study.title or study.name,
         study_name=study.name,

@@ -26,32 +26,16 @@ _PACKAGE: Final = "studies.pages"
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """One section of a page.
+    """One section of a page."""
 
-    Attributes
-    ----------
-    id : str
-        Stays the same from version to version.
-    title : str
-        Its heading, and its entry in the list of sections.
-    body : Markup
-    charts : tuple of Chart
-        Those of the body that are written as files, too.
-    data : mapping, optional
-        What the script finds under the section's id: text, numbers, and `packed` arrays.
-    scripts : tuple of str
-        Files under ``templates``; each is put into the page once.
-    printed : bool
-        Whether it is printed.
-    """
-
-    id: str
-    title: str
+    id: str  # Stays the same from version to version
+    title: str  # Its heading, and its entry in the list of sections
     body: Markup
-    charts: tuple[Chart, ...] = ()
+    charts: tuple[Chart, ...] = ()  # Those of the body that are written as files, too
+    # What the script finds under the section's id: text, numbers, and `packed` arrays
     data: Mapping[str, object] | None = None
-    scripts: tuple[str, ...] = ()
-    printed: bool = False
+    scripts: tuple[str, ...] = ()  # Files under ``templates``; each is put into the page once
+    printed: bool = False  # Whether it is printed
 
 
 # ------------------------------------------------------------------------------------------------ tables
@@ -59,25 +43,13 @@ class Section:
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """One column.
-
-    Attributes
-    ----------
-    title : str
-    unit : str
-    key : str
-        What the search calls it: ``S``, ``y_s``; empty for a column that is not searched by value.
-    text : bool
-        Whether it holds text and not numbers.
-    about : str
-        What it means; shown when the pointer rests on the heading.
-    """
+    """One column."""
 
     title: str
     unit: str = ""
-    key: str = ""
-    text: bool = False
-    about: str = ""
+    key: str = ""  # What the search calls it: ``S``, ``y_s``; empty for a column that is not searched by value
+    text: bool = False  # Whether it holds text and not numbers
+    about: str = ""  # What it means; shown when the pointer rests on the heading
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,23 +156,7 @@ def details(title: str, body: Markup) -> Markup:
 
 
 def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
-    """An array as the script reads it: flattened, little-endian, base64.
-
-    Parameters
-    ----------
-    values : array_like
-    kind : {"f4", "i4", "i2", "u2", "i1", "u1"}
-
-    Raises
-    ------
-    InputError
-        If a whole number does not fit.
-
-    Examples
-    --------
-    >>> packed([1, 2, 3], "u1")
-    {'type': 'u1', 'data': 'AQID'}
-    """
+    """An array as the script reads it: flattened, little-endian, base64."""
     import base64
 
     array = np.asarray(values)
@@ -212,18 +168,7 @@ def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
 
 
 def script_json(data: Mapping[str, Any]) -> Markup:
-    r"""JSON that may stand inside a ``<script>`` element: no ``<`` in it, so nothing can end the element.
-
-    Raises
-    ------
-    InputError
-        For a float that is not finite: JSON has none.
-
-    Examples
-    --------
-    >>> print(script_json({"title": "</script>"}))
-    {"title":"\u003c/script>"}
-    """
+    r"""JSON that may stand inside a ``<script>`` element: no ``<`` in it, so nothing can end the element."""
     try:
         text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
@@ -259,20 +204,7 @@ def asset(name: str) -> Markup:
 def make_page(
     *, kind: str, title: str, heading: str, facts: Sequence[str], sections: Sequence[Section], footer: str
 ) -> str:
-    """A page as one HTML document; the same input gives the same text.
-
-    Parameters
-    ----------
-    kind : str
-        What the page is, above its heading.
-    title : str
-        Of the window.
-    heading : str
-    facts : sequence of str
-        Under the heading, in one line.
-    sections : sequence of Section
-    footer : str
-    """
+    """A page as one HTML document; the same input gives the same text."""
     scripts = dict.fromkeys(name for section in sections for name in section.scripts)
     data = {section.id: section.data for section in sections if section.data is not None}
     return str(

@@ -36,13 +36,7 @@ def printable(text: str) -> str:
 
 
 def shorten(text: str, most: int) -> str:
-    """At most that many printable characters.
-
-    Examples
-    --------
-    >>> shorten("preview proportional", 8)
-    'preview…'
-    """
+    """At most that many printable characters."""
     shown = printable(text)
     return shown if len(shown) <= most else shown[: most - 1] + "…"
 
@@ -55,13 +49,7 @@ def symbol_parts(match: re.Match[str]) -> tuple[str, str]:
 
 
 def symbols(text: str) -> Markup:
-    """Escaped HTML in which ``K_psi`` is set as a letter with an index.
-
-    Examples
-    --------
-    >>> print(symbols("K_psi <= 0"))
-    K<sub>ψ</sub> &lt;= 0
-    """
+    """Escaped HTML in which ``K_psi`` is set as a letter with an index."""
     from markupsafe import Markup, escape
 
     def index(match: re.Match[str]) -> str:
@@ -122,26 +110,14 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def difference_text(value: float, digits: int = 4) -> str:
-    """A difference of S with its sign, and with two digits however small it is.
-
-    Examples
-    --------
-    >>> difference_text(-0.0123), difference_text(0.00002), difference_text(0.0)
-    ('−0.0123', '+2.0e−05', '0')
-    """
+    """A difference of S with its sign, and with two digits however small it is."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else signed(value)
     return signed(value, digits) if abs(value) >= _SMALL else f"{value:+.1e}".replace("-", MINUS)
 
 
 def percent(value: float, digits: int = 1) -> str:
-    r"""A share as per cent, with a no-break space before the sign.
-
-    Examples
-    --------
-    >>> percent(0.2647)
-    '26.5\xa0%'
-    """
+    r"""A share as per cent, with a no-break space before the sign."""
     return f"{number(100.0 * value, digits)}\u00a0%"
 
 
@@ -157,13 +133,7 @@ def change(reduction: float) -> str:
 
 
 def compact(value: GainValue) -> str:
-    """The value of a gain as it is written in a study file.
-
-    Examples
-    --------
-    >>> compact(-0.005), compact(True), compact("osqp")
-    ('−0.005', 'true', 'osqp')
-    """
+    """The value of a gain as it is written in a study file."""
     if isinstance(value, bool):
         return "true" if value else "false"
     return (

@@ -118,27 +118,14 @@ _LEADERS = 16
 
 @dataclasses.dataclass(frozen=True)
 class Decision:
-    """What one round of a race decides about k designs.
+    """What one round of a race decides about k designs."""
 
-    Attributes
-    ----------
-    keep : (k,) bool
-        Designs that go on; the best always does.
-    best : int
-        The design with the smallest mean; the first of several.
-    mean : (k,) [m s]
-        Mean S on the scenarios of the round.
-    difference : (k,) [m s]
-        The same minus that of the best.
-    low : (k,) [m s]
-        Lower bound of how much worse the design is than the best one in truth, simultaneous over designs and rounds:
-        it is given up where that is above 1e-6 m s. Minus infinity where nothing can be said.
-    """
-
-    keep: BoolArray
-    best: int
-    mean: FloatArray
-    difference: FloatArray
+    keep: BoolArray  # (k,) Designs that go on; the best always does
+    best: int  # The design with the smallest mean; the first of several
+    mean: FloatArray  # (k,) [m s] Mean S on the scenarios of the round
+    difference: FloatArray  # (k,) [m s] The same minus that of the best
+    # (k,) [m s] Lower bound of how much worse the design is than the best one in truth, simultaneous over designs and
+    # rounds: it is given up where that is above 1e-6 m s. Minus infinity where nothing can be said
     low: FloatArray
 
 
@@ -155,58 +142,16 @@ def race_round(
 ) -> Decision:
     """Decide which designs go on after a round.
 
-    Parameters
-    ----------
-    scores : (k, m) [m s]
-        S as it counts of the designs still in the race, failures penalised, on all scenarios up to this round, in the
-        study's primary case. A scenario with NaN under some design is left out for all.
-    side : (m,) int
-        Of the scenarios.
-    round : int
-        From 1 on.
-    rounds : int
-        Of the whole race. The last one gives up nothing: there is nothing left to save, and the ranking says more.
-    seed : int
-        Of the bootstrap.
-    confidence : float
-        That the best design is given up in no round.
-    samples : int
-        Resamples of the bootstrap.
-    started : int, optional
-        Designs at the start of the race; k by default. Designs that were given up before still count in how certain
-        the others have to be.
-
-    Returns
-    -------
-    Decision
-
-    Raises
-    ------
-    InputError
-        For arrays that do not belong together, scores that are infinite, or settings outside what is allowed.
-
-    Notes
-    -----
-    The error 1 - confidence is shared out evenly over the rounds - 1 that decide. In each, a design is given up if two
-    lower bounds of how much worse it is than the best are both above 1e-6 m s. One is the max-t bootstrap bound of
-    `simultaneous.separable`. The other is made for few scenarios and tails far out: the largest of Student's t
+    The error 1 - confidence is shared out evenly over the rounds - 1 that decide. In each, a design is given up if
+    two lower bounds of how much worse it is than the best are both above 1e-6 m s. One is the max-t bootstrap bound
+    of `simultaneous.separable`. The other is made for few scenarios and tails far out: the largest of Student's t
     bounds of the paired differences to each of the 16 leading designs, at the error's share of one pair of designs,
-    less what scenarios that were not met yet may do. For that: departures of a kind that m scenarios do not hold have,
-    with probability 1 - error, a share of at most log(1 / error) / m. Each is taken to speak for the design with L, the
-    largest difference that any design shows to the best one, so that a leader is not trusted for the luck of having
-    met none of the failures that others met.
-
-    Scores above the worst one of the design compared with are counted as that worst one, in favour of the designs that
-    have them: else a design which diverges now and then would be kept for the large spread that this makes.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> common = np.random.default_rng(0).gamma(2.0, 1.0, 100)
-    >>> side = np.repeat([1, -1], 50)
-    >>> scores = np.stack([common, common, 1.5 * common + 0.5])
-    >>> race_round(scores, side, round=1, rounds=3, seed=0, confidence=0.95, samples=500).keep
-    array([ True,  True, False])
+    less what scenarios that were not met yet may do. For that: departures of a kind that m scenarios do not hold
+    have, with probability 1 - error, a share of at most log(1 / error) / m. Each is taken to speak for the design
+    with L, the largest difference that any design shows to the best one, so that a leader is not trusted for the
+    luck of having met none of the failures that others met. Scores above the worst one of the design compared with
+    are counted as that worst one, in favour of the designs that have them: else a design which diverges now and
+    then would be kept for the large spread that this makes.
     """
     scores, side, decisions = _checked(scores, side, round, rounds, confidence)
     if started is None:

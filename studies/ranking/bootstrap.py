@@ -29,40 +29,8 @@ _MANTISSA = 53
 def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
     """Means of d designs over resampled scenarios.
 
-    Parameters
-    ----------
-    values : (d, n)
-        One row a design.
-    side : (n,) int
-        Stratum of each scenario: each side keeps its number of scenarios.
-    samples : int
-        Number of resamples B.
-    seed : int
-    stream : int
-        Another stream gives other resamples from the same seed.
-
-    Returns
-    -------
-    (B, d)
-        Row b is the mean of every design over the same resample, so that differences between columns are paired.
-
-    Raises
-    ------
-    InputError
-        If samples is not positive, or there are no scenarios.
-
-    Notes
-    -----
     A resample is a multinomial weight vector w / n; the means are one matrix product, in blocks of B. The weights
     depend on seed, stream, B and the sides only. A column depends on its own row and the weights, to the last bit.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> bootstrap_means(np.ones((2, 5)), np.array([1, 1, 1, -1, -1]), samples=3, seed=0)
-    array([[1., 1.],
-           [1., 1.],
-           [1., 1.]])
     """
     return bootstrap_deviations(values, side, samples=samples, seed=seed, stream=stream) + row_means(values)
 
@@ -106,20 +74,7 @@ class _Kept:
 
 
 def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:
-    """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together.
-
-    Parameters
-    ----------
-    side : (n,) int
-        Stratum of each scenario: the weights of a side sum to its number of scenarios.
-    samples, seed, stream : int
-        As for `bootstrap_means`.
-
-    Raises
-    ------
-    InputError
-        If samples is not positive, or there are no scenarios.
-    """
+    """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together."""
     n = side.size
     if samples < 1 or n < 1:
         raise InputError(f"bootstrap: {samples} samples of {n} scenarios; allowed: at least one of each")
@@ -139,23 +94,8 @@ def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -
 def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
     """Values as whole numbers of a unit, so that weighted sums of them are exact.
 
-    Parameters
-    ----------
-    values : (d, n)
-    total : int
-        Sum of the weights, which are whole numbers of 0 or more, at most.
-
-    Returns
-    -------
-    grid : (d, n)
-        Whole numbers: values / unit, rounded.
-    unit : (d,)
-        A power of two for each row: 2^-42 of its largest value at 1,000 scenarios.
-
-    Notes
-    -----
-    Every partial sum of weights times grid is a whole number below 2^53. A matrix product is then the same to the last
-    bit in whatever order a BLAS sums, on any machine, for any number of threads and any rows beside it.
+    Every partial sum of weights times grid is a whole number below 2^53. A matrix product is then the same to the
+    last bit in whatever order a BLAS sums, on any machine, for any number of threads and any rows beside it.
     """
     _, exponent = np.frexp(np.abs(values).max(axis=1, initial=0.0))
     unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
@@ -164,23 +104,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 
 
 def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Percentile interval of every column of (B, d) resampled means.
-
-    Parameters
-    ----------
-    means : (B, d)
-    confidence : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    low, high : (d,)
-
-    Raises
-    ------
-    InputError
-        For a confidence outside (0, 1).
-    """
+    """Percentile interval of every column of (B, d) resampled means."""
     check_confidence(confidence)
     tail = 0.5 * (1.0 - confidence)
     low, high = np.quantile(means, [tail, 1.0 - tail], axis=0)
@@ -188,11 +112,6 @@ def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArra
 
 
 def check_confidence(confidence: float) -> None:
-    """Refuse what is not between 0 and 1.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse what is not between 0 and 1."""
     if not 0.0 < confidence < 1.0:
         raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")

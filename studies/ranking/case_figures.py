@@ -28,26 +28,7 @@ _FEWEST_DIGITS = 6
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
-    """Position of the baseline in `results.designs`.
-
-    Parameters
-    ----------
-    baseline : str
-        A law's name (its first design in the study's order), the start of a design's identifier (6 digits or more), or
-        empty for the design without control.
-    results : StudyResults
-
-    Returns
-    -------
-    int or None
-        None where the study has no design without control and no other is wanted, or where the one that is wanted
-        failed or was given up in a race.
-
-    Raises
-    ------
-    InputError
-        If the study has no such design, or more than one; the message names the nearest.
-    """
+    """Position of the baseline in `results.designs`."""
     here = _found(baseline or NO_CONTROL, results.designs)
     if here:
         return here[0]
@@ -80,30 +61,7 @@ _BLOCK_ENTRIES = 500_000
 
 
 def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
-    """Quantile, and mean beyond it, of every row.
-
-    Parameters
-    ----------
-    values : (d, n)
-    percent : int
-        Of the scenarios are not worse, 1 to 99.
-
-    Returns
-    -------
-    quantile : (d,)
-        Linear between neighbours.
-    cvar : (d,)
-        Mean of the worst (100 - percent) % of the n values: k = n (100 - percent) / 100 of them, the last one counted
-        with the fraction that k leaves over. The conditional value at risk of the n values (Rockafellar and
-        Uryasev 2002).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> quantile, cvar = tail_figures(np.arange(1.0, 31.0)[None])
-    >>> quantile.round(9), cvar.round(9)
-    (array([28.55]), array([29.66666667]))
-    """
+    """Quantile, and mean beyond it, of every row."""
     d, n = values.shape
     quantile, cvar = np.empty(d), np.empty(d)
     whole, rest = divmod(n * (100 - percent), 100)  # in whole numbers: 0.05 n is not exact
@@ -126,89 +84,48 @@ def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, Flo
 
 @dataclasses.dataclass(frozen=True)
 class CaseFigures:
-    """Figures of d designs, arrays of d.
-
-    S is S as it counts: a failed scenario (solver failed, diverged, timed out, crashed) at least as bad as without
-    control, and never left out. Scenarios that cannot be driven under some design have no S: they are left out for all
-    designs and counted in `invalid`.
-
-    Attributes
-    ----------
-    S, S_left, S_right : (d,) [m s]
-        Mean over all scenarios and over those of a side; NaN for a side without scenarios.
-    S_p95, S_cvar95 : (d,) [m s]
-        95 % quantile of S, and mean of the worst 5 %.
-    S_uncorrected : (d,) [m s]
-        Mean without control, over the same window.
-    reduction, reduction_left, reduction_right : (d,)
-        1 - mean S / mean S_uncorrected.
-    triggered : (d,)
-        Share of scenarios in which the design took over.
-    deeper : (d,)
-        Share of scenarios deeper than D_y.
-    solver_failed, diverged, timed_out, crashed, beyond_delta_max, invalid : (d,) int
-        Scenarios with that status.
-    failed_solves : (d,) int
-        Commands that were not finite, or came from a fallback.
-    release : ReleaseFigures
-        What is reported beside S.
+    """Figures of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
+    crashed) at least as bad as without control, and never left out. Scenarios that cannot be driven under some
+    design have no S: they are left out for all designs and counted in `invalid`.
     """
 
+    # (d,) [m s] Mean over all scenarios and over those of a side; NaN for a side without scenarios
     S: FloatArray
     S_left: FloatArray
     S_right: FloatArray
+    # (d,) [m s] 95 % quantile of S, and mean of the worst 5 %
     S_p95: FloatArray
     S_cvar95: FloatArray
-    S_uncorrected: FloatArray
+    S_uncorrected: FloatArray  # (d,) [m s] Mean without control, over the same window
+    # (d,) 1 - mean S / mean S_uncorrected
     reduction: FloatArray
     reduction_left: FloatArray
     reduction_right: FloatArray
-    triggered: FloatArray
-    deeper: FloatArray
+    triggered: FloatArray  # (d,) Share of scenarios in which the design took over
+    deeper: FloatArray  # (d,) Share of scenarios deeper than D_y
+    # (d,) Scenarios with that status
     solver_failed: IntArray
     diverged: IntArray
     timed_out: IntArray
     crashed: IntArray
     beyond_delta_max: IntArray
     invalid: IntArray
-    failed_solves: IntArray
-    release: ReleaseFigures
+    failed_solves: IntArray  # (d,) Commands that were not finite, or came from a fallback
+    release: ReleaseFigures  # What is reported beside S
 
 
 @dataclasses.dataclass(frozen=True)
 class DrivableCase:
-    """A case on the scenarios that can be driven under every design.
-
-    Attributes
-    ----------
-    case : CaseResults
-    scenarios : Scenarios
-        The n of them.
-    counted : (d, n) [m s]
-        `CaseResults.counted`.
-    status : (d, m) int8
-        Of all scenarios, those that cannot be driven included.
-    """
+    """A case on the scenarios that can be driven under every design."""
 
     case: CaseResults
-    scenarios: Scenarios
-    counted: FloatArray
-    status: npt.NDArray[np.int8]
+    scenarios: Scenarios  # The n of them
+    counted: FloatArray  # (d, n) [m s] `CaseResults.counted`
+    status: npt.NDArray[np.int8]  # (d, m) Of all scenarios, those that cannot be driven included
 
     @classmethod
     def of(cls, case: CaseResults, scenarios: Scenarios) -> Self:
-        """Leave out what cannot be driven.
-
-        Parameters
-        ----------
-        case : CaseResults
-        scenarios : Scenarios
-
-        Raises
-        ------
-        InputError
-            If nothing is left, or a score is not finite.
-        """
+        """Leave out what cannot be driven."""
         status, rows = case.status, case.drivable
         if not rows.any():
             raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
@@ -238,20 +155,7 @@ def case_figures(
     margins: Margins | None = None,
     setup: Setup | None = None,
 ) -> CaseFigures:
-    """Figures of the designs of a case, in its order.
-
-    Parameters
-    ----------
-    drivable : DrivableCase
-    designs : sequence of Design
-        In the order of the case.
-    D_y : float [m]
-        Depth that counts as deep.
-    margins : mapping, optional
-        By identifier; NaN for a design that is not in it.
-    setup : Setup, optional
-        Whose tyres decide which recorded paths friction allows; without it, all.
-    """
+    """Figures of the designs of a case, in its order."""
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)

@@ -17,37 +17,9 @@ from studies.results import Case, StudyResults
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
-    """The search's first, unless fresh scenarios part it from a better one.
-
-    Taking the smallest fresh score would choose by luck again, and that score would be too small again. The first of
-    the search was not chosen on the fresh scenarios, so its fresh score is not.
-
-    Parameters
-    ----------
-    resampled : Resampled
-        The f finalists on fresh scenarios, in the search's order.
-    set_of_best : (f,) bool
-        Of the search.
-    meets : (f,) bool
-        Whether each meets the requirements on the fresh scenarios.
-    confidence : float
-        Between 0 and 1, of all differences at once.
-
-    Returns
-    -------
-    int or None
-        Place among the finalists: the first one in the set of best that meets the requirements (of all finalists, if
-        none in the set does). If the interval of the paired difference to it lies below 0 for others of these, the one
-        of them with the smallest mean. None where no finalist meets the requirements.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
-    >>> S = np.stack([S, S - 0.1 * np.random.default_rng(1).random(100)])
-    >>> resampled = Resampled.of(S, np.repeat([1, -1], 50), seed=1, samples=200)
-    >>> choose_winner(resampled, np.array([True, True]), np.array([True, True]), 0.95)
-    1
+    """The search's first, unless fresh scenarios part it from a better one. Taking the smallest fresh score would
+    choose by luck again, and that score would be too small again. The first of the search was not chosen on the
+    fresh scenarios, so its fresh score is not.
     """
     candidates = np.flatnonzero(meets & set_of_best)
     if not candidates.size:
@@ -67,53 +39,35 @@ _STREAM = 1
 @dataclasses.dataclass(frozen=True)
 class FreshScores:
     """What scenarios that no design was chosen on say of the finalists, arrays of d; NaN for designs that are none.
-
     The baseline is scored there too. It is a finalist only where it is in the set of best.
-
-    Attributes
-    ----------
-    fresh_S, fresh_low, fresh_high : (d,) [m s]
-        Mean S and its interval, for all finalists and the baseline at once.
-    fresh_difference, fresh_difference_low, fresh_difference_high : (d,) [m s]
-        Mean S minus that of the search's first, paired, with its interval, for all finalists at once.
-    fresh_baseline_difference, fresh_baseline_difference_low, fresh_baseline_difference_high : (d,) [m s]
-        The same to the baseline.
-    fresh_reduction : (d,)
-        1 - mean S / mean S of the baseline.
-    fresh_unmet : tuple of tuple of str
-        Requirements that a finalist misses on the fresh scenarios.
-    optimism, optimism_low, optimism_high : (d,) [m s]
-        How much better the search's figure was than the fresh one, and its interval, for all finalists at once: an
-        interval that holds 0 is no more than two draws of scenarios explain.
-    optimism_paired : bool
-        Whether that figure is the difference to the baseline (where the baseline is a law) or mean S itself.
-    fresh_scenarios : int
-        How many; 0 for none.
-    fresh_best : int or None
-        Position of the finalist with the smallest `fresh_S`.
-    winner : int or None
-        Position of the design to take, see `choose_winner`; without fresh scenarios the first of
-        the ranking. None where no design is ranked, where no finalist meets the requirements on the fresh scenarios, or
-        where a race gave designs up by another case.
     """
 
+    # (d,) [m s] Mean S and its interval, for all finalists and the baseline at once
     fresh_S: FloatArray
     fresh_low: FloatArray
     fresh_high: FloatArray
+    # (d,) [m s] Mean S minus that of the search's first, paired, with its interval, for all finalists at once
     fresh_difference: FloatArray
     fresh_difference_low: FloatArray
     fresh_difference_high: FloatArray
+    # (d,) [m s] The same to the baseline
     fresh_baseline_difference: FloatArray
     fresh_baseline_difference_low: FloatArray
     fresh_baseline_difference_high: FloatArray
-    fresh_reduction: FloatArray
-    fresh_unmet: tuple[tuple[str, ...], ...]
+    fresh_reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
+    fresh_unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
+    # (d,) [m s] How much better the search's figure was than the fresh one, and its interval, for all finalists at
+    # once: an interval that holds 0 is no more than two draws of scenarios explain
     optimism: FloatArray
     optimism_low: FloatArray
     optimism_high: FloatArray
+    # Whether that figure is the difference to the baseline (where the baseline is a law) or mean S itself
     optimism_paired: bool
-    fresh_scenarios: int
-    fresh_best: int | None
+    fresh_scenarios: int  # How many; 0 for none
+    fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
+    # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
+    # no design is ranked, where no finalist meets the requirements on the fresh scenarios, or where a race gave designs
+    # up by another case
     winner: int | None
 
 
@@ -127,31 +81,15 @@ def no_fresh_scores(d: int, ranked: int) -> FreshScores:
 
 @dataclasses.dataclass(frozen=True)
 class SearchScores:
-    """What the search's scenarios said, d designs by position in the ranking.
+    """What the search's scenarios said, d designs by position in the ranking."""
 
-    Attributes
-    ----------
-    scores : (d, n) [m s]
-        Counted S, in the study's order.
-    order : (d,) int
-        Where the designs of the ranking stand in it.
-    side : (n,) int
-    set_of_best : (d,) bool
-    ranked : int
-        So many first designs are ranked.
-    baseline : int or None
-        Position of the design that all are compared with.
-    paired : bool
-        Whether the baseline is a law: a difference to it then leaves most of the draw of scenarios out.
-    """
-
-    scores: FloatArray
-    order: IntArray
-    side: npt.NDArray[np.signedinteger]
-    set_of_best: BoolArray
-    ranked: int
-    baseline: int | None
-    paired: bool
+    scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
+    order: IntArray  # (d,) Where the designs of the ranking stand in it
+    side: npt.NDArray[np.signedinteger]  # (n,)
+    set_of_best: BoolArray  # (d,)
+    ranked: int  # So many first designs are ranked
+    baseline: int | None  # Position of the design that all are compared with
+    paired: bool  # Whether the baseline is a law: a difference to it then leaves most of the draw of scenarios out
 
 
 def fresh_scores(
@@ -165,22 +103,7 @@ def fresh_scores(
     samples: int,
     confidence: float,
 ) -> FreshScores:
-    """Score the finalists.
-
-    Parameters
-    ----------
-    drivable : DrivableCase
-        Of the finalists, and the baseline, on the fresh scenarios.
-    positions : (f,) int
-        Position of each of them in the ranking.
-    search : SearchScores
-    unmet : sequence of f tuples of str
-        Requirements that each misses on the fresh scenarios.
-    first_failed : bool
-        Whether the law of the search's first failed on the fresh scenarios.
-    seed, samples, confidence
-        As for `studies.ranking.simultaneous.infer`.
-    """
+    """Score the finalists."""
     d = len(search.scores)
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]

@@ -72,28 +72,16 @@ def _worst(names: tuple[str, ...], designs: tuple[Design, ...], kept: _Kept, set
 
 @dataclasses.dataclass(frozen=True)
 class Drives:
-    """Scores of d designs on p plants and n scenarios.
+    """Scores of d designs on p plants and n scenarios."""
 
-    Attributes
-    ----------
-    S : (p, d, n) [m s]
-        As it counts: a failed scenario at least as bad as without control. NaN where the law raised, or the plant
-        cannot drive the scenario.
-    S_uncorrected : (p, d, n) [m s]
-        NaN in the same places.
-    status : (p, d, n) int8
-        `ldctoolkit.EventStatus`.
-    comfortable : (p, d) [1]
-        Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised.
-    raised : tuple of (plant, design, reason)
-        By position: laws that raised.
-    """
-
+    # (p, d, n) [m s] As it counts: a failed scenario at least as bad as without control. NaN where the law raised, or
+    # the plant cannot drive the scenario
     S: FloatArray
-    S_uncorrected: FloatArray
-    status: npt.NDArray[np.int8]
+    S_uncorrected: FloatArray  # (p, d, n) [m s] NaN in the same places
+    status: npt.NDArray[np.int8]  # (p, d, n) `ldctoolkit.EventStatus`
+    # (p, d) [1] Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised
     comfortable: FloatArray
-    raised: tuple[tuple[int, int, str], ...]
+    raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
 
 
 def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:

@@ -21,69 +21,37 @@ SCORE: Final = (
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class RankedDesigns(CaseFigures, Inference, FreshScores):
-    """Designs of one case, best first; every array has one entry a design in that order.
-
-    Beside the fields below it has those of `CaseFigures` (means, tails, reductions, shares, counts and `release`), of
-    `Inference` (intervals, set of best) and of `FreshScores` (the finalists and the winner).
-
-    Attributes
-    ----------
-    case : Case
-        Window and convention.
-    designs : tuple of Design
-        d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
-        others in the same way.
-    index : (d,) int
-        Position of each in `StudyResults.designs`.
-    rank : (d,) int
-        1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is not
-        ranked.
-    missed : tuple of tuple of Miss
-        For each design, the requirements that it misses, and its values.
-    requirements : tuple of Requirement
-    limits : tuple of Requirement
-        The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``.
-    baseline : int or None
-        Position of the design behind `baseline_difference`.
-    pareto : (d,) bool
-        Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
-        another.
-    pareto_figures : tuple of str
-    scenarios : int
-        Study scenarios that could be driven under every design.
-    D_y : float [m]
-    bootstrap : int
-        Resamples.
-    confidence : float
-        Of every family of intervals, and of the set of best.
-    warnings : tuple of str
-        What a reader must know before comparing designs.
-    failed : tuple of FailedDesign
-        Designs whose law failed: they have no rank and no figures.
-    given_up : int
-        Designs that a race gave up before: they have no rank and no figures either.
-    raced : bool
-        Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
-        of another race only, and there is no winner.
+    """Designs of one case, best first; every array has one entry a design in that order. Beside the fields below it
+    has those of `CaseFigures` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
+    set of best) and of `FreshScores` (the finalists and the winner).
     """
 
-    case: Case
+    case: Case  # Window and convention
+    # d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
+    # others in the same way
     designs: tuple[Design, ...]
-    index: IntArray
+    index: IntArray  # (d,) Position of each in `StudyResults.designs`
+    # (d,) 1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is
+    # not ranked
     rank: IntArray
-    missed: tuple[tuple[Miss, ...], ...]
+    missed: tuple[tuple[Miss, ...], ...]  # For each design, the requirements that it misses, and its values
     requirements: tuple[Requirement, ...]
+    # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
-    baseline: int | None
+    baseline: int | None  # Position of the design behind `baseline_difference`
+    # (d,) Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
+    # another
     pareto: BoolArray
     pareto_figures: tuple[str, ...]
-    scenarios: int
-    D_y: float
-    bootstrap: int
-    confidence: float
-    warnings: tuple[str, ...]
-    failed: tuple[FailedDesign, ...] = ()
-    given_up: int = 0
+    scenarios: int  # Study scenarios that could be driven under every design
+    D_y: float  # [m]
+    bootstrap: int  # Resamples
+    confidence: float  # Of every family of intervals, and of the set of best
+    warnings: tuple[str, ...]  # What a reader must know before comparing designs
+    failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no figures
+    given_up: int = 0  # Designs that a race gave up before: they have no rank and no figures either
+    # Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
+    # of another race only, and there is no winner
     raced: bool = True
 
     def __len__(self) -> int:

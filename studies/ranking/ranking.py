@@ -42,15 +42,7 @@ FEW_OF_A_SIDE = 10
 
 
 def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference) -> Iterator[str]:
-    """Sentences on a sample that is too small, and on references that were left out.
-
-    Parameters
-    ----------
-    side : (n,) int
-        Stratum of each scenario.
-    inference : Inference
-        What was made of them.
-    """
+    """Sentences on a sample that is too small, and on references that were left out."""
     sides, counts = np.unique(side, return_counts=True)
     numbers = " and ".join(
         f"{count} {'left' if which == LEFT else 'right'}"

@@ -68,21 +68,7 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
-    """Write rankings as one CSV file, whole or not at all; window and convention name the case.
-
-    Parameters
-    ----------
-    rankings : sequence of Ranking
-        The primary case first.
-    path : path
-    race : Race, optional
-        What it gave up is listed too.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+    """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
     gains = _gain_columns(rankings, race)
     text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]

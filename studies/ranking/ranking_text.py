@@ -27,25 +27,7 @@ _START: Final = re.compile(r"^(\d{1,9})([.)])|^([-+=])")
 
 
 def markdown_text(text: str) -> str:
-    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is.
-
-    Parameters
-    ----------
-    text : str
-        Anything; line ends and other control characters become spaces.
-
-    Returns
-    -------
-    str
-        With backslashes and entities where a character could mean something.
-
-    Examples
-    --------
-    >>> print(markdown_text("a|b <script> `c`\n* d"))
-    a\|b &lt;script&gt; \`c\` \* d
-    >>> print(markdown_text("1. K_y"))
-    1\. K\_y
-    """
+    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is."""
     line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
     # halves of characters, and what turns the direction of the text that follows
     line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
@@ -56,19 +38,7 @@ def markdown_text(text: str) -> str:
 
 
 def markdown_table(headings: Sequence[str], right: Sequence[bool], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are escaped already.
-
-    Parameters
-    ----------
-    headings : sequence of str
-    right : sequence of bool
-        Which columns stand to the right.
-    rows : iterable of sequence of str
-
-    Returns
-    -------
-    str
-    """
+    """A table; cells are escaped already."""
     rule = ["---:" if number else "---" for number in right]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
 
@@ -231,47 +201,21 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
 
 @dataclasses.dataclass(frozen=True)
 class StudyHead:
-    """What stands above the ranking. Plain text; it is escaped.
+    """What stands above the ranking. Plain text; it is escaped."""
 
-    Attributes
-    ----------
-    title, name : str
-        Of the study.
-    model : str
-        The scenario model and its content hash.
-    synthetic : bool
-        Whether that model was fitted to invented driving.
-    left, right : int
-        Scenarios.
-    seed : int
-    """
-
+    # Of the study
     title: str
     name: str
-    model: str
-    synthetic: bool
+    model: str  # The scenario model and its content hash
+    synthetic: bool  # Whether that model was fitted to invented driving
+    # Scenarios
     left: int
     right: int
     seed: int
 
 
 def write_markdown(rankings: Sequence[RankedDesigns], path: str | Path, head: StudyHead, found: Verdict) -> None:
-    """Write rankings as one Markdown file, whole or not at all.
-
-    Parameters
-    ----------
-    rankings : sequence of RankedDesigns
-        The primary case first: its table is written, of the others a line.
-    path : path
-    head : StudyHead
-    found : Verdict
-        Of the primary case.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+    """Write rankings as one Markdown file, whole or not at all."""
     write_text(Path(path), ranking_markdown(rankings, head, found))
 
 

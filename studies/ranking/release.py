@@ -27,24 +27,7 @@ _FEW = 8
 
 
 def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
-    """Mean of what is marked in each row.
-
-    Parameters
-    ----------
-    values : (d, n)
-    among : (d, n) bool
-
-    Returns
-    -------
-    (d,)
-        NaN where nothing is marked.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> masked_mean(np.array([[1.0, 2.0, 9.0], [1.0, 2.0, 9.0]]), np.array([[True, True, False], [False] * 3]))
-    array([1.5, nan])
-    """
+    """Mean of what is marked in each row."""
     count = among.sum(axis=1)
     total = np.where(among, values, 0.0).sum(axis=1)
     result: FloatArray = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
@@ -59,14 +42,7 @@ def masked_max(values: FloatArray, among: BoolArray) -> FloatArray:
 
 def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> FloatArray:
     """Quantile of what is marked in each row, linear between neighbours; parameters and result as `masked_mean`.
-
     Infinite values are allowed: between a finite and an infinite neighbour it is infinite.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> masked_quantile(np.array([[3.0, 1.0, np.inf, 7.0]]), np.array([[True, True, True, False]]), 0.5)
-    array([3.])
     """
     count = among.sum(axis=1)
     ordered = np.where(among, values, np.inf)
@@ -120,24 +96,7 @@ class ReleaseFigures:
 
 
 def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
-    """Every metric of a design that is taken from metrics of its scenarios.
-
-    Parameters
-    ----------
-    case : CaseResults
-        Scenarios that can be driven only.
-    designs : sequence of Design
-        In the order of `case`.
-    d_y : (n,) [m]
-        Depth of the departures without control.
-    D_y : float [m]
-        Depth from which on a departure is deep.
-
-    Returns
-    -------
-    dict of str to (d,)
-        The fields of `ReleaseFigures`, and ``deeper``.
-    """
+    """Every metric of a design that is taken from metrics of its scenarios."""
     acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
     acted[[design.is_baseline for design in designs]] = False
     blocks = _Blocks(case, acted)
@@ -184,14 +143,7 @@ def _taken(one: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
 
 
 class _Blocks:
-    """Metrics of scenarios that are in memory, or read when they are needed, by blocks of designs in threads.
-
-    Parameters
-    ----------
-    case : CaseResults
-    acted : (d, n) bool
-        Where each design took over.
-    """
+    """Metrics of scenarios that are in memory, or read when they are needed, by blocks of designs in threads."""
 
     def __init__(self, case: CaseResults, acted: BoolArray) -> None:
         self._case, self._acted = case, acted

@@ -113,38 +113,17 @@ G: Final = 9.81
 
 @dataclasses.dataclass(frozen=True)
 class Requirement:
-    """What a design must meet. Made with `parse_requirement` or `requirements_of`.
-
-    Attributes
-    ----------
-    metric : Metric
-    operator : {"<=", "<", ">=", ">"}
-    limit : float
-        In the metric's unit.
-    set : str
-        Name of the set that it belongs to; empty for one by itself.
-    """
+    """What a design must meet. Made with `parse_requirement` or `requirements_of`."""
 
     metric: Metric
     operator: Operator
-    limit: float
-    set: str = ""
+    limit: float  # In the metric's unit
+    set: str = ""  # Name of the set that it belongs to; empty for one by itself
 
     def met(self, values: npt.ArrayLike) -> BoolArray:
-        """Where it is met, (d,).
-
-        A metric that a design does not have (NaN) never meets a requirement by itself. In a set it does: margins are
-        those of linear loops, comfort is that of interventions, and a design without either cannot break them.
-
-        Parameters
-        ----------
-        values : (d,)
-            Of the metric.
-
-        Examples
-        --------
-        >>> parse_requirement("S <= 0.5").met([0.4, 0.5, 0.6, float("nan")])
-        array([ True,  True, False, False])
+        """Where it is met, (d,). A metric that a design does not have (NaN) never meets a requirement by itself. In a
+        set it does: margins are those of linear loops, comfort is that of interventions, and a design without
+        either cannot break them.
         """
         array = np.asarray(values, dtype=np.float64)
         result: BoolArray = np.asarray(_OPERATORS[self.operator](array, self.limit)) | (
@@ -153,14 +132,8 @@ class Requirement:
         return result
 
     def excess(self, values: npt.ArrayLike) -> FloatArray:
-        """How far values (d,) are beyond the limit, as a part of it, or in the metric's unit for a limit of 0.
-
-        At most 0 where `met` says so, above 0 elsewhere, infinite for a metric that a design does not have.
-
-        Examples
-        --------
-        >>> parse_requirement("S <= 0.5").excess([0.25, 1.0])
-        array([-0.5,  1. ])
+        """How far values (d,) are beyond the limit, as a part of it, or in the metric's unit for a limit of 0. At most
+        0 where `met` says so, above 0 elsewhere, infinite for a metric that a design does not have.
         """
         array = np.asarray(values, dtype=np.float64)
         sign = 1.0 if self.operator in ("<", "<=") else -1.0
@@ -207,19 +180,7 @@ def _shown(of: Metric, value: float) -> str:
 
 
 def missed_by(requirements: Sequence[Requirement], *sources: Any) -> tuple[tuple[Miss, ...], ...]:
-    """For every design the requirements that it does not meet.
-
-    Parameters
-    ----------
-    requirements : sequence of Requirement
-    *sources : Mapping or object
-        Of d designs, as for `metric_values`.
-
-    Returns
-    -------
-    tuple of d tuples of Miss
-        Empty for a design that meets all.
-    """
+    """For every design the requirements that it does not meet."""
     missed: list[list[Miss]] = [[] for _ in metric_values("S", *sources)]
     for one in requirements:
         values = metric_values(one.metric.name, *sources)
@@ -229,39 +190,12 @@ def missed_by(requirements: Sequence[Requirement], *sources: Any) -> tuple[tuple
 
 
 def friction(options: PlantOptions) -> float:
-    """Largest lateral acceleration that tyres allow [m/s^2]: mu g of the plant, 1 g where its tyres are linear.
-
-    Examples
-    --------
-    >>> from ldctoolkit.plant_options import PlantOptions
-    >>> friction(PlantOptions())
-    9.81
-    """
+    """Largest lateral acceleration that tyres allow [m/s^2]: mu g of the plant, 1 g where its tyres are linear."""
     return G if options.tyres.ideal else G * options.tyres.mu * options.mismatch.mu[1]
 
 
 def requirements_of(texts: Sequence[str], options: PlantOptions | None = None) -> tuple[Requirement, ...]:
-    """Requirements of a list that may hold names of sets; each once.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        Names of `SETS`, and what `parse_requirement` takes.
-    options : PlantOptions, optional
-        The plant, whose friction the set ``physical`` needs; an ideal one by default.
-
-    Raises
-    ------
-    UnknownNameError
-        For an unknown set or metric; the message names the nearest.
-    InputError
-        For anything else that is no requirement.
-
-    Examples
-    --------
-    >>> [one.text for one in requirements_of(["comfort", "S <= 0.5"])]
-    ['a_y_added_peak_p95 <= 3', 'jerk_added_peak_p95 <= 5', 'S <= 0.5']
-    """
+    """Requirements of a list that may hold names of sets; each once."""
     found: dict[str, Requirement] = {}
     for text in texts:
         if text in SETS:

@@ -29,35 +29,19 @@ _KEPT_ENTRIES = 20_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Resampled:
-    """Scores of d designs on n scenarios and their means on B resamples, the same ones for all designs.
+    """Scores of d designs on n scenarios and their means on B resamples, the same ones for all designs."""
 
-    Attributes
-    ----------
-    table : (D, n) [m s]
-        Scores of these designs, and perhaps of others, in any order: a table may be too large for a second one.
-    rows : (d,) int
-        Where the designs stand in it.
-    side : (n,) int
-        Stratum of each scenario.
-    mean : (d,) [m s]
-    deviations : (B, d) [m s]
-        Mean on a resample minus `mean`.
-    parts : (d, n) [m s] or None
-        `studies.ranking.standard_error.error_parts`, where they are few enough to be kept.
-    df : int
-        Degrees of freedom of a standard error.
-    known : bool
-        Whether there is a standard error: `studies.ranking.standard_error.spread_is_known`.
-    """
-
+    # (D, n) [m s] Scores of these designs, and perhaps of others, in any order: a table may be too large for a second
+    # one
     table: FloatArray
-    rows: IntArray
-    side: IntArray
-    mean: FloatArray
-    deviations: FloatArray
+    rows: IntArray  # (d,) Where the designs stand in it
+    side: IntArray  # (n,) Stratum of each scenario
+    mean: FloatArray  # (d,) [m s]
+    deviations: FloatArray  # (B, d) [m s] Mean on a resample minus `mean`
+    # (d, n) [m s] or None `studies.ranking.standard_error.error_parts`, where they are few enough to be kept
     parts: FloatArray | None
-    df: int
-    known: bool = True
+    df: int  # Degrees of freedom of a standard error
+    known: bool = True  # Whether there is a standard error: `studies.ranking.standard_error.spread_is_known`
 
     @classmethod
     def of(
@@ -70,26 +54,7 @@ class Resampled:
         stream: int = 0,
         rows: IntArray | None = None,
     ) -> Resampled:
-        """Resample scenarios within each side.
-
-        Parameters
-        ----------
-        scores : (D, n) [m s]
-        side : (n,) int
-            Stratum of each scenario.
-        seed : int
-        samples : int
-            Number of resamples B.
-        stream : int
-            Another stream gives other resamples from the same seed.
-        rows : (d,) int, optional
-            Which designs, in the order wanted; all by default.
-
-        Raises
-        ------
-        InputError
-            If samples is not positive, or there are no scenarios.
-        """
+        """Resample scenarios within each side."""
         rows = np.arange(len(scores)) if rows is None else rows
         few = rows.size * side.size <= _KEPT_ENTRIES
         return cls(
@@ -168,21 +133,7 @@ class Resampled:
         return result
 
     def extremes(self, errors: FloatArray, reference: int | None = None, first: int | None = None) -> FloatArray:
-        """Largest absolute studentised deviation in each resample: among the first designs, and among all.
-
-        Parameters
-        ----------
-        errors : (d,) [m s]
-            As from `errors`; a design with 0, or an infinite one, is left out.
-        reference : int, optional
-            Deviations of the difference to this design instead of the means.
-        first : int, optional
-            How many the first ones are; all by default.
-
-        Returns
-        -------
-        (2, B)
-        """
+        """Largest absolute studentised deviation in each resample: among the first designs, and among all."""
         scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
         samples, d = self.deviations.shape
         parts = (slice(None, first), slice(first, None)) if first not in (None, d) else (slice(None),)
@@ -206,75 +157,26 @@ def _largest(scores: FloatArray) -> float:
 
 
 def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
-    """Number of standard errors that the largest studentised deviation stays below with the confidence.
-
-    Parameters
-    ----------
-    largest : (B,)
-        In each resample.
-    confidence : float
-        Between 0 and 1.
-    df : int
-        Resampled deviations are divided by a known standard error; the tails of Student's t account for that the real
-        one is estimated.
-
-    Returns
-    -------
-    float
-    """
+    """Number of standard errors that the largest studentised deviation stays below with the confidence."""
     return with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
 
 
 @dataclasses.dataclass(frozen=True)
 class Interval:
-    """Simultaneous intervals of d means or mean differences, arrays of d in m s.
+    """Simultaneous intervals of d means or mean differences, arrays of d in m s."""
 
-    Attributes
-    ----------
-    centre, error, low, high : (d,) [m s]
-        Mean, its standard error, and both ends: `studies.ranking.standard_error.skewed_widths` from the centre.
-    critical : float
-        Standard errors to both sides for scores without skewness.
-    """
-
+    # (d,) [m s] Mean, its standard error, and both ends: `studies.ranking.standard_error.skewed_widths` from the centre
     centre: FloatArray
     error: FloatArray
     low: FloatArray
     high: FloatArray
-    critical: float
+    critical: float  # Standard errors to both sides for scores without skewness
 
 
 def simultaneous_interval(resampled: Resampled, confidence: float, reference: int | None = None) -> Interval:
-    """Intervals of all means, or of all paired differences to one design that was named beforehand: max-t.
-
-    All of them hold at once with the confidence. The critical value is the quantile of the largest absolute deviation,
-    each divided by its own standard error, over the resamples; skewed scores have wider intervals.
-
-    Parameters
-    ----------
-    resampled : Resampled
-    confidence : float
-        Between 0 and 1.
-    reference : int, optional
-        The design that all are compared with.
-
-    Returns
-    -------
-    Interval
-
-    Raises
-    ------
-    InputError
-        For a confidence outside (0, 1).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> S = np.random.default_rng(0).gamma(2.0, 1.0, (3, 100))
-    >>> resampled = Resampled.of(S, np.repeat([1, -1], 50), seed=1, samples=200)
-    >>> interval = simultaneous_interval(resampled, 0.95)
-    >>> bool(np.all((interval.low < 2.0) & (2.0 < interval.high)))
-    True
+    """Intervals of all means, or of all paired differences to one design that was named beforehand: max-t. All of them
+    hold at once with the confidence. The critical value is the quantile of the largest absolute deviation, each
+    divided by its own standard error, over the resamples; skewed scores have wider intervals.
     """
     check_confidence(confidence)
     errors = resampled.errors(reference)

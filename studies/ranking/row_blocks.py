@@ -19,29 +19,7 @@ _BLOCK_ENTRIES = 250_000
 def row_blocks(
     values: npt.NDArray[T], rows: IntArray | None = None, *, entries: int | None = None
 ) -> Iterator[tuple[slice, npt.NDArray[T]]]:
-    """Some rows of a table, in blocks of about so many entries.
-
-    Parameters
-    ----------
-    values : (d, n)
-    rows : (k,) int, optional
-        Which rows, in the order wanted; all by default.
-    entries : int, optional
-        Of a block at most, where that is a row or more.
-
-    Yields
-    ------
-    places : slice
-        Where the block stands among the k rows.
-    block : (b, n)
-        A view of the table where it holds all rows in their own order.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> [(places, block.tolist()) for places, block in row_blocks(np.eye(2), np.array([1, 0]), entries=2)]
-    [(slice(0, 1, None), [[0.0, 1.0]]), (slice(1, 2, None), [[1.0, 0.0]])]
-    """
+    """Some rows of a table, in blocks of about so many entries."""
     size = max(1, (entries or _BLOCK_ENTRIES) // max(1, values.shape[1]))
     count = values.shape[0] if rows is None else rows.size
     for first in range(0, count, size):

@@ -17,38 +17,28 @@ _BLOCK_ENTRIES = 500_000
 
 @dataclasses.dataclass(frozen=True)
 class Inference:
-    """Simultaneous intervals of d designs, arrays of d: each family holds for all its designs at once.
+    """Simultaneous intervals of d designs, arrays of d: each family holds for all its designs at once."""
 
-    Attributes
-    ----------
-    S_low, S_high : (d,) [m s]
-        Interval of the mean S.
-    difference, difference_low, difference_high : (d,) [m s]
-        Mean S minus that of the best design, paired on the scenarios, and its interval, which holds whichever design
-        came out best.
-    baseline_difference, baseline_difference_low, baseline_difference_high : (d,) [m s]
-        The same to the baseline; NaN without one.
-    set_of_best : (d,) bool
-        The truly best of the ranked designs is in this set with the confidence at least. A design within 1e-6 m s of
-        the best, the accuracy of an iterative solver, always is.
-    best_frequency : (d,)
-        Share of resamples in which the design has the smallest mean of the ranked ones; equal ones share it. It is not
-        the probability that the design is the best.
-    references, may_be_best : int
-        Designs that the critical values of the comparisons with the best were worked out for, and those that they stand
-        for; fewer references make intervals too short.
-    """
-
+    # (d,) [m s] Interval of the mean S
     S_low: FloatArray
     S_high: FloatArray
+    # (d,) [m s] Mean S minus that of the best design, paired on the scenarios, and its interval, which holds whichever
+    # design came out best
     difference: FloatArray
     difference_low: FloatArray
     difference_high: FloatArray
+    # (d,) [m s] The same to the baseline; NaN without one
     baseline_difference: FloatArray
     baseline_difference_low: FloatArray
     baseline_difference_high: FloatArray
+    # (d,) The truly best of the ranked designs is in this set with the confidence at least. A design within 1e-6 m s of
+    # the best, the accuracy of an iterative solver, always is
     set_of_best: BoolArray
+    # (d,) Share of resamples in which the design has the smallest mean of the ranked ones; equal ones share it. It is
+    # not the probability that the design is the best
     best_frequency: FloatArray
+    # Designs that the critical values of the comparisons with the best were worked out for, and those that they stand
+    # for; fewer references make intervals too short
     references: int
     may_be_best: int
 
@@ -64,29 +54,7 @@ def infer(
     confidence: float,
     rows: IntArray | None = None,
 ) -> Inference:
-    """Compare designs.
-
-    Parameters
-    ----------
-    scores : (d, n) [m s]
-    side : (n,) int
-        Stratum of each scenario.
-    ranked : int
-        So many first designs are ranked; of 0 the comparisons are with the smallest mean, and the set is empty.
-    baseline : int, optional
-    seed : int
-    samples : int
-        Resamples.
-    confidence : float
-        Between 0 and 1.
-    rows : (d,) int, optional
-        Where the designs stand in `scores`, best mean first among the ranked ones; in this order by default.
-
-    Raises
-    ------
-    InputError
-        For settings outside what is allowed.
-    """
+    """Compare designs."""
     resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
     d = resampled.mean.size
     contenders = ranked or d
@@ -138,39 +106,23 @@ _MOST_SCORES = 100_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Separation:
-    """How far k designs are from the best of them.
+    """How far k designs are from the best of them."""
 
-    Attributes
-    ----------
-    mean : (k,) [m s]
-        Mean score.
-    best : int
-        The design with the smallest one; the first of equal ones.
-    difference : (k,) [m s]
-        Mean minus that of `best`.
-    error : (k,) [m s]
-        Standard error of the difference.
-    low : (k,) [m s]
-        Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the best: the
-        truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs there
-        are.
-    low_of_all, high_of_all : (k,) [m s]
-        Interval of the difference to the design `best`; all k hold at once, whichever design came out best.
-    critical, critical_of_all : float
-        Standard errors behind `low`, and behind the interval where scores have no skewness.
-    references, may_be_best : int
-        Designs that critical values were worked out for, and those that they stand for.
-    """
-
-    mean: FloatArray
-    best: int
-    difference: FloatArray
-    error: FloatArray
+    mean: FloatArray  # (k,) [m s] Mean score
+    best: int  # The design with the smallest one; the first of equal ones
+    difference: FloatArray  # (k,) [m s] Mean minus that of `best`
+    error: FloatArray  # (k,) [m s] Standard error of the difference
+    # (k,) [m s] Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the
+    # best: the truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs
+    # there are
     low: FloatArray
+    # (k,) [m s] Interval of the difference to the design `best`; all k hold at once, whichever design came out best
     low_of_all: FloatArray
     high_of_all: FloatArray
+    # Standard errors behind `low`, and behind the interval where scores have no skewness
     critical: float
     critical_of_all: float
+    # Designs that critical values were worked out for, and those that they stand for
     references: int
     may_be_best: int
 
@@ -186,73 +138,21 @@ def separable(
 ) -> Separation:
     """Compare k designs with the best of them on common scenarios.
 
-    Parameters
-    ----------
-    scores : (k, m) [m s]
-        Counted S, one row a design.
-    side : (m,) int
-        Stratum of each scenario.
-    seed : int
-    confidence : float
-        Between 0 and 1.
-    samples : int
-        Resamples of the scenarios.
-    stream : int
-        Another stream gives other resamples from the same seed.
-
-    Returns
-    -------
-    Separation
-
-    Raises
-    ------
-    InputError
-        For a confidence outside (0, 1), no samples, or no scenarios.
-
-    Notes
-    -----
-    Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more than
-    c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference to r
-    (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One critical
-    value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is worked out
-    for some of them, evenly over the ranks. Differences count in both directions, though only one is tested: scores
-    are skewed, and resampled means are skewed the other way than studentised ones.
-
-    The interval of the difference to the design that came out best needs more: its critical value is the quantile of
-    the largest difference over all these r at once. Of skewed scores it is wider, see
+    Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more
+    than c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference
+    to r (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One
+    critical value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is
+    worked out for some of them, evenly over the ranks. Differences count in both directions, though only one is
+    tested: scores are skewed, and resampled means are skewed the other way than studentised ones. The interval of
+    the difference to the design that came out best needs more: its critical value is the quantile of the largest
+    difference over all these r at once. Of skewed scores it is wider, see
     `studies.ranking.standard_error.skewed_widths`; `low` is not, for the test of one design is conservative.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> S = np.random.default_rng(0).gamma(2.0, 1.0, 100)
-    >>> side = np.repeat([1, -1], 50)
-    >>> separable(np.stack([S + 0.1, S]), side, seed=1, confidence=0.95, samples=200).clear
-    array([ True, False])
     """
     return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
 
 
 def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
-    """As `separable`, of scores that are resampled already.
-
-    Parameters
-    ----------
-    resampled : Resampled
-    confidence : float
-        Between 0 and 1.
-    contenders : int, optional
-        Only this many first designs can be the best; the others are compared with it all the same.
-
-    Returns
-    -------
-    Separation
-
-    Raises
-    ------
-    InputError
-        For a confidence outside (0, 1).
-    """
+    """As `separable`, of scores that are resampled already."""
     check_confidence(confidence)
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))

@@ -15,26 +15,7 @@ _ROUNDING = 1e-12
 
 
 def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
-    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean.
-
-    Parameters
-    ----------
-    values : (d, n)
-    side : (n,) int
-        Stratum of each scenario. One that is alone in its stratum adds nothing: see `spread_is_known`.
-
-    Returns
-    -------
-    (d, n)
-        Deviation from the stratum's mean, times sqrt(n_h / (n_h - 1)) / n. The parts of a difference are the
-        difference of the parts.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> np.linalg.norm(error_parts(np.array([[1.0, 3.0, 5.0, 5.0]]), np.array([1, 1, -1, -1])), axis=1)
-    array([0.5])
-    """
+    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean."""
     parts = np.zeros(values.shape)
     for which in np.unique(side):
         rows = side == which
@@ -52,21 +33,7 @@ def lengths(parts: FloatArray) -> FloatArray:
 
 
 def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> FloatArray:
-    """Standard error of the mean paired difference of every row to a reference; 0 where they move along.
-
-    Parameters
-    ----------
-    parts : (d, n)
-        `error_parts` of the designs.
-    reference : (n,)
-        Those of the reference.
-    largest : float
-        Size of the scores: what is left of it by rounding counts as 0.
-
-    Returns
-    -------
-    (d,)
-    """
+    """Standard error of the mean paired difference of every row to a reference; 0 where they move along."""
     d, n = parts.shape
     errors = np.empty(d)
     size = max(1, _BLOCK_ENTRIES // n)
@@ -90,14 +57,7 @@ def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def spread_is_known(side: IntArray) -> bool:
-    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> spread_is_known(np.array([1, 1, -1, -1])), spread_is_known(np.array([1, 1, -1]))
-    (True, False)
-    """
+    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then."""
     return bool((np.unique(side, return_counts=True)[1] > 1).all())
 
 
@@ -111,30 +71,10 @@ def half_widths(critical: float | FloatArray, errors: FloatArray) -> FloatArray:
 def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How far intervals of skewed scores reach below and above their estimates.
 
-    Parameters
-    ----------
-    critical : float
-        Number of standard errors c for scores without skewness.
-    errors : (d,) [m s]
-    cubes : (d,) [m s^3]
-        Third moments of the estimates: `paired_cubes`.
-
-    Returns
-    -------
-    below, above : (d,) [m s]
-
-    Notes
-    -----
-    With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992, Johnson
-    1978) asks for g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for
-    g^2 (c^5 + 2 c^3 - 3 c) / 18 on both, here c at most. The expansion's gain on the side of the shorter tail is not
-    taken: g is itself an estimate.
-
-    Examples
-    --------
-    >>> below, above = skewed_widths(2.0, np.array([1.0, 1.0]), np.array([0.0, 0.2]))
-    >>> below.round(3).tolist(), above.round(3).tolist()
-    ([2.0, 2.093], [2.0, 2.393])
+    With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
+    Johnson 1978) asks for g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
+    2 c^3 - 3 c) / 18 on both, here c at most. The expansion's gain on the side of the shorter tail is not taken: g
+    is itself an estimate.
     """
     skewness = np.zeros(errors.shape)
     usable = np.isfinite(errors) & (errors**3 > 0)
@@ -150,23 +90,7 @@ def degrees_of_freedom(side: IntArray) -> int:
 
 
 def with_tails_of_t(critical: float, df: int) -> float:
-    """A critical value of standard normal quantities, made that of Student's t with the same tail.
-
-    Parameters
-    ----------
-    critical : float
-    df : int
-        Degrees of freedom of the standard errors.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> round(with_tails_of_t(1.959964, 10), 3)
-    2.228
-    """
+    """A critical value of standard normal quantities, made that of Student's t with the same tail."""
     from scipy.special import ndtr, stdtrit
 
     return float(-stdtrit(df, ndtr(-critical)))

@@ -63,33 +63,16 @@ class Light:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What a study says, requirements first.
+    """What a study says, requirements first."""
 
-    Attributes
-    ----------
-    title : str
-        One line.
-    sentences : tuple of str
-        Two at most: the score of the design named, and what it breaks or what is nearest.
-    lights : tuple of Light
-        Score, stable, limits, other plants; of the design named.
-    place : int
-        Of the design named, in the ranking.
-    nearest : tuple of int
-        Where none meets the requirements: places of the designs with the smallest largest excess.
-    try_next : tuple of str
-        Sentences on what to try then.
-    recorded : float
-        Share of departures whose recorded path alone needs more than the friction.
-    """
-
-    title: str
-    sentences: tuple[str, ...]
-    lights: tuple[Light, ...]
-    place: int
+    title: str  # One line
+    sentences: tuple[str, ...]  # Two at most: the score of the design named, and what it breaks or what is nearest
+    lights: tuple[Light, ...]  # Score, stable, limits, other plants; of the design named
+    place: int  # Of the design named, in the ranking
+    # Where none meets the requirements: places of the designs with the smallest largest excess
     nearest: tuple[int, ...] = ()
-    try_next: tuple[str, ...] = ()
-    recorded: float = 0.0
+    try_next: tuple[str, ...] = ()  # Sentences on what to try then
+    recorded: float = 0.0  # Share of departures whose recorded path alone needs more than the friction
 
     @property
     def usable(self) -> bool:

@@ -27,42 +27,16 @@ LIGHT: Final = 0.85
 
 @dataclasses.dataclass(frozen=True)
 class OtherPlant:
-    """A plant to drive on.
+    """A plant to drive on."""
 
-    Attributes
-    ----------
-    name : str
-        Letters and dashes.
-    title : str
-        A few words.
-    what : str
-        What is different, with values and units.
-    options : PlantOptions
-    """
-
-    name: str
-    title: str
-    what: str
+    name: str  # Letters and dashes
+    title: str  # A few words
+    what: str  # What is different, with values and units
     options: PlantOptions
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
-    """The variations of a study's plant; an option that it has already is taken away.
-
-    Parameters
-    ----------
-    options : PlantOptions
-        The study's plant.
-
-    Returns
-    -------
-    tuple of OtherPlant
-
-    Examples
-    --------
-    >>> [plant.what for plant in other_plants(PlantOptions(actuator=Actuator(delay=0.05)))][:2]
-    ['no delay', 'time constant of 0.1 s']
-    """
+    """The variations of a study's plant; an option that it has already is taken away."""
     plants = [*_actuator(options), *_mismatch(options), *_tyres(options), *_camera(options), *_departure(options)]
     if options.ideal:
         what = "the plant of the catalog\u2019s study reality: actuator, mismatch, tyres, camera with filter, speed"
@@ -75,16 +49,7 @@ def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
 
 
 def impossible(plant: OtherPlant, convention: Convention, has_residuals: bool) -> str:
-    """Why a plant cannot be driven on; empty where it can.
-
-    Parameters
-    ----------
-    plant : OtherPlant
-    convention : {"consistent", "as_printed"}
-        Of the case.
-    has_residuals : bool
-        Whether the scenarios have a sigma_y or sigma_v above 0.
-    """
+    """Why a plant cannot be driven on; empty where it can."""
     if convention != "consistent" and not plant.options.tyres.ideal:
         return "the matrix as printed is linear and has no saturating tyres"
     if not plant.options.residuals.ideal and not has_residuals:

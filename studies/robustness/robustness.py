@@ -46,42 +46,21 @@ SLOW_BATCH: Final = 100
 
 @dataclasses.dataclass(frozen=True)
 class ChosenDesigns:
-    """What is driven, and what is not.
+    """What is driven, and what is not."""
 
-    Attributes
-    ----------
-    designs : tuple of Design
-        d of them, the reference first: the winner, or where there is none the first of the ranking. Then the others in
-        the order of the ranking.
-    contends : tuple of bool
-        Whether each has a rank among the others: not if it misses a requirement, unless all do.
-    slow : tuple of str
-        Registry names of laws that take too long.
-    unsafe : tuple of str
-        Labels of designs whose law ended or held up its process in the study: they are not run in this one.
-    more : int
-        Designs beyond `MOST` that were left out.
-    """
-
+    # d of them, the reference first: the winner, or where there is none the first of the ranking. Then the others in
+    # the order of the ranking
     designs: tuple[Design, ...]
+    # Whether each has a rank among the others: not if it misses a requirement, unless all do
     contends: tuple[bool, ...]
-    slow: tuple[str, ...]
+    slow: tuple[str, ...]  # Registry names of laws that take too long
+    # Labels of designs whose law ended or held up its process in the study: they are not run in this one
     unsafe: tuple[str, ...]
-    more: int
+    more: int  # Designs beyond `MOST` that were left out
 
 
 def chosen_designs(ranking: Ranking) -> ChosenDesigns:
-    """Winner, baseline, the paper's Table I, and the best design of each law.
-
-    Parameters
-    ----------
-    ranking : Ranking
-
-    Returns
-    -------
-    ChosenDesigns
-        Without designs where every law takes too long.
-    """
+    """Winner, baseline, the paper's Table I, and the best design of each law."""
     places = list(dict.fromkeys(_places(ranking)))
     of = {place: ranking.designs[place] for place in places}
     slow = dict.fromkeys(of[place].law for place in places if of[place].batch < SLOW_BATCH)
@@ -126,30 +105,7 @@ class PairedMeans:
 
 
 def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: float) -> PairedMeans:
-    """New minus old of k rows on the same n scenarios.
-
-    Parameters
-    ----------
-    old, new : (k, n) [m s]
-    side : (n,) int
-        Stratum of each scenario: the two sides are drawn by themselves.
-    confidence : float
-        Of each interval by itself.
-
-    Returns
-    -------
-    PairedMeans
-        Without an interval (NaN) where some, but so few scenarios changed that even equal signs may be chance, or a
-        side has one scenario only. No difference has no width.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> scores = np.ones((1, 8))
-    >>> found = paired_means(scores, scores + 0.5, np.repeat([1, -1], 4), 0.95)
-    >>> float(found.low[0]), float(found.high[0])
-    (0.5, 0.5)
-    """
+    """New minus old of k rows on the same n scenarios."""
     change = new - old
     changed = (np.abs(change) > SAME).sum(axis=1)
     difference = row_means(change)
@@ -169,20 +125,7 @@ _FORMAT: Final = 2
 def content_key(
     chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setup: Setup, case: Case
 ) -> str:
-    """Sixteen hexadecimal digits.
-
-    Parameters
-    ----------
-    chosen : ChosenDesigns
-    plants : sequence of OtherPlant
-    scenarios : Scenarios
-    setup : Setup
-    case : Case
-
-    Returns
-    -------
-    str
-    """
+    """Sixteen hexadecimal digits."""
     said = [
         _FORMAT,
         ldctoolkit.__version__,
@@ -210,86 +153,50 @@ CONFIDENCE: Final = 0.95
 
 @dataclasses.dataclass(frozen=True)
 class Robustness:
-    """Designs on p plants; the first plant is the study's own, the first of d designs the reference.
+    """Designs on p plants; the first plant is the study's own, the first of d designs the reference."""
 
-    Attributes
-    ----------
-    key : str
-        What it was worked out from; see `studies.robustness.robustness.content_key`.
-    designs : tuple of str
-        Identifiers, d.
-    contends : (d,) bool
-        Whether the design is ranked here; see `ChosenDesigns`.
-    slow : tuple of str
-        Laws that were left out because they take too long.
-    unsafe : tuple of str
-        Labels of designs that were left out because their law ended or held up its process.
-    more : int
-        Further designs that were left out.
-    plants, titles, differences : tuple of str
-        Name, a few words, and what differs from the study's plant, p each.
-    left_out : tuple of (title, reason)
-        Plants that cannot be driven on.
-    left, right : int
-        Scenarios of each side.
-    S, S_uncorrected : (p, d) [m s]
-        Means; NaN where the law raised.
-    rank : (p, d) int
-        By mean S among the designs that contend; 0 for the others.
-    failures, diverged : (p, d) int
-        Scenarios that failed, and those of them whose path was lost.
-    change, low, high : (p, d) [m s]
-        Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few scenarios
-        changed, the change too where the law raised.
-    excess, excess_low, excess_high : (p, d) [m s]
-        Paired difference of mean S to no control on the same plant, above 0 where the design is worse, and its
-        interval. NaN as above.
-    rival : (p,) int
-        The best of the other designs that contend; -1 where there is none.
-    lead, lead_low, lead_high : (p,) [m s]
-        Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval. NaN
-        without a rival.
-    raised : tuple of (plant, design, reason)
-        By position: laws that raised.
-    v : (k,) [m/s]
-        Speeds of the margins.
-    gain : (d, k)
-        Gain margin on the study's plant, a factor: 0 where the loop is unstable, NaN for a law that is not linear.
-    phase : (d, k) [rad]
-        Phase margin, the same.
-    """
-
-    key: str
-    designs: tuple[str, ...]
-    contends: npt.NDArray[np.bool_]
-    slow: tuple[str, ...]
-    unsafe: tuple[str, ...]
-    more: int
+    key: str  # What it was worked out from; see `studies.robustness.robustness.content_key`
+    designs: tuple[str, ...]  # Identifiers, d
+    contends: npt.NDArray[np.bool_]  # (d,) Whether the design is ranked here; see `ChosenDesigns`
+    slow: tuple[str, ...]  # Laws that were left out because they take too long
+    unsafe: tuple[str, ...]  # Labels of designs that were left out because their law ended or held up its process
+    more: int  # Further designs that were left out
+    # Name, a few words, and what differs from the study's plant, p each
     plants: tuple[str, ...]
     titles: tuple[str, ...]
     differences: tuple[str, ...]
-    left_out: tuple[tuple[str, str], ...]
+    left_out: tuple[tuple[str, str], ...]  # Plants that cannot be driven on
+    # Scenarios of each side
     left: int
     right: int
+    # (p, d) [m s] Means; NaN where the law raised
     S: FloatArray
     S_uncorrected: FloatArray
-    rank: IntArray
+    rank: IntArray  # (p, d) By mean S among the designs that contend; 0 for the others
+    # (p, d) Scenarios that failed, and those of them whose path was lost
     failures: IntArray
     diverged: IntArray
+    # (p, d) [m s] Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few
+    # scenarios changed, the change too where the law raised
     change: FloatArray
     low: FloatArray
     high: FloatArray
+    # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse, and
+    # its interval. NaN as above
     excess: FloatArray
     excess_low: FloatArray
     excess_high: FloatArray
-    rival: IntArray
+    rival: IntArray  # (p,) The best of the other designs that contend; -1 where there is none
+    # (p,) [m s] Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval.
+    # NaN without a rival
     lead: FloatArray
     lead_low: FloatArray
     lead_high: FloatArray
-    raised: tuple[tuple[int, int, str], ...]
-    v: FloatArray
+    raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
+    v: FloatArray  # (k,) [m/s] Speeds of the margins
+    # (d, k) Gain margin on the study's plant, a factor: 0 where the loop is unstable, NaN for a law that is not linear
     gain: FloatArray
-    phase: FloatArray
+    phase: FloatArray  # (d, k) [rad] Phase margin, the same
 
     @property
     def n(self) -> int:
@@ -299,41 +206,18 @@ class Robustness:
 
 @dataclasses.dataclass(frozen=True)
 class RobustnessTask:
-    """Everything that the numbers follow from.
-
-    Attributes
-    ----------
-    chosen : ChosenDesigns
-    plants : tuple of OtherPlant
-        The study's own first.
-    left_out : tuple of (title, reason)
-    scenarios : Scenarios
-    setup : Setup
-        In the convention of the case.
-    case : Case
-    """
+    """Everything that the numbers follow from."""
 
     chosen: ChosenDesigns
-    plants: tuple[OtherPlant, ...]
+    plants: tuple[OtherPlant, ...]  # The study's own first
     left_out: tuple[tuple[str, str], ...]
     scenarios: Scenarios
-    setup: Setup
+    setup: Setup  # In the convention of the case
     case: Case
 
     @classmethod
     def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
-        """The task that a study sets.
-
-        Parameters
-        ----------
-        results : StudyResults
-        ranking : Ranking
-            Of one of its cases.
-        setup : Setup
-            Of the study.
-        per_side : int
-            Scenarios of each side, at most.
-        """
+        """The task that a study sets."""
         setup = setup.under(ranking.case.convention)
         scenarios = first_of_each_side(results.drivable().scenarios, per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
@@ -354,16 +238,7 @@ class RobustnessTask:
 
 
 def work_out(task: RobustnessTask) -> Robustness:
-    """Drive the designs of a task on its plants, and look at their loops.
-
-    Parameters
-    ----------
-    task : RobustnessTask
-
-    Returns
-    -------
-    Robustness
-    """
+    """Drive the designs of a task on its plants, and look at their loops."""
     chosen, setup = task.chosen, task.setup
     drives = drive_on_plants(chosen.designs, [plant.options for plant in task.plants], task.scenarios, setup, task.case)
     # every plant and design on the same scenarios, or their means could not be compared
@@ -427,13 +302,7 @@ def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
 
 
 def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:
-    """Rank of each design by mean S among those that contend; equal ones (to 1e-6 m s) share it, 0 for the others.
-
-    Examples
-    --------
-    >>> ranks(np.array([2.0, 1.0, 2.0, 0.5]), np.array([True, True, True, False]))
-    array([2, 1, 2, 0])
-    """
+    """Rank of each design by mean S among those that contend; equal ones (to 1e-6 m s) share it, 0 for the others."""
     among = contends & ~np.isnan(S)
     better = (S[None, among] < S[:, None] - SAME).sum(axis=1)
     return np.where(among, 1 + better, 0).astype(np.int64)

@@ -32,24 +32,7 @@ _NO_ARRAYS: Final = (
 
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
-    """The numbers of a task: those in a study's folder if they are its own, else worked out and stored there.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the study.
-    task : RobustnessTask
-
-    Returns
-    -------
-    Robustness
-        The same to the last bit either way.
-
-    Raises
-    ------
-    StoreError
-        If they cannot be stored.
-    """
+    """The numbers of a task: those in a study's folder if they are its own, else worked out and stored there."""
     found = stored_of(folder, task)
     if found is not None:
         return found
@@ -59,29 +42,13 @@ def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
 
 
 def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
-    """The numbers of a task in a study's folder; None where there are none, or those of something else.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the study.
-    task : RobustnessTask
-    """
+    """The numbers of a task in a study's folder; None where there are none, or those of something else."""
     found = read(folder / NAME)
     return found if found is not None and found.key == task.key else None
 
 
 def text_of(robustness: Robustness) -> str:
-    """The numbers as JSON; every one of them comes back as it was.
-
-    Parameters
-    ----------
-    robustness : Robustness
-
-    Returns
-    -------
-    str
-    """
+    """The numbers as JSON; every one of them comes back as it was."""
     return (
         json.dumps(_plain(dataclasses.asdict(robustness)), indent=None, separators=(",", ":"), allow_nan=False) + "\n"
     )

@@ -23,25 +23,7 @@ _MOST_REPEATS: Final = 100
 
 
 class LawSearch:
-    """The search within one law.
-
-    Parameters
-    ----------
-    space : LawSpace
-        With a dimension that varies.
-    settings : SearchSettings
-    seed : tuple of int
-        The study's, and the number of the space.
-    trials : int
-        About so many designs will be proposed.
-    constrained : bool
-        Whether designs are told with margins.
-
-    Raises
-    ------
-    InputError
-        If Optuna is not installed.
-    """
+    """The search within one law."""
 
     def __init__(
         self,
@@ -89,16 +71,7 @@ class LawSearch:
         return trial, design
 
     def tell(self, trial: Any, costs: tuple[float, ...] | None, margins: tuple[float, ...] = ()) -> None:
-        """Tell a trial.
-
-        Parameters
-        ----------
-        trial : optuna.Trial
-        costs : tuple of float or None
-            One for each objective, smaller is better; None for a design that failed.
-        margins : tuple of float
-            One for each requirement, above 0 where it is missed; of no use to a random sampler.
-        """
+        """Tell a trial."""
         from optuna.trial import TrialState
 
         with _quiet():

@@ -39,35 +39,16 @@ _SALIB_SAMPLES = 200
 
 @dataclasses.dataclass(frozen=True)
 class BlockSensitivity:
-    """Sobol indices of mean S over the designs of one law in one ``[[design]]`` table, or why there are none.
+    """Sobol indices of mean S over the designs of one law in one ``[[design]]`` table, or why there are none."""
 
-    Attributes
-    ----------
-    block : int
-        Position of the table in the study file, from 0.
-    law : str
-        Registry name.
-    names : tuple of str
-        The k dimensions that vary, ``"y_s"`` and gains.
-    designs : int
-        How many designs the indices come from.
-    method : {"factorial", "saltelli", "rbd_fast"} or None
-        How they were found; None where there are none.
-    indices : Indices or None
-    reason : str
-        Why there are none; empty otherwise.
-    note : str
-        What a reader must know of them; may be empty.
-    """
-
-    block: int
-    law: str
-    names: tuple[str, ...]
-    designs: int
-    method: Method | None = None
+    block: int  # Position of the table in the study file, from 0
+    law: str  # Registry name
+    names: tuple[str, ...]  # The k dimensions that vary, ``"y_s"`` and gains
+    designs: int  # How many designs the indices come from
+    method: Method | None = None  # How they were found; None where there are none
     indices: Indices | None = None
-    reason: str = ""
-    note: str = ""
+    reason: str = ""  # Why there are none; empty otherwise
+    note: str = ""  # What a reader must know of them; may be empty
 
     @property
     def interval_over(self) -> str:
@@ -76,13 +57,7 @@ class BlockSensitivity:
 
 
 def gain_value(design: Design, name: str) -> GainValue:
-    """Value of a dimension: the threshold under ``"y_s"``, or a gain.
-
-    Examples
-    --------
-    >>> gain_value(Design.from_gains("lqr", 0.1, {}), "y_s")
-    0.1
-    """
+    """Value of a dimension: the threshold under ``"y_s"``, or a gain."""
     return design.y_s if name == THRESHOLD else dict(design.gains)[name]
 
 
@@ -227,19 +202,14 @@ _HARMONICS = 6
 
 @dataclasses.dataclass(frozen=True)
 class Indices:
-    """First-order and total Sobol indices of k dimensions, with intervals; NaN where a method gives none.
+    """First-order and total Sobol indices of k dimensions, with intervals; NaN where a method gives none."""
 
-    Attributes
-    ----------
-    first, first_low, first_high : (k,)
-        Part of the variance that goes with one dimension alone, 0 to 1. An estimate may leave that range by its error.
-    total, total_low, total_high : (k,)
-        Part that goes when every dimension but this one is known: `first` and all interactions with others.
-    """
-
+    # (k,) Part of the variance that goes with one dimension alone, 0 to 1. An estimate may leave that range by its
+    # error
     first: FloatArray
     first_low: FloatArray
     first_high: FloatArray
+    # (k,) Part that goes when every dimension but this one is known: `first` and all interactions with others
     total: FloatArray
     total_low: FloatArray
     total_high: FloatArray
@@ -248,31 +218,8 @@ class Indices:
 def factorial_shares(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Exact first-order and total indices of numbers on full grids, every point of a grid as likely as the others.
 
-    Parameters
-    ----------
-    values : (b, n_1, ..., n_k)
-        b tables over the grid of k dimensions.
-
-    Returns
-    -------
-    first, total : (b, k)
-        NaN for a table whose numbers are all the same.
-
-    Notes
-    -----
-    With V the variance over the grid: V[E[Y | x_i]] / V, and E[V[Y | all but x_i]] / V. They are the sums of squares
-    of the factorial's analysis of variance, of the main effect and of every term that x_i is part of.
-
-    References
-    ----------
-    Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications 181 (2010).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> first, total = factorial_shares(np.array([[[0.0, 1.0], [3.0, 4.0]]]))
-    >>> first, total
-    (array([[0.9, 0.1]]), array([[0.9, 0.1]]))
+    With V the variance over the grid: V[E[Y | x_i]] / V, and E[V[Y | all but x_i]] / V. They are the sums of
+    squares of the factorial's analysis of variance, of the main effect and of every term that x_i is part of.
     """
     axes = range(1, values.ndim)
     centred = values - values.mean(axis=tuple(axes), keepdims=True)
@@ -287,28 +234,7 @@ def factorial_shares(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int], *, confidence: float) -> Indices:
-    """Indices on a full grid, with intervals over scenarios.
-
-    Parameters
-    ----------
-    S : (d,)
-        One number a design, the last dimension fastest.
-    resampled : (b, d)
-        The same from resampled scenarios.
-    levels : sequence of int
-        Number of values in every dimension; their product is d.
-    confidence : float
-        Of the percentile intervals.
-
-    Returns
-    -------
-    Indices
-
-    Raises
-    ------
-    InputError
-        If nothing differs in any resample.
-    """
+    """Indices on a full grid, with intervals over scenarios."""
     first, total = (shares[0] for shares in factorial_shares(S.reshape(1, *levels)))
     # a resample in which nothing differs has no indices
     one, all_ = (shares[~np.isnan(shares).any(axis=1)] for shares in factorial_shares(resampled.reshape(-1, *levels)))
@@ -318,31 +244,7 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
 
 
 def saltelli_indices(S: FloatArray, k: int, *, confidence: float, samples: int, seed: int) -> Indices:
-    """Indices from a Saltelli sample, by SALib; intervals over the sample's base points.
-
-    Parameters
-    ----------
-    S : (m (k + 2),)
-        One number a row of the sample, in its order, without the rows for second-order indices.
-    k : int
-        Number of dimensions.
-    confidence : float
-    samples : int
-        Resamples of the base points.
-    seed : int
-        Of these.
-
-    Returns
-    -------
-    Indices
-
-    Raises
-    ------
-    InputError
-        If the number of rows does not fit.
-    LdcError
-        Without SALib.
-    """
+    """Indices from a Saltelli sample, by SALib; intervals over the sample's base points."""
     if S.ndim != 1 or S.size < 2 * (k + 2) or S.size % (k + 2):
         raise InputError(f"S: shape {S.shape}; allowed: a whole number of times k + 2 = {k + 2} rows, at least two")
     sobol = _salib("sobol")
@@ -353,32 +255,7 @@ def saltelli_indices(S: FloatArray, k: int, *, confidence: float, samples: int, 
 
 
 def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, samples: int, seed: int) -> Indices:
-    """First-order indices from any even sample, by SALib's RBD-FAST; there are no total ones.
-
-    Parameters
-    ----------
-    x : (m, k)
-        Where the designs are; only the order along every dimension counts.
-    S : (m,)
-        One number a design.
-    confidence : float
-    samples : int
-        Resamples of the designs.
-    seed : int
-        Of these.
-
-    Returns
-    -------
-    Indices
-        NaN for the total ones.
-
-    Raises
-    ------
-    InputError
-        For fewer than 64 designs.
-    LdcError
-        Without SALib.
-    """
+    """First-order indices from any even sample, by SALib's RBD-FAST; there are no total ones."""
     if S.size < LEAST_RBD_FAST:
         raise InputError(f"{S.size} designs; allowed: at least {LEAST_RBD_FAST} for first-order indices of a sample")
     k = x.shape[1]

@@ -35,19 +35,7 @@ COLUMNS: Final = (
 
 
 def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Profile], path: str | Path) -> None:
-    """Write indices and profiles as one CSV file, whole or not at all.
-
-    Parameters
-    ----------
-    blocks : sequence of BlockSensitivity
-    profiles : sequence of Profile
-    path : path
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+    """Write indices and profiles as one CSV file, whole or not at all."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
@@ -120,45 +108,23 @@ _SAME = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """Mean S along one dimension through a design; k values in rising order, words and switches as they are written.
+    """Mean S along one dimension through a design; k values in rising order, words and switches as they are written."""
 
-    Attributes
-    ----------
-    name : str
-        ``"y_s"`` or a gain.
-    unit : str
-        SI unit; ``"1"`` for a pure number.
-    designs : tuple of Design
-        k of them, which differ in this dimension only.
-    values : tuple of float, int, str or bool
-        Of the dimension.
-    at : int
-        Which of them is the design that the profile goes through.
-    S : (k,) [m s]
-        Mean on the scenarios that all profiles share; NaN where the law failed.
-    difference, low, high : (k,) [m s]
-        Mean S minus that of the design, paired on the scenarios, and its interval; those of all profiles of a call hold
-        at once.
-    stored : (k,) bool
-        Designs of the study; the others were driven for the profile.
-    failures : tuple of str
-        Why a law failed; empty where it did not.
-    open_ends : tuple of float
-        Smallest and largest number that the study's tables declare, as far as the law itself allows more beyond; none
-        for words and switches.
-    """
-
-    name: str
-    unit: str
-    designs: tuple[Design, ...]
-    values: tuple[GainValue, ...]
-    at: int
-    S: FloatArray
+    name: str  # ``"y_s"`` or a gain
+    unit: str  # SI unit; ``"1"`` for a pure number
+    designs: tuple[Design, ...]  # k of them, which differ in this dimension only
+    values: tuple[GainValue, ...]  # Of the dimension
+    at: int  # Which of them is the design that the profile goes through
+    S: FloatArray  # (k,) [m s] Mean on the scenarios that all profiles share; NaN where the law failed
+    # (k,) [m s] Mean S minus that of the design, paired on the scenarios, and its interval; those of all profiles of a
+    # call hold at once
     difference: FloatArray
     low: FloatArray
     high: FloatArray
-    stored: BoolArray
-    failures: tuple[str, ...]
+    stored: BoolArray  # (k,) Designs of the study; the others were driven for the profile
+    failures: tuple[str, ...]  # Why a law failed; empty where it did not
+    # Smallest and largest number that the study's tables declare, as far as the law itself allows more beyond; none for
+    # words and switches
     open_ends: tuple[float, ...] = ()
 
     @property
@@ -302,23 +268,7 @@ class ProfilePoint:
 
 
 def profile_points(results: StudyResults, study: Study, winner: Design, points: int) -> Iterator[ProfilePoint]:
-    """Every value of every dimension that is to be looked at, the winner's own among them.
-
-    Parameters
-    ----------
-    results : StudyResults
-    study : Study
-    winner : Design
-    points : int
-        Numbers of which there are fewer are filled up to so many, and both ends of the declared range are looked at; 0
-        takes only designs that the results hold.
-
-    Yields
-    ------
-    ProfilePoint
-        Dimension by dimension, the threshold first; numbers in rising order, words and switches as they are written.
-        A dimension with a single value has none.
-    """
+    """Every value of every dimension that is to be looked at, the winner's own among them."""
     asked = () if study.search is not None else study.designs
     family = [design for design in dict.fromkeys((*results.designs, *asked)) if design.law == winner.law]
     held = frozenset(results.designs)
@@ -344,27 +294,7 @@ def profile_points(results: StudyResults, study: Study, winner: Design, points: 
 
 
 def declared_ends(study: Study, law: str, name: str) -> tuple[float, float] | None:
-    """Smallest and largest number that the tables of a study allow in one dimension of a law.
-
-    Parameters
-    ----------
-    study : Study
-    law : str
-        Registry name.
-    name : str
-        ``"y_s"`` or a gain.
-
-    Returns
-    -------
-    tuple of float, or None
-        None for words and switches, and for a dimension that no table of the law sets.
-
-    Examples
-    --------
-    >>> block = {"law": "none", "y_s": {"from": 0.3, "to": 0.05}, "sample": {"method": "sobol", "count": 4}}
-    >>> declared_ends(Study.from_dict({"name": "s", "design": [block]}), "none", "y_s")
-    (0.05, 0.3)
-    """
+    """Smallest and largest number that the tables of a study allow in one dimension of a law."""
     values = list(_declared(study, law, name))
     if not values or any(isinstance(value, str | bool) for value in values):
         return None
@@ -429,25 +359,7 @@ def drive_designs(
     designs: Sequence[Design],
     advance: Callable[[int, int], None] | None = None,
 ) -> dict[Design, FloatArray | str]:
-    """Drive designs on all scenarios of a study; one takeover serves every design of a threshold.
-
-    Parameters
-    ----------
-    results : StudyResults
-        With the scenarios.
-    study : Study
-        With the settings.
-    case : CaseResults
-        The case whose window and convention count.
-    designs : sequence of Design
-    advance : callable, optional
-        Called with the number of designs driven so far and of all.
-
-    Returns
-    -------
-    dict of Design to (n,) [m s], or to str
-        S as `CaseResults.counted` has it, NaN where a scenario cannot be driven; or why the law failed.
-    """
+    """Drive designs on all scenarios of a study; one takeover serves every design of a threshold."""
     found: dict[Design, FloatArray | str] = {}
     for y_s in dict.fromkeys(design.y_s for design in designs):
         takeover = Takeover.build(results.scenarios, study.setup(case.case.convention), y_s=y_s)
@@ -472,13 +384,7 @@ def _counted(design: Design, takeover: Takeover, case: CaseResults) -> FloatArra
 
 
 def check_reproduced(design: Design, again: FloatArray | str, stored: FloatArray) -> None:
-    """Refuse to set designs beside stored ones if one of these, driven again, does not give its stored scores.
-
-    Raises
-    ------
-    LdcError
-        Naming the design.
-    """
+    """Refuse to set designs beside stored ones if one of these, driven again, does not give its stored scores."""
     if isinstance(again, str):
         raise LdcError(f"design {design.id} ({design.label}) has results, but fails now: {again}")
     if not np.allclose(again, stored, rtol=0.0, atol=_AS_STORED, equal_nan=True):

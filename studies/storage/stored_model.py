@@ -77,21 +77,8 @@ def model_notes(
 
 
 def with_recorded_widths(study: Study, model: ScenarioModel, vehicle_width: float | None = None) -> Study:
-    """The study with the vehicle and the lane that its departures were found with, where the model says so.
-
-    A departure is where the vehicle's edge is beyond the line: another width would not see the same ones.
-
-    Parameters
-    ----------
-    study : Study
-    model : ScenarioModel
-    vehicle_width : float, optional
-        What to drive instead [m].
-
-    Raises
-    ------
-    InputError
-        If the study sets another width than the model's and the default, and no `vehicle_width` decides.
+    """The study with the vehicle and the lane that its departures were found with, where the model says so. A
+    departure is where the vehicle's edge is beyond the line: another width would not see the same ones.
     """
     source, usual = model.provenance.source, VehicleParameters()
     criteria = source.get("criteria")

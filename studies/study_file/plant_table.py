@@ -18,27 +18,7 @@ _ALWAYS_TOLD: Final = ("tyres", "sensors.kalman", "residuals")
 
 
 def read_plant(entry: Any) -> Any:
-    """The plant options of what stands under ``plant``; what is no table is handed on for the field's own message.
-
-    Parameters
-    ----------
-    entry : dict or object
-        Keys as in a study file; None where a key may be absent.
-
-    Returns
-    -------
-    PlantOptions or object
-
-    Raises
-    ------
-    PydanticCustomError
-        With the key path below ``plant``, the value and what is allowed.
-
-    Examples
-    --------
-    >>> read_plant({"speed": "profile", "actuator": {"rate_max": 0.5}}).actuator.rate_max
-    0.5
-    """
+    """The plant options of what stands under ``plant``; what is no table is handed on for the field's own message."""
     if not isinstance(entry, dict):
         return entry
     try:
@@ -92,34 +72,13 @@ def _not_ideal(options: PlantOptions) -> Iterator[dataclasses.Field[Any]]:
 
 
 def simulation_settings(setup: Setup) -> Iterator[tuple[str, str]]:
-    """What each option of the simulation is, and its value with its unit.
-
-    Examples
-    --------
-    >>> list(simulation_settings(Setup()))[0]
-    ('sample time dt', '0.05 s')
-    """
+    """What each option of the simulation is, and its value with its unit."""
     for field in simulation_options():
         yield declaration_of(field).description, _text(getattr(setup, field.name), field)
 
 
 def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
-    """Key and value, with its unit, of everything that differs from the ideal plant.
-
-    Parameters
-    ----------
-    options : PlantOptions
-
-    Yields
-    ------
-    (str, str)
-
-    Examples
-    --------
-    >>> from ldctoolkit.plant_options import Actuator
-    >>> list(plant_settings(PlantOptions(actuator=Actuator(rate_max=0.5))))
-    [('actuator.rate_max', '0.5 rad/s')]
-    """
+    """Key and value, with its unit, of everything that differs from the ideal plant."""
     for field in _not_ideal(options):
         value = getattr(options, field.name)
         if dataclasses.is_dataclass(value):

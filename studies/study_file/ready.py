@@ -21,24 +21,7 @@ _WIDTH: Final = 100
 
 
 def toml_text(study: Study) -> str:
-    """The study with every default written out.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    str
-        `studies.Study.from_toml` reads a file of it back as the same study, to the same hash, where the scenario model
-        is a bundled one or its file is there under the same name.
-
-    Examples
-    --------
-    >>> from studies.study_file.ready import load_study
-    >>> print(toml_text(load_study("paper")).splitlines()[0])
-    name = "paper"
-    """
+    """The study with every default written out."""
     import tomli_w
 
     return _LIST.sub(_on_one_line, tomli_w.dumps(_without_none(study.content())))
@@ -67,20 +50,7 @@ def catalog_names() -> tuple[str, ...]:
 
 
 def load_study(name_or_path: str | Path) -> Study:
-    """A study of the catalog by its name, or any other by the path of its TOML file.
-
-    Raises
-    ------
-    UnknownNameError
-        If it is neither; the message lists the catalog.
-    StudyError
-        If the file is wrong.
-
-    Examples
-    --------
-    >>> load_study("paper").scenarios.left
-    200
-    """
+    """A study of the catalog by its name, or any other by the path of its TOML file."""
     path = Path(name_or_path)
     if str(name_or_path) in catalog_names():
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")

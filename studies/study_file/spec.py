@@ -49,21 +49,13 @@ def _condition(entry: Any) -> Any:
 
 
 class ScenarioSettings(Part):
-    """``[scenarios]``: the model that generates them, how many of each side, and which ones.
+    """``[scenarios]``: the model that generates them, how many of each side, and which ones."""
 
-    Attributes
-    ----------
-    model : str
-        Bundled model, or the path of a model file relative to the study file.
-    left, right : int
-        Number of departures to each side.
-    given : dict of str to float or (float, float)
-        Only departures with these parameters: a value, or (lower, upper), None for open.
-    """
-
-    model: str = "reference"
+    model: str = "reference"  # Bundled model, or the path of a model file relative to the study file
+    # Number of departures to each side
     left: int = Field(default=500, ge=0, le=10_000_000)
     right: int = Field(default=500, ge=0, le=10_000_000)
+    # Only departures with these parameters: a value, or (lower, upper), None for open
     given: dict[str, float | tuple[float | None, float | None]] = Field(default_factory=dict)
 
     @field_validator("given", mode="before")
@@ -185,17 +177,11 @@ def _file_name(name: str) -> str:
 
 
 class CaseSettings(Part):
-    """Which cases designs are scored in: windows x conventions.
+    """Which cases designs are scored in: windows x conventions."""
 
-    Attributes
-    ----------
-    window : tuple of {"departure", "control"}
-        Windows of S; the first is the primary one.
-    convention : tuple of {"consistent", "as_printed"}
-        Readings of the paper; the first is the primary one.
-    """
-
+    # Windows of S; the first is the primary one
     window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
+    # Readings of the paper; the first is the primary one
     convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
 
 
@@ -216,15 +202,9 @@ else:
 
 
 class ReportSettings(Part):
-    """``[report]``.
+    """``[report]``."""
 
-    Attributes
-    ----------
-    D_y : float [m]
-        The report counts departures deeper than this (paper, Table I).
-    """
-
-    D_y: float = Field(default=0.5, gt=0)
+    D_y: float = Field(default=0.5, gt=0)  # [m] The report counts departures deeper than this (paper, Table I)
 
 
 def _vehicle(entry: Any) -> Any:
