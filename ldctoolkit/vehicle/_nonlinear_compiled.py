@@ -27,7 +27,13 @@ def nonlinear_rhs(
     mu: float,
     shape: float,
 ) -> tuple[float, float, float]:
-    """Accelerations of the lane errors and lateral acceleration, of `nonlinear_dynamics`: same order, same units."""
+    """Accelerations of the lane errors and lateral acceleration, of `nonlinear_dynamics`: same order, same units.
+
+    Returns
+    -------
+    tuple of three floats
+        e_y_acceleration [m/s^2], e_psi_acceleration [rad/s^2], a_y [m/s^2].
+    """
     w0 = math.sin(e_psi)
     w1 = dv * w0
     w2 = math.cos(e_psi)
