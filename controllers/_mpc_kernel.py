@@ -1,42 +1,395 @@
-"""The compiled sweep of `linear_mpc`: all that a sample needs, of every scenario, as far as no solver is needed.
+"""The compiled sweep of `linear_mpc`: rows of the QP, guesses that prove themselves, and one sample of all scenarios.
+
+Row by row: the first move (angle and rate in one), the other moves, their changes; then, where there are such limits,
+as shares of the limit, the lateral acceleration a just after each command (only where the wheel jumps with it), a at
+the end of each step, its change over the last half second in the same two places, e_y at the end of each step.
+Values of a stand in two arrays, on the left and on the right of each sample: first the past `window` samples, then
+the `delay` samples that are decided, then the horizon.
+
+The QP of a scenario, in corrections e (M,) and slacks s, one a kind of soft limit:
+
+    minimise    |e|^2/2 + weight sum (s + s^2/2)
+    subject to  low <= y + C e <= high              in the hard rows,
+                low - s <= y + C e <= high + s      in the soft rows, s >= 0.
+
+Multipliers are positive at an upper bound. At a solution e = -C' multipliers, and the magnitudes of the multipliers of
+one kind sum to at most its weight where s = 0, to weight (1 + s) where s > 0. A guess is a set of rows held at their
+bounds; it gives e and the multipliers by one small linear system, and it *is* the solution if these conditions hold,
+whatever it came from. A guess that fails is mended, for a limited number of times: rows with a multiplier of the wrong
+sign are let go, the row that is violated most is held (after the primal-dual active set method; M. Hintermueller,
+K. Ito, K. Kunisch, *The primal-dual active set strategy as a semismooth Newton method*, SIAM J. Optim. 13(3), 2003).
 
 The compiler takes a while to import: callers import this module where they call it. A compiled entry is kept on disk
-between runs. What it calls lies in other files too, which numba does not look at: a digest of all of them is part of
-each entry, so that a changed file is compiled anew.
+between runs; all that it calls stands in this file, so that a change compiles it anew.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
 
-import hashlib
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from controllers import _mpc_active_set, _mpc_condensing, _mpc_rows
-from controllers._mpc_active_set import polish, prove, sign
 from controllers._mpc_condensing import Condensed, Given, Limits
-from controllers._mpc_rows import OPTIONS, ROUNDING, decided, matrix, values
+
+__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+# strict IEEE: a scenario's numbers are the same bits whichever stand beside it
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
+
+ROUNDING: Final = 1e-12
+"""The plan without limits counts as inside them up to this [rad, or share of a soft limit]."""
+
+
+@numba.njit(**OPTIONS)
+def decided(
+    c: Condensed, limits: Limits, i: int, x: FloatArray, sent: FloatArray, r: FloatArray, room: FloatArray
+) -> None:
+    """Move the state x (m,) to where the next command arrives, in place; accelerations on the way into room (2, .)."""
+    for k in range(limits.delay):
+        _go_on(c, i, x, sent[1 + k], r[k], r[k + 1], limits.window + k, room)
+
+
+@numba.njit(**OPTIONS)
+def _go_on(
+    c: Condensed, i: int, x: FloatArray, u: float, r_0: float, r_1: float, sample: int, room: FloatArray
+) -> None:
+    """One step of the plant, in place; a just after its start and at its end into room."""
+    A, B, E_0, E_1, a, after = c.A[i], c.B[i], c.E_0[i], c.E_1[i], c.a[i], room[2]
+    m = x.size
+    value = 0.0
+    for k in range(m):
+        value += a[k] * x[k]
+        total = B[k] * u + E_0[k] * r_0 + E_1[k] * r_1
+        for b in range(m):
+            total += A[k, b] * x[b]
+        after[k] = total
+    room[1, sample] = value + a[m] * u + a[m + 1] * r_0
+    value = 0.0
+    for k in range(m):
+        x[k] = after[k]
+        value += a[k] * x[k]
+    room[0, sample + 1] = value + a[m] * u + a[m + 1] * r_1
+
+
+@numba.njit(**OPTIONS)
+def values(
+    c: Condensed,
+    limits: Limits,
+    i: int,
+    x: FloatArray,
+    r: FloatArray,
+    prev: float,
+    U: FloatArray,
+    room: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+) -> bool:
+    """Values y (R,) of the rows for the commands U, and their bounds; False if no command meets the hard ones.
+
+    The state x (m,) is changed where there are soft rows.
+    """
+    M = limits.start.size
+    limit, step = limits.delta_max, limits.rate_step
+    for b in range(M):
+        y[b] = U[limits.start[b]]
+        low[b], high[b] = -limit, limit
+        if b > 0:
+            y[M + b - 1] = y[b] - y[b - 1]
+            low[M + b - 1], high[M + b - 1] = -step, step
+    # angle and rate of the first move are one row
+    low[0], high[0] = max(-limit, prev - step), min(limit, prev + step)
+    if low[0] > high[0]:
+        if low[0] - high[0] > ROUNDING:
+            return False
+        if prev > 0.0:
+            high[0] = low[0]
+        else:
+            low[0] = high[0]
+    if y.size > 2 * M - 1:
+        _soft_values(c, limits, i, x, r, U, room, y, low, high)
+    return True
+
+
+@numba.njit(**OPTIONS)
+def _soft_values(
+    c: Condensed,
+    limits: Limits,
+    i: int,
+    x: FloatArray,
+    r: FloatArray,
+    U: FloatArray,
+    room: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+) -> None:
+    """Values of the soft rows as shares of their limits, bounds -1 and 1."""
+    N, at = U.size, 2 * limits.start.size - 1
+    for row in range(at, y.size):
+        low[row], high[row] = -1.0, 1.0
+    acceleration, jerk, offset = limits.scale
+    now = limits.window + limits.delay
+    for j in range(N):
+        _go_on(c, i, x, U[j], r[j], r[j + 1], now + j, room)
+        if offset > 0.0:
+            y[y.size - N + j] = x[0] * offset
+    if acceleration > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                y[at + j] = room[1 - side, now + j + side] * acceleration
+            at += N
+    if jerk > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                sample = now + j + side
+                past = sample - limits.window
+                before = room[1 - side, past]
+                if limits.share > 0.0:
+                    before = (1.0 - limits.share) * room[1, past] + limits.share * room[0, past + 1]
+                y[at + j] = (room[1 - side, sample] - before) * jerk
+            at += N
+
+
+@numba.njit(**OPTIONS)
+def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray, a: FloatArray) -> None:
+    """What corrections do to the rows, into C (R, M).
+
+    G (N, M) is room for what they do to the commands, a (2, N, M) for what they do to a at the ends of steps and just
+    after commands.
+    """
+    N, M = G.shape
+    if M == N:
+        for j in range(N):
+            for k in range(j + 1):
+                G[j, k] = c.impulse[i, j - k]
+            for k in range(j + 1, M):
+                G[j, k] = 0.0
+    else:
+        for b in range(M):
+            for j in range(limits.start[b], limits.start[b + 1] if b + 1 < M else N):
+                for k in range(M):
+                    G[j, k] = c.moves[i, b, k]
+    for b in range(M):
+        for k in range(M):
+            C[b, k] = G[limits.start[b], k]
+            if b > 0:
+                C[M + b - 1, k] = C[b, k] - C[b - 1, k]
+    at = 2 * M - 1
+    acceleration, jerk, offset = limits.scale
+    response = c.response[i]
+    if acceleration > 0.0 or jerk > 0.0:
+        _respond(response[0], 1.0, G, a[0])
+        _respond(response[1], 1.0, G, a[1])
+    if acceleration > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                for k in range(M):
+                    C[at + j, k] = acceleration * a[1 - side, j, k]
+            at += N
+    if jerk > 0.0:
+        for side in range(2 - limits.sides, 2):
+            for j in range(N):
+                past = j + side - limits.window  # the sample, from that of the first command on
+                for k in range(M):
+                    change = a[1 - side, j, k]
+                    if past >= 0 and limits.share > 0.0:
+                        change -= (1.0 - limits.share) * a[1, past, k] + limits.share * a[0, past, k]
+                    elif past >= side and limits.share == 0.0:
+                        change -= a[1 - side, past - side, k]
+                    C[at + j, k] = jerk * change
+            at += N
+    if offset > 0.0:
+        _respond(response[2], offset, G, C[at : at + N])
+
+
+@numba.njit(**OPTIONS)
+def _respond(response: FloatArray, scale: float, G: FloatArray, out: FloatArray) -> None:
+    """Rows of an output that answers to a command k steps before by response[k]."""
+    N, M = G.shape
+    for j in range(N):
+        for k in range(M):
+            out[j, k] = 0.0
+        for m in range(j + 1):
+            weight = scale * response[j - m]
+            for k in range(M):
+                out[j, k] += weight * G[m, k]
+
+
+_PROVED: Final = 1e-10
+"""Largest violation of a condition by a guess that counts as the solution."""
+_ROUNDING: Final = 1e-14
+"""Where multipliers are large, as those of a soft limit that cannot be met, this share of the largest term counts."""
+_MORE_MENDINGS: Final = 4
+"""A guess is mended three times as often as there are moves, and this much more."""
+
+
+@numba.njit(**OPTIONS)
+def prove(
+    limits: Limits,
+    C: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    side: IntArray,
+    beyond: IntArray,
+    w: FloatArray,
+    multipliers: FloatArray,
+    room: FloatArray,
+) -> bool:
+    """Mend a guess until it proves itself; False if it does not within a few rounds."""
+    R, M = C.shape
+    held = np.empty(M + 3, dtype=np.int64)
+    for _ in range(3 * M + _MORE_MENDINGS):
+        count = 0
+        for row in range(R):
+            if side[row] != 0:
+                if count == held.size:
+                    return False
+                held[count] = row
+                count += 1
+        dependent = _magnitudes(limits, C, y, low, high, side, beyond, held[:count], room)
+        if dependent >= 0:
+            side[dependent] = 0
+            continue
+        w[:] = 0.0
+        multipliers[:] = 0.0
+        proved = True
+        sums, tolerance = np.zeros(3), _PROVED
+        for a in range(count):
+            row, magnitude = held[a], room[a, -1]
+            for k in range(M):
+                part = magnitude * C[row, k]
+                w[k] -= side[row] * part
+                tolerance = max(tolerance, _ROUNDING * abs(part))
+            multipliers[row] = side[row] * magnitude
+            if limits.group[row] >= 0:
+                sums[limits.group[row]] += magnitude
+        for kind in range(3):
+            slack = sums[kind] / limits.weight[kind] - 1.0
+            if beyond[kind]:
+                w[M + kind] = slack
+                if slack < 0.0:
+                    beyond[kind] = 0
+                    proved = False
+            elif slack > tolerance:
+                beyond[kind] = 1
+                proved = False
+        worst, worst_row, worst_side = tolerance, -1, 0
+        wrong, wrong_row = -tolerance, -1
+        for row in range(R):
+            value = y[row]
+            for k in range(M):
+                value += C[row, k] * w[k]
+            slack = w[M + limits.group[row]] if limits.group[row] >= 0 else 0.0
+            above, below = value - high[row] - slack, low[row] - slack - value
+            if side[row] == 0:
+                if max(above, below) > worst:
+                    worst, worst_row, worst_side = max(above, below), row, 1 if above > below else -1
+            elif side[row] * multipliers[row] < -tolerance:
+                if side[row] * multipliers[row] < wrong:
+                    wrong, wrong_row = side[row] * multipliers[row], row
+                proved = False
+            elif abs(above if side[row] > 0 else below) > tolerance:
+                proved = False
+        if wrong_row >= 0:
+            side[wrong_row] = 0
+        elif worst_row >= 0:
+            side[worst_row] = worst_side
+        elif proved:
+            return True
+    return False
+
+
+@numba.njit(**OPTIONS)
+def _magnitudes(
+    limits: Limits,
+    C: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    side: IntArray,
+    beyond: IntArray,
+    held: IntArray,
+    room: FloatArray,
+) -> int:
+    """Magnitudes of the held rows' multipliers into room[:, -1], by Cholesky; -1, or a row that depends on others."""
+    M, count = C.shape[1], held.size
+    for a in range(count):
+        row, kind = held[a], limits.group[held[a]]
+        right = y[row] - high[row] if side[row] > 0 else low[row] - y[row]
+        if kind >= 0 and beyond[kind]:
+            right += 1.0
+        for b in range(a + 1):
+            other = held[b]
+            total = 0.0
+            for k in range(M):
+                total += C[row, k] * C[other, k]
+            total *= side[row] * side[other]
+            if kind >= 0 and beyond[kind] and limits.group[other] == kind:
+                total += 1.0 / limits.weight[kind]
+            room[a, b] = total
+        diagonal = room[a, a]
+        for b in range(a + 1):
+            total = room[a, b]
+            for k in range(b):
+                total -= room[a, k] * room[b, k]
+            if b < a:
+                room[a, b] = total / room[b, b]
+            else:
+                if not total > 1e-12 * diagonal:
+                    return row
+                room[a, a] = np.sqrt(total)
+        for k in range(a):
+            right -= room[a, k] * room[k, -1]
+        room[a, -1] = right / room[a, a]
+    for a in range(count - 1, -1, -1):
+        total = room[a, -1]
+        for k in range(a + 1, count):
+            total -= room[k, a] * room[k, -1]
+        room[a, -1] = total / room[a, a]
+    return -1
+
+
+@numba.njit(**OPTIONS)
+def polish(
+    limits: Limits,
+    C: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    w: FloatArray,
+    multipliers: FloatArray,
+) -> bool:
+    """Put the exact solution in the place of a solver's, if the rows that it holds at bounds prove to be right."""
+    R, M = C.shape
+    side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
+    room, exact, exact_multipliers = np.empty((M + 3, M + 4)), np.empty(M + 3), np.empty(R)
+    for row in range(R):
+        side[row] = sign(multipliers[row]) if abs(multipliers[row]) > 1e-9 else 0
+    for kind in range(3):
+        beyond[kind] = 1 if w[M + kind] > 1e-6 else 0
+    proved: bool = prove(limits, C, y, low, high, side, beyond, exact, exact_multipliers, room)
+    if proved:
+        w[:] = exact
+        multipliers[:] = exact_multipliers
+    return proved
+
+
+@numba.njit(**OPTIONS)
+def sign(number: float) -> int:
+    return 1 if number > 0.0 else -1 if number < 0.0 else 0
+
+
 FREE, HELD, OPEN, BEYOND = range(4)
 """How a scenario stands after the sweep: no limit active, a guess proved itself, a solver is needed, infeasible."""
-
-__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
-
-
-def _digest() -> int:
-    """Of the text of everything that is compiled into an entry."""
-    text = hashlib.sha256()
-    for file in (__file__, *(str(module.__file__) for module in (_mpc_active_set, _mpc_condensing, _mpc_rows))):
-        text.update(Path(file).read_bytes())
-    return int.from_bytes(text.digest()[:6], "big")
 
 
 @numba.njit(**OPTIONS)
@@ -148,133 +501,110 @@ def _warm(limits: Limits, last: FloatArray, w: FloatArray, multipliers: FloatArr
         multipliers[row] = last[limits.shift[row]]
 
 
-def _entries(digest: int) -> Any:
-    """What is called from Python, each with the digest among what it closes over: numba keeps one version a value."""
+@numba.njit(cache=True, **OPTIONS)
+def sweep(
+    c: Condensed,
+    limits: Limits,
+    guess: bool,
+    given: Given,
+    last: FloatArray,
+    last_slack: FloatArray,
+    U: FloatArray,
+    delta: FloatArray,
+    w: FloatArray,
+    multipliers: FloatArray,
+    how: npt.NDArray[np.int8],
+) -> None:
+    """One sample of every scenario: what can be proved without a solver, and which scenarios need one.
 
-    @numba.njit(cache=True, **OPTIONS)
-    def sweep(
-        c: Condensed,
-        limits: Limits,
-        guess: bool,
-        given: Given,
-        last: FloatArray,
-        last_slack: FloatArray,
-        U: FloatArray,
-        delta: FloatArray,
-        w: FloatArray,
-        multipliers: FloatArray,
-        how: npt.NDArray[np.int8],
-    ) -> None:
-        """One sample of every scenario: what can be proved without a solver, and which scenarios need one.
-
-        Parameters
-        ----------
-        c : Condensed
-        limits : Limits
-        guess : bool
-            Whether to prove anything; otherwise every feasible scenario is left to the solver.
-        given : Given
-        last : (n, R)
-            Multipliers one sample before.
-        last_slack : (n, 3)
-            Slacks one sample before.
-        U : (n, N), delta : (n,), w : (n, M + 3), multipliers : (n, R), how : (n,)
-            Results; w and multipliers zero at first.
-        """
-        if digest < 0:
-            return
-        n, N = U.shape
-        X, prev, sent, r_all, past = given
-        M, R = limits.start.size, limits.group.size
-        y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
-        C, G, a, room = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
-        x, costate = np.empty(given.x.shape[1]), np.empty((2, given.x.shape[1]))
-        lateral = np.empty((3, limits.window + limits.delay + N + x.size))
-        side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
-        for i in range(n):
-            x[:] = X[i]
-            if limits.window > 0:
-                lateral[:2, : limits.window + 1] = past[i]
-            if limits.delay > 0:
-                decided(c, limits, i, x, sent[i], r_all[i], lateral)
-            r = r_all[i, limits.delay :]
-            if x.size == 4:
-                plan_of_four(c, i, x, r, U[i], work)
-            else:
-                plan(c, i, x, r, U[i], work, costate)
-            if M < N:
-                block(c, limits, i, U[i], work)
-            delta[i] = U[i, 0]
-            if not values(c, limits, i, x, r, prev[i], U[i], lateral, y, low, high):
-                how[i] = BEYOND
-                continue
-            if not guess:
-                how[i] = OPEN
-                _warm(limits, last[i], w[i], multipliers[i])
-                continue
-            inside = True
-            for row in range(R):
-                inside &= (y[row] <= high[row] + ROUNDING) & (y[row] >= low[row] - ROUNDING)
-            if inside:
-                how[i] = FREE
-                delta[i] = min(max(delta[i], low[0]), high[0])
-                continue
-            matrix(c, limits, i, C, G, a)
-            _shifted(limits, last[i], last_slack[i], side, beyond)
-            if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], room):
-                how[i] = HELD
-                delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
-            else:
-                how[i] = OPEN
-                _warm(limits, last[i], w[i], multipliers[i])
-
-    @numba.njit(cache=True, **OPTIONS)
-    def assemble(
-        c: Condensed,
-        limits: Limits,
-        rows: IntArray,
-        given: Given,
-        U: FloatArray,
-        C: FloatArray,
-        y: FloatArray,
-        low: FloatArray,
-        high: FloatArray,
-    ) -> None:
-        """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
-        if digest < 0:
-            return
-        N, M = U.shape[1], limits.start.size
-        X, prev, sent, r_all, past = given
-        G, a, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(given.x.shape[1])
-        lateral = np.empty((3, limits.window + limits.delay + N + x.size))
-        for k in range(rows.size):
-            i = rows[k]
-            x[:] = X[i]
-            if limits.window > 0:
-                lateral[:2, : limits.window + 1] = past[i]
+    `last` (n, R) and `last_slack` (n, 3) are multipliers and slacks one sample before; without `guess` every feasible
+    scenario is left to the solver. Results are U (n, N), delta (n,), w (n, M + 3), multipliers (n, R) and how (n,).
+    """
+    n, N = U.shape
+    X, prev, sent, r_all, past = given
+    M, R = limits.start.size, limits.group.size
+    y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
+    C, G, a, room = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
+    x, costate = np.empty(given.x.shape[1]), np.empty((2, given.x.shape[1]))
+    lateral = np.empty((3, limits.window + limits.delay + N + x.size))
+    side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for i in range(n):
+        x[:] = X[i]
+        if limits.window > 0:
+            lateral[:2, : limits.window + 1] = past[i]
+        if limits.delay > 0:
             decided(c, limits, i, x, sent[i], r_all[i], lateral)
-            values(c, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, y[k], low[k], high[k])
-            matrix(c, limits, i, C[k], G, a)
+        r = r_all[i, limits.delay :]
+        if x.size == 4:
+            plan_of_four(c, i, x, r, U[i], work)
+        else:
+            plan(c, i, x, r, U[i], work, costate)
+        if M < N:
+            block(c, limits, i, U[i], work)
+        delta[i] = U[i, 0]
+        if not values(c, limits, i, x, r, prev[i], U[i], lateral, y, low, high):
+            how[i] = BEYOND
+            continue
+        if not guess:
+            how[i] = OPEN
+            _warm(limits, last[i], w[i], multipliers[i])
+            continue
+        inside = True
+        for row in range(R):
+            inside &= (y[row] <= high[row] + ROUNDING) & (y[row] >= low[row] - ROUNDING)
+        if inside:
+            how[i] = FREE
+            delta[i] = min(max(delta[i], low[0]), high[0])
+            continue
+        matrix(c, limits, i, C, G, a)
+        _shifted(limits, last[i], last_slack[i], side, beyond)
+        if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], room):
+            how[i] = HELD
+            delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
+        else:
+            how[i] = OPEN
+            _warm(limits, last[i], w[i], multipliers[i])
 
-    @numba.njit(cache=True, **OPTIONS)
-    def finish(
-        limits: Limits,
-        exact: bool,
-        C: FloatArray,
-        y: FloatArray,
-        low: FloatArray,
-        high: FloatArray,
-        w: FloatArray,
-        multipliers: FloatArray,
-    ) -> float:
-        """First command of a solver's answer, which is polished in place if it should be exact."""
-        if digest < 0:
-            return 0.0
-        if exact:
-            polish(limits, C, y, low, high, w, multipliers)
-        return first(limits, C, y[0], low[0], high[0], w)
 
-    return sweep, assemble, finish
+@numba.njit(cache=True, **OPTIONS)
+def assemble(
+    c: Condensed,
+    limits: Limits,
+    rows: IntArray,
+    given: Given,
+    U: FloatArray,
+    C: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+) -> None:
+    """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
+    N, M = U.shape[1], limits.start.size
+    X, prev, sent, r_all, past = given
+    G, a, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(given.x.shape[1])
+    lateral = np.empty((3, limits.window + limits.delay + N + x.size))
+    for k in range(rows.size):
+        i = rows[k]
+        x[:] = X[i]
+        if limits.window > 0:
+            lateral[:2, : limits.window + 1] = past[i]
+        decided(c, limits, i, x, sent[i], r_all[i], lateral)
+        values(c, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, y[k], low[k], high[k])
+        matrix(c, limits, i, C[k], G, a)
 
 
-sweep, assemble, finish = _entries(_digest())
+@numba.njit(cache=True, **OPTIONS)
+def finish(
+    limits: Limits,
+    exact: bool,
+    C: FloatArray,
+    y: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    w: FloatArray,
+    multipliers: FloatArray,
+) -> float:
+    """First command of a solver's answer, which is polished in place if it should be exact."""
+    if exact:
+        polish(limits, C, y, low, high, w, multipliers)
+    return first(limits, C, y[0], low[0], high[0], w)

@@ -26,8 +26,7 @@ import dataclasses
 from typing import ClassVar, final
 
 from controllers._mpc_condensing import Wanted, condense, limits
-from controllers._mpc_law import MPCLaw
-from controllers._mpc_solvers import KNOWN, check_solver
+from controllers._mpc_law import KNOWN, MPCLaw, check_solver
 from ldctoolkit import Controller, Plant, gain, option
 
 
