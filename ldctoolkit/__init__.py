@@ -1,11 +1,19 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
-from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, RecordedPath, SolverCalls, SteeringLaw
+from ldctoolkit.control import (
+    Controller,
+    EventStatus,
+    LinearLaw,
+    LinearSteps,
+    Preview,
+    RecordedPath,
+    SolverCalls,
+    SteeringLaw,
+)
 from ldctoolkit.departure_plot import plot_departure
 from ldctoolkit.departures import DepartureParameters, Departures, DepartureSignals, rebuild_signals, reduce_signals
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
-from ldctoolkit.linear_steps import LinearSteps
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import (
     extract_departures,

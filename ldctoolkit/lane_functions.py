@@ -12,8 +12,11 @@ import math
 from typing import Any, Final
 
 import numba
+import numpy as np
 from numba import types
 from numba.extending import intrinsic
+
+from ldctoolkit.arrays import FloatArray
 
 # strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
 # where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy
@@ -185,3 +188,32 @@ def moments(z, rest):
     i_1 = 0.5 * fma(z, i_2, fallen)
     i_0 = fma(z, i_1, fallen)
     return rest * i_0, rest * rest * i_1, rest * rest * rest * i_2
+
+
+_BLOCK = 64
+
+
+# strict IEEE: the same operations in the same order for every point, wherever it stands
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def clenshaw(z: FloatArray, coefficients: FloatArray, out: FloatArray) -> None:
+    """Evaluate k series of at least three terms, `coefficients` (terms, k), at z (n,) into `out` (n, k).
+
+    The recurrence of C. W. Clenshaw (1955), operation by operation as in ``numpy.polynomial.chebyshev.chebval``.
+    """
+    terms = coefficients.shape[0]
+    inner, outer, twice = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    for start in range(0, z.size, _BLOCK):
+        count = min(_BLOCK, z.size - start)
+        for i in range(count):
+            twice[i] = 2.0 * z[start + i]
+        for j in range(coefficients.shape[1]):
+            inner[:] = coefficients[terms - 2, j]
+            outer[:] = coefficients[terms - 1, j]
+            for term in range(terms - 3, -1, -1):
+                c = coefficients[term, j]
+                for i in range(count):
+                    before = inner[i]
+                    inner[i] = c - outer[i]
+                    outer[i] = before + outer[i] * twice[i]
+            for i in range(count):
+                out[start + i, j] = inner[i] + outer[i] * z[start + i]

@@ -12,8 +12,7 @@ from fractions import Fraction
 from typing import Final, Literal, get_args
 
 from ldctoolkit.errors import InputError, plain
-from ldctoolkit.option_checks import check_declared, checked_number, declaration, declared, is_number
-from ldctoolkit.unit_care import warn_of_units
+from ldctoolkit.option_checks import check_declared, checked_number, declaration, declared, is_number, warn_of_units
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]

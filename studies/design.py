@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from ldctoolkit import Controller, controller_class
 from ldctoolkit.gains import GainValue
-from ldctoolkit.unit_care import UnitWarning, unit_slip
+from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.vehicle import Convention
 
 PAPER_LAW: Final = "preview_proportional"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ldctoolkit import launcher
+import ldctoolkit.__main__ as launcher
 
 STUDY = """
 name = "tiny"
@@ -27,7 +27,7 @@ FILES = {
     "raising packages": {"__init__.py": "raise RuntimeError('the wrong package')\n"},
 }
 KINDS = (*FILES, "modules")
-LAUNCH = "from ldctoolkit.launcher import main; sys.exit(main())"
+LAUNCH = "from ldctoolkit.__main__ import main; sys.exit(main())"
 RUN = ["run", "s.toml", "-o", "o", "--workers", "2", "--no-robustness", "--no-figures"]
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from ldctoolkit.vehicle.parameters import GRAVITY
+from ldctoolkit.vehicle.bicycle import GRAVITY
 
 INPUTS: Final = ("e_y_rate", "e_psi", "e_psi_rate", "delta", "r", "v", "dv")
 PARAMETERS: Final = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z", "mu", "shape")

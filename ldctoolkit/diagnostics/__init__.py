@@ -1,17 +1,21 @@
 """How well a fitted mixture describes events: numbers and warnings, no plots."""
 
-from ldctoolkit.diagnostics._marginals import ModelMarginal, bin_edges, box_share, kolmogorov_limit, model_marginal
-from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
-from ldctoolkit.diagnostics.parts import (
+from ldctoolkit.diagnostics._marginals import (
     Calibration,
     Comparison,
     Component,
     Marginal,
     ModelDiagnostics,
+    ModelMarginal,
     PairDensity,
     SideDiagnostics,
     Strip,
+    bin_edges,
+    box_share,
+    kolmogorov_limit,
+    model_marginal,
 )
+from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
 
 __all__ = [
     "Calibration",

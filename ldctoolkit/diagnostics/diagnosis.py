@@ -14,15 +14,6 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.diagnostics._marginals import (
     BINS,
-    bin_edges,
-    box_share,
-    calibrate,
-    joint_density,
-    kolmogorov_limit,
-    marginal,
-    model_marginal,
-)
-from ldctoolkit.diagnostics.parts import (
     COMPARISON_STANDARD_ERRORS,
     FAR_OUTSIDE,
     ILL_CONDITIONED,
@@ -34,6 +25,13 @@ from ldctoolkit.diagnostics.parts import (
     ModelDiagnostics,
     SideDiagnostics,
     Strip,
+    bin_edges,
+    box_share,
+    calibrate,
+    joint_density,
+    kolmogorov_limit,
+    marginal,
+    model_marginal,
     strip_is_off,
 )
 from ldctoolkit.errors import InputError, LdcError

@@ -1,7 +1,7 @@
 """Review of a design before a study: poles, margins, sampling, limits, conditioning, steady bends."""
 
 from ldctoolkit.review.design_review import BEND, SPEEDS, Review, review, review_plant, without_review
-from ldctoolkit.review.findings import Finding, Severity, Thresholds
+from ldctoolkit.review.limits import Finding, Severity, Thresholds
 from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers, design_margins
 
 __all__ = [

@@ -8,8 +8,7 @@ from typing import ClassVar, Final
 
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, LdcError, nearest
-from ldctoolkit.law_checks import check_controller
-from ldctoolkit.law_errors import raised
+from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.testing import law_checks
 from ldctoolkit.testing.subject import Check, ContractSettings, Subject
 

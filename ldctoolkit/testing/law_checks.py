@@ -24,8 +24,18 @@ from ldctoolkit.gains import Gain, GainValue, undeclared_fields
 from ldctoolkit.law_checks import check_law, check_step
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import simulate
-from ldctoolkit.testing.roads import Commands, Road, Walk, corners, plant_at, straight
-from ldctoolkit.testing.subject import Subject, arrays_in, difference, shown
+from ldctoolkit.testing.subject import (
+    Commands,
+    Road,
+    Subject,
+    Walk,
+    arrays_in,
+    corners,
+    difference,
+    plant_at,
+    shown,
+    straight,
+)
 
 _LOAD = """
 import pickle, sys

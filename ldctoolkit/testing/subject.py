@@ -3,16 +3,192 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.control import Controller, SteeringLaw
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, Law, LinearLaw, LinearSteps, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import InputError, plain
+from ldctoolkit.law_checks import check_law, check_step, check_taken
 from ldctoolkit.option_checks import is_number
-from ldctoolkit.testing.roads import Commands, Road, bends, commands, prepared
+from ldctoolkit.simulation import BOUND
+from ldctoolkit.vehicle import BicycleModel, Plant
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
+
+_FARTHEST = (BOUND, 15.0, 1.5, 3.0)
+"""|e_y| [m] and |e_psi| [rad] at which the simulation ends a scenario, and rates [m/s, rad/s] beyond any real ones."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Road:
+    """What n scenarios look like over k samples."""
+
+    v: FloatArray  # (n,) [m/s]
+    x: FloatArray  # (k, n, 4) State
+    yaw_rate: FloatArray  # (k, n) [rad/s] Of the lane, now
+    yaw_change: FloatArray  # (k, n) [rad/s^2] Its change with lookahead time
+    delta_0: FloatArray  # (n,) [rad] Command before the first
+    start: FloatArray  # (n,) [s] Time at the first sample
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return int(self.v.size)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, k."""
+        return int(self.x.shape[0])
+
+    def preview(self, k: int, times: FloatArray) -> Preview:
+        """The lane ahead at sample k; new arrays."""
+        now, change = self.yaw_rate[k][:, None], self.yaw_change[k][:, None]
+        return Preview(now + change * times, now * times + 0.5 * change * times**2)
+
+    def take(self, rows: IntArray) -> Road:
+        """Some of the scenarios."""
+        return Road(
+            v=self.v[rows],
+            x=self.x[:, rows],
+            yaw_rate=self.yaw_rate[:, rows],
+            yaw_change=self.yaw_change[:, rows],
+            delta_0=self.delta_0[rows],
+            start=self.start[rows],
+        )
+
+    def mirrored(self) -> Road:
+        """Left for right."""
+        return dataclasses.replace(
+            self, x=-self.x, yaw_rate=-self.yaw_rate, yaw_change=-self.yaw_change, delta_0=-self.delta_0
+        )
+
+    def ended(self, rows: IntArray) -> Road:
+        """The same with some scenarios over: from the second sample on they are zeros."""
+        values = {name: getattr(self, name).copy() for name in ("x", "yaw_rate", "yaw_change")}
+        for value in values.values():
+            value[1:, rows] = 0.0
+        return dataclasses.replace(self, **values)
+
+
+def bends(n: int, samples: int, seed: int = 1) -> Road:
+    """Ordinary departures in bends, on both sides and at ordinary speeds."""
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 4))
+    turn = np.linspace(0.0, 1.0, samples)[:, None, None]
+    largest = np.array([1.0, 0.6, 0.03, 0.1]) * rng.uniform(0.3, 1.0, (n, 4))
+    return Road(
+        v=rng.uniform(8.0, 38.0, n),
+        x=largest * np.sin(phase + turn),
+        yaw_rate=rng.uniform(-0.05, 0.05, n) * np.ones((samples, 1)),
+        yaw_change=rng.uniform(-0.01, 0.01, n) * np.ones((samples, 1)),
+        delta_0=rng.uniform(-0.03, 0.03, n),
+        start=rng.uniform(0.0, 5.0, n),
+    )
+
+
+def straight(n: int, samples: int) -> Road:
+    """In the lane's centre, the wheels straight."""
+    zeros = np.zeros((samples, n))
+    return Road(
+        v=np.linspace(*SPEED_RANGE, n),
+        x=np.zeros((samples, n, 4)),
+        yaw_rate=zeros,
+        yaw_change=zeros,
+        delta_0=np.zeros(n),
+        start=np.zeros(n),
+    )
+
+
+def corners(samples: int) -> Road:
+    """Every corner of what a state may be before the simulation ends the scenario, at slow, common and fast speeds."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
+    v = np.tile([SPEED_RANGE[0], 5.0, 25.0, SPEED_RANGE[1]], 4)
+    n = v.size
+    turns = np.where(np.arange(n) % 3 == 0, -0.5, 0.5) * np.ones((samples, 1))
+    return Road(
+        v=v,
+        x=np.array(_FARTHEST) * signs * np.ones((samples, 1, 1)),
+        yaw_rate=turns,
+        yaw_change=0.1 * turns,
+        delta_0=np.where(np.arange(n) % 2 == 0, 0.4, -0.4),
+        start=np.linspace(0.0, 30.0, n),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Commands:
+    """What a law said over k samples to n scenarios."""
+
+    delta: FloatArray  # (k, n) [rad]
+    status: npt.NDArray[np.int8]  # (k, n)
+
+    def take(self, rows: IntArray) -> Commands:
+        """Of some of the scenarios."""
+        return Commands(self.delta[:, rows], self.status[:, rows])
+
+
+def plant_at(v: FloatArray, dt: float) -> Plant:
+    """A new plant of the default vehicle."""
+    return Plant.build(BicycleModel(), v.copy(), dt)
+
+
+def prepared(design: Controller, v: FloatArray, dt: float) -> SteeringLaw | None:
+    """The law of a design at these speeds, checked; None where it leaves the departure alone."""
+    plant = plant_at(v, dt)
+    law: Law = check_law(design.prepare(plant), v.size, design.name)
+    if isinstance(law, RecordedPath):
+        return None
+    return LinearSteps.of(law, plant) if isinstance(law, LinearLaw) else law
+
+
+class Walk:
+    """One run of a law on a road, a sample at a time."""
+
+    def __init__(self, law: SteeringLaw, road: Road, dt: float, name: str) -> None:
+        self.law, self.road, self.dt, self.name = law, road, dt, name
+        self.times = np.array(law.preview_times, dtype=np.float64)
+        self.state: Any = law.init(road.n)
+        self.previous = road.delta_0.copy()
+        self.k = 0
+        self.said: list[tuple[FloatArray, npt.NDArray[np.int8]]] = []
+
+    def seen(self) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
+        """What the law is shown next: arrays of its own."""
+        road, k = self.road, self.k
+        return road.start + k * self.dt, road.x[k].copy(), road.preview(k, self.times), self.previous.copy()
+
+    def go_on(self) -> None:
+        """Take one sample."""
+        result = self.law.step(*self.seen(), self.state)
+        delta, self.state, status = check_step(result, self.road.n, self.name)
+        self.said.append((delta.copy(), status))
+        # as the closed loop does
+        self.previous = np.where(np.isfinite(delta), delta, self.previous)
+        self.k += 1
+
+    def take(self, rows: IntArray) -> bool:
+        """Go on with some of the scenarios; False where the law cannot be cut down."""
+        taken = check_taken(self.law.take(rows, self.state), rows.size, self.name, self.times)
+        if taken is None:
+            return False
+        self.law, self.state = taken
+        self.road, self.previous = self.road.take(rows), self.previous[rows]
+        return True
+
+    def to_the_end(self) -> Commands:
+        """Take all samples that are left."""
+        while self.k < self.road.samples:
+            self.go_on()
+        return Commands(np.array([delta for delta, _ in self.said]), np.array([status for _, status in self.said]))
+
+
+def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:
+    """What a law says on a road from beginning to end."""
+    return Walk(law, road, dt, name).to_the_end()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,15 +7,143 @@ lane seen by the vehicle, v times curvature): dx/dt = A(v) x + B delta + E(v) ps
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, Protocol, get_args
+import functools
+import math
+from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.vehicle.discretization import Discretization, discretize
-from ldctoolkit.vehicle.parameters import VehicleParameters
+from ldctoolkit.option_checks import warn_of_units
+from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
+
+
+@dataclasses.dataclass(frozen=True)
+class Plant:
+    """The vehicle discretised once for a scenario set, shared by every design.
+
+    It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
+
+    Attributes
+    ----------
+    model : BicycleModel
+        The continuous model.
+    v : (n,) [m/s]
+        Speed of each scenario, frozen at the trigger.
+    dt : float [s]
+        Sample time of the controller.
+    step : Discretization
+        One step of dt at each speed, of the vehicle alone.
+    lag : float [s]
+        Time constant of the nominal actuator; 0 for none.
+    delay : float [s]
+        From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
+        `age`.
+    age : float [s]
+        How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of the
+        present.
+    """
+
+    model: BicycleModel
+    v: npt.NDArray[np.float64]
+    dt: float
+    step: Discretization
+    lag: float = 0.0
+    delay: float = 0.0
+    age: float = 0.0
+
+    @classmethod
+    def build(
+        cls, model: BicycleModel, v: npt.ArrayLike, dt: float, *, lag: float = 0.0, delay: float = 0.0, age: float = 0.0
+    ) -> Plant:
+        """Discretise `model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
+        speed = np.atleast_1d(np.asarray(v, dtype=float))
+        return cls(model, speed, float(dt), model.discretize(speed, dt), lag=lag, delay=delay, age=age)
+
+    def at(self, v: npt.ArrayLike) -> Plant:
+        """The same plant at other speeds (n,) [m/s]."""
+        return Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.delay, age=self.age)
+
+    @functools.cached_property
+    def augmented(self) -> AugmentedStep:
+        """One sample behind the actuator at each speed, as what the law sees moves on; worked out once."""
+        return augmented(*self.model.matrices(self.v), self.dt, lag=self.lag, delay=self.delay)
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return int(self.v.shape[0])
+
+    def steady_state(self) -> SteadyState:
+        """Steady cornering at each scenario's speed, per unit of lane yaw rate; worked out once for all designs."""
+        return self._steady_state
+
+    @functools.cached_property
+    def _steady_state(self) -> SteadyState:
+        return self.model.steady_state(self.v)
+
+
+GRAVITY: Final = 9.81
+"""Gravitational acceleration [m/s^2]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class VehicleParameters:
+    """Single-track vehicle and the lane it drives in; the defaults are the paper's Table I.
+
+    Attributes
+    ----------
+    C_af, C_ar : float [N/rad]
+        Cornering stiffness of one front and one rear tyre.
+    l_f, l_r : float [m]
+        Distance from the centre of gravity to the front and rear axle.
+    m : float [kg]
+        Mass.
+    I_z : float [kg m^2]
+        Yaw inertia.
+    w_l : float [m]
+        Lane width.
+    w_v : float [m]
+        Vehicle width, less than the lane's.
+
+    Raises
+    ------
+    InputError
+        Where a value is not a finite number > 0, or the vehicle is not narrower than the lane.
+
+    Examples
+    --------
+    >>> VehicleParameters().edge_offset
+    0.85
+    """
+
+    C_af: float = 80000.0
+    C_ar: float = 80000.0
+    l_f: float = 1.43
+    l_r: float = 1.47
+    m: float = 1000.0
+    I_z: float = 3344.0
+    w_l: float = 3.6
+    w_v: float = 1.9
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a number > 0")
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a finite number > 0")
+        if self.w_v >= self.w_l:
+            raise InputError(f"vehicle.w_v: {self.w_v!r} m; allowed: less than the lane's width w_l = {self.w_l!r} m")
+        warn_of_units("vehicle", self)
+
+    @property
+    def edge_offset(self) -> float:
+        """Offset of the vehicle's centre when its edge is on the line, (w_l - w_v)/2 [m]."""
+        return round((self.w_l - self.w_v) / 2.0, 12)
+
 
 Convention = Literal["consistent", "as_printed"]
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
-from ldctoolkit.unit_care import UnitWarning
+from ldctoolkit.option_checks import UnitWarning
 from studies.cli import compare, controllers, extract, fit, models, rank, report, review, run, sample, sensitivity
 
 _COMMANDS = (extract, fit, sample, review, run, rank, compare, report, sensitivity, controllers, models)

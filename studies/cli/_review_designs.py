@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
-from ldctoolkit.review.findings import Finding
+from ldctoolkit.review.limits import Finding
 
 if TYPE_CHECKING:
     import numpy as np

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, SideDiagnostics, diagnose_model
-from ldctoolkit.diagnostics.parts import COMPARISON_STANDARD_ERRORS, strip_is_off
+from ldctoolkit.diagnostics._marginals import COMPARISON_STANDARD_ERRORS, strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines

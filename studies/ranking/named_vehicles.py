@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.law_errors import raised
+from ldctoolkit.law_checks import raised
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Mismatch, PlantOptions
 from ldctoolkit.simulation import Takeover, drive

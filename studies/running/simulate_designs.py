@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, LdcError, Scenarios, controller_class, register, registry
 from ldctoolkit.arrays import IntArray
-from ldctoolkit.law_errors import raised
+from ldctoolkit.law_checks import raised
 from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.simulation import Outcome, Run, Takeover, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run

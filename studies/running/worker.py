@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.unit_care import UnitWarning
+from ldctoolkit.option_checks import UnitWarning
 from studies.running.executors.protocol import Work
 
 SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")

@@ -16,7 +16,7 @@ from ldctoolkit import EventStatus, LdcError, controller_class
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
-from ldctoolkit.law_errors import raised
+from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
 from studies.design_space.law_space import THRESHOLD, Choices, Span

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.law_errors import raised
+from ldctoolkit.law_checks import raised
 
 
 class Silent(Exception):

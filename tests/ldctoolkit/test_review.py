@@ -30,10 +30,9 @@ from ldctoolkit import (
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.review import Finding, Review, Thresholds, review
-from ldctoolkit.review.law_model import linear_view
+from ldctoolkit.review.design_review import plant_notes
+from ldctoolkit.review.law_model import System, linear_view
 from ldctoolkit.review.limits import limit_of
-from ldctoolkit.review.notes import plant_notes
-from ldctoolkit.review.sampled_loop import System
 
 FEW = (10.0, 25.0, 40.0)
 

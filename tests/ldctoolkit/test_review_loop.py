@@ -15,10 +15,8 @@ from controllers import LQR, PreviewProportional
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 from ldctoolkit.review import review, review_plant
-from ldctoolkit.review.law_model import LawModel, linear_view
-from ldctoolkit.review.loop_numbers import _cameras
-from ldctoolkit.review.margins import bandwidth, margins, poles
-from ldctoolkit.review.sampled_loop import Camera, Loop, System, controller_side, sampled_vehicle
+from ldctoolkit.review.law_model import Camera, LawModel, Loop, System, controller_side, linear_view, sampled_vehicle
+from ldctoolkit.review.loop_numbers import _cameras, bandwidth, margins, poles
 
 V = 27.0
 

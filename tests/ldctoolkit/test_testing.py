@@ -15,8 +15,8 @@ import pytest
 
 from controllers import LQR
 from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
+from ldctoolkit.control import LinearSteps
 from ldctoolkit.errors import InputError
-from ldctoolkit.linear_steps import LinearSteps
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.testing import (
     CHECKS,
@@ -27,7 +27,7 @@ from ldctoolkit.testing import (
     check_controller_contract,
     contract_faults,
 )
-from ldctoolkit.testing.roads import bends, corners
+from ldctoolkit.testing.subject import bends, corners
 
 IN_PROCESS = tuple(name for name in CHECKS if name != "picklable")
 """Classes of a test module cannot be loaded by a fresh process."""

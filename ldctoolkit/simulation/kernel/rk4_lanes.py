@@ -26,7 +26,7 @@ from ldctoolkit.simulation.kernel import data as at
 from ldctoolkit.simulation.kernel import lanes, sight
 from ldctoolkit.simulation.kernel.lanes import L, copy, rings
 from ldctoolkit.simulation.kernel.sight import HEADER, POINT_SIZE
-from ldctoolkit.vehicle.parameters import GRAVITY
+from ldctoolkit.vehicle.bicycle import GRAVITY
 
 _SPUN: Final = 1.5
 """|e_psi| [rad] at which saturating tyres have lost the vehicle: its equations end at a right angle to the lane."""

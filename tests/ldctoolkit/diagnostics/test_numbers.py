@@ -19,9 +19,9 @@ from ldctoolkit.diagnostics._marginals import (
     joint_density,
     kolmogorov_limit,
     model_marginal,
+    strip_is_off,
 )
 from ldctoolkit.diagnostics.diagnosis import components, strips, weighted_quantile
-from ldctoolkit.diagnostics.parts import strip_is_off
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 
 INF = np.inf

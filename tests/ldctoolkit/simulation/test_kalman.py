@@ -11,7 +11,7 @@ from helpers.reference_loop import Vehicle
 from ldctoolkit import BicycleModel, Plant
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import KalmanFilter
-from ldctoolkit.vehicle.kalman import filter_gain
+from ldctoolkit.vehicle.speed_schedule import filter_gain
 
 FILTERS = [KalmanFilter(), KalmanFilter(q_y=2.0, q_psi=0.05, r_y=0.1, r_psi=0.001), KalmanFilter(q_y=0.05, r_psi=0.05)]
 C = np.eye(4)[[0, 2]]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from ldctoolkit import BicycleModel, Scenarios, VehicleParameters
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Mismatch, Tyres
+from ldctoolkit.simulation.takeover import true_vehicles
 from ldctoolkit.vehicle import Convention
-from ldctoolkit.vehicle.true_vehicles import true_vehicles
 
 NOMINAL = VehicleParameters(C_af=61000.0, C_ar=93000.0, l_f=1.1, l_r=1.7, m=1573.3, I_z=2873.7)
 RANGES = Mismatch(m=(0.9, 1.4), I_z=(0.8, 1.3), C_af=(0.6, 1.1), C_ar=(0.7, 1.2), mu=(0.3, 1.0))

@@ -18,7 +18,7 @@ from helpers.grids import grid
 from helpers.tools import tool
 from ldctoolkit import BicycleModel, VehicleParameters
 from ldctoolkit.vehicle import _nonlinear_compiled
-from ldctoolkit.vehicle.parameters import GRAVITY
+from ldctoolkit.vehicle.bicycle import GRAVITY
 
 INPUTS, PARAMETERS = tool("nonlinear_plant").INPUTS, tool("nonlinear_plant").PARAMETERS
 DYNAMICS = tool("nonlinear_plant").nonlinear_dynamics()

@@ -9,10 +9,10 @@ import pytest
 from controllers import LQR
 from helpers.cli import bad, good, ldc
 from ldctoolkit import VehicleParameters, load_model
+from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.plant_options import Actuator, Sensors
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import conditions, outside_fit
-from ldctoolkit.unit_care import UnitWarning, unit_slip
 from studies import read_manifest
 from studies.design import Design
 from studies.study_file.ready import catalog_names, load_study

@@ -23,7 +23,7 @@ LONG = 600
 
 OFTEN = """
 import sys
-from ldctoolkit.launcher import main
+from ldctoolkit.__main__ import main
 from studies.running import campaign
 
 campaign._STORE_EVERY = 0.3
