@@ -6,17 +6,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.comparison.compare_studies import compare
-    from studies.comparison.comparison import Comparison
+    from studies.comparison.comparison import Comparison, compare
     from studies.design import Design
-    from studies.extraction.runner import run_extraction
+    from studies.extraction import run_extraction
     from studies.plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
     from studies.ranking.ranking import Ranking, rank_study
     from studies.results import Case, CaseResults, StudyResults
     from studies.runner import run_study
     from studies.storage.manifest import Manifest, read_manifest
     from studies.storage.store import read_results
-    from studies.study_file.spec import Study
+    from studies.study_file import Study
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
@@ -26,9 +25,9 @@ _HOMES = {
     "Design": "design",
     "Manifest": "storage.manifest",
     "Ranking": "ranking.ranking",
-    "Study": "study_file.spec",
+    "Study": "study_file",
     "StudyResults": "results",
-    "compare": "comparison.compare_studies",
+    "compare": "comparison.comparison",
     "plot_convergence": "plotting",
     "plot_distribution": "plotting",
     "plot_landscape": "plotting",
@@ -37,7 +36,7 @@ _HOMES = {
     "rank_study": "ranking.ranking",
     "read_manifest": "storage.manifest",
     "read_results": "storage.store",
-    "run_extraction": "extraction.runner",
+    "run_extraction": "extraction",
     "run_study": "runner",
 }
 

@@ -15,7 +15,7 @@ import numpy as np
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.design import FOLLOWS_CASE, Design
-from studies.racing.race import run_race
+from studies.racing import run_race
 from studies.ranking.case_figures import find_baseline
 from studies.ranking.ranking import Ranking, rank_study
 from studies.results import Race, StudyResults
@@ -23,13 +23,13 @@ from studies.running.campaign import Campaign
 from studies.running.executors import Executor, make_executor
 from studies.running.progress import Progress, default_progress
 from studies.running.tasks import Prefixes, schedule
-from studies.search.search import run_search
+from studies.search import run_search
 from studies.storage.files import locked, remove_leftovers
 from studies.storage.manifest import Manifest
 from studies.storage.run_table import AllFailedError
 from studies.storage.store import FINALISTS, Store, make_folder
 from studies.storage.stored_model import model_notes, write_model
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 _log = logging.getLogger("studies")
 

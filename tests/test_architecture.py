@@ -45,7 +45,7 @@ LEVELS = (
     ("studies.design", "studies.results"),
     # the names that a study file's requirements are checked against
     ("studies.ranking.requirements",),
-    ("studies.study_file", "studies.design_space"),
+    ("studies.study_file", "studies.design_space", "studies.plant_table"),
     ("studies.storage",),
     ("studies.running",),
     ("studies.ranking",),

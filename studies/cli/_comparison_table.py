@@ -9,8 +9,7 @@ import numpy as np
 
 from studies.cli._console import add_row, new_table, say
 from studies.comparison.comparison import CaseComparison, Comparison
-from studies.comparison.paired_verdicts import Verdict
-from studies.comparison.winners import Winners
+from studies.comparison.paired import Verdict, Winners
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from studies.ranking.ranking import Ranking
     from studies.results import StudyResults
-    from studies.robustness.robustness import Robustness
+    from studies.robustness import Robustness
     from studies.storage.manifest import Manifest
-    from studies.study_file.spec import Study
+    from studies.study_file import Study
 
 
 def add_report_options(parser: argparse.ArgumentParser) -> None:
@@ -59,8 +59,7 @@ class ReportOptions:
         """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
         if not self.robustness or not results.designs or not results.drivable().scenarios.n:
             return stored_robustness(folder, study, results, ranking)
-        from studies.robustness.robustness import RobustnessTask
-        from studies.robustness.stored import robustness_of
+        from studies.robustness import RobustnessTask, robustness_of
 
         return robustness_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
@@ -93,7 +92,6 @@ def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking
     """What DIR/robustness.json holds of these results; None where there is nothing."""
     if not results.designs or not results.drivable().scenarios.n:
         return None
-    from studies.robustness.robustness import RobustnessTask
-    from studies.robustness.stored import stored_of
+    from studies.robustness import RobustnessTask, stored_of
 
     return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))

@@ -24,7 +24,7 @@ from studies.ranking.ranking_text import (
 from studies.ranking.verdict import Verdict
 from studies.results import Race, StudyResults
 from studies.storage.manifest import Manifest
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 if TYPE_CHECKING:
     from rich.table import Table

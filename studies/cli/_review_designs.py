@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
     from studies.design import Design
-    from studies.study_file.spec import Study
+    from studies.study_file import Study
 
 
 _MOST_SCENARIOS = 1000
@@ -44,7 +44,7 @@ class Subject:
 def subjects(chosen: argparse.Namespace) -> list[Subject]:
     """The designs that the command line names, each set of gains once."""
     from ldctoolkit import controller_names
-    from studies.study_file.ready import catalog_names, load_study
+    from studies.study_file import catalog_names, load_study
 
     if chosen.design in controller_names():
         if chosen.only:

@@ -43,8 +43,7 @@ def run(chosen: argparse.Namespace) -> int:
     import json
 
     from studies.cli._comparison_table import print_comparison
-    from studies.comparison.compare_studies import compare
-    from studies.comparison.comparison_files import comparison_content, write_comparison
+    from studies.comparison.comparison import compare, comparison_content, write_comparison
     from studies.pages.compare_page import write_compare_page
 
     targets = [output_file(path, ".csv", ".html") for path in chosen.output]

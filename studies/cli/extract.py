@@ -76,8 +76,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.recordings.opened import open_recordings
-    from studies.extraction import NothingReadError, parts_folder, run_extraction
-    from studies.extraction.runner import MOST_SAID
+    from studies.extraction import MOST_SAID, NothingReadError, parts_folder, run_extraction
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")

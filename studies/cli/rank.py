@@ -12,7 +12,7 @@ from studies.cli._console import Subparsers, number, output_file, positive_numbe
 
 if TYPE_CHECKING:
     from studies.ranking.ranking import Ranking
-    from studies.study_file.spec import Study
+    from studies.study_file import Study
 
 
 def add_parser(commands: Subparsers) -> None:

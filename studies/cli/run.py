@@ -73,7 +73,7 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.runner import TIME_LIMIT, run_study, study_model
     from studies.storage.manifest import read_manifest
     from studies.storage.stored_model import with_recorded_widths
-    from studies.study_file.ready import load_study
+    from studies.study_file import load_study
 
     study = load_study(chosen.study)
     model = study_model(study, chosen.model)

@@ -12,8 +12,7 @@ from markupsafe import Markup
 
 from ldctoolkit.version import __version__
 from studies.comparison.comparison import PHRASES, CaseComparison, Comparison
-from studies.comparison.paired_verdicts import Verdict
-from studies.comparison.winners import Winners
+from studies.comparison.paired import Verdict, Winners
 from studies.pages.charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
 from studies.pages.settings_section import pairs
 from studies.pages.shell import (

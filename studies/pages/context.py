@@ -26,7 +26,7 @@ from studies.results import CaseResults, StudyResults
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from ldctoolkit.scenario_model import Given, ScenarioModel
-    from studies.robustness.robustness import Robustness
+    from studies.robustness import Robustness
     from studies.sensitivity.sensitivity import BlockSensitivity
 
 MOST_CURVES = 5

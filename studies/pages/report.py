@@ -23,19 +23,19 @@ from studies.pages.charts import Chart
 from studies.pages.context import Context, ReportInput
 from studies.pages.shell import Section, make_page
 from studies.pages.text import plural
+from studies.plant_table import plant_settings, simulation_settings
 from studies.sensitivity.sensitivity import sensitivity
 from studies.storage.files import write_text
 from studies.storage.stored_model import WARNING, read_model
-from studies.study_file.plant_table import plant_settings, simulation_settings
-from studies.study_file.ready import toml_text
+from studies.study_file import toml_text
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from studies.ranking.ranking import Ranking
     from studies.results import StudyResults
-    from studies.robustness.robustness import Robustness
+    from studies.robustness import Robustness
     from studies.storage.manifest import Manifest
-    from studies.study_file.spec import Study
+    from studies.study_file import Study
 
 SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
     verdict_section.section,

@@ -13,7 +13,7 @@ from studies.pages.charts import Axis, Chart, Series, lines
 from studies.pages.context import Context, law_title, name_of
 from studies.pages.shell import Cell, Column, Line, Section, bullets, details, figure, paragraphs, table
 from studies.pages.text import number, percent, plural, signed
-from studies.robustness.robustness import Robustness
+from studies.robustness import Robustness
 
 MOST_LAWS: Final = 4
 """Designs in the table; their margins too."""

@@ -22,7 +22,7 @@ from studies.ranking.ranking_text import ranking_html
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
 from studies.ranking.simultaneous import Inference, infer
 from studies.results import Case, CaseResults, StudyResults
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 if TYPE_CHECKING:
     from ldctoolkit import Setup

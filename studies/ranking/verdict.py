@@ -25,7 +25,7 @@ _NEAREST: Final = 3
 
 
 class OtherPlants(Protocol):
-    """What a verdict takes from `studies.robustness.robustness.Robustness`: d designs on p plants, their own first."""
+    """What a verdict takes from `studies.robustness.Robustness`: d designs on p plants, their own first."""
 
     @property
     def designs(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from studies.running.progress import Progress
 from studies.running.tasks import Done, Faults, Job, Prefixes
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 
 def laws_of_this_process() -> bytes:

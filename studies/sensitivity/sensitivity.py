@@ -14,13 +14,11 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.design_space.design_block import DesignBlock
-from studies.design_space.law_space import THRESHOLD, LawSpace
+from studies.design_space import THRESHOLD, DesignBlock, LawSpace
 from studies.ranking.bootstrap import bootstrap_deviations, percentile_interval
 from studies.ranking.row_blocks import row_means
 from studies.results import CaseResults, StudyResults
-from studies.study_file.ranking_settings import RankingSettings
-from studies.study_file.spec import Study
+from studies.study_file import RankingSettings, Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 

@@ -19,12 +19,12 @@ from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
-from studies.design_space.law_space import THRESHOLD, Choices, Span
+from studies.design_space import THRESHOLD, Choices, Span
 from studies.ranking.resampled import Resampled, simultaneous_interval
 from studies.results import FAILED_STATUSES, CaseResults, StudyResults
 from studies.sensitivity.sensitivity import BlockSensitivity, gain_value
 from studies.storage.files import write_text
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 COLUMNS: Final = (
     *("kind", "block", "law", "dimension", "unit", "method", "designs", "index", "index_low", "index_high"),

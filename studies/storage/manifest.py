@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 import ldctoolkit
 from ldctoolkit.errors import StoreError, StudyError
 from studies.storage.files import write_text
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 FORMAT_VERSION: Final = 3
 

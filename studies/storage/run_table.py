@@ -18,7 +18,7 @@ from studies.design import Design
 from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from studies.storage.folder_tables import LawTime
 from studies.storage.stored_columns import PartIndex, StoredColumn
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 
 class SharedRows:

@@ -14,7 +14,7 @@ from ldctoolkit.errors import InputError, ModelError, StoreError
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import outside_fit
 from studies.storage.manifest import Manifest
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 _log = logging.getLogger("studies")
 

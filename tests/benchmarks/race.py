@@ -22,10 +22,10 @@ from ldctoolkit import Scenarios, load_model
 from ldctoolkit.simulation import Takeover, drive_many
 from studies import Study
 from studies.design import Design
-from studies.racing.race import race_round
+from studies.racing import race_round
 from studies.results import FAILED_STATUSES
 from studies.running.tasks import prefix_rows, schedule
-from studies.study_file.ready import load_study
+from studies.study_file import load_study
 
 NEIGHBOURS, CONTESTED = 60, 20
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from studies.racing.race import race_round
+from studies.racing import race_round
 from studies.running.tasks import prefix_rows, schedule
 
 

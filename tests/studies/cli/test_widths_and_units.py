@@ -15,7 +15,7 @@ from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import conditions, outside_fit
 from studies import read_manifest
 from studies.design import Design
-from studies.study_file.ready import catalog_names, load_study
+from studies.study_file import catalog_names, load_study
 
 STUDY = """
 name = "s"

@@ -22,10 +22,8 @@ from ldctoolkit.paths.random_streams import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
 from studies.cli._comparison_table import print_comparison
-from studies.comparison.comparison_files import COLUMNS, comparison_content, write_comparison
-from studies.comparison.paired_verdicts import Verdict, paired_differences
-from studies.comparison.shared_scenarios import drawn_streams, share_scenarios
-from studies.comparison.winners import FinishedStudy
+from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
 from studies.ranking.bootstrap import weight_blocks
 from studies.results import Dropped, FailedDesign, Race
 

@@ -24,8 +24,19 @@ from scipy.stats import qmc
 from ldctoolkit import Controller, Plant, gain, register, registry
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study
-from studies.design_space.design_block import DesignBlock, SampleSettings, check_blocks, unit_points
-from studies.design_space.law_space import Choices, Condition, EntryError, LawSpace, Span, expand, read_entry
+from studies.design_space import (
+    Choices,
+    Condition,
+    DesignBlock,
+    EntryError,
+    LawSpace,
+    SampleSettings,
+    Span,
+    check_blocks,
+    expand,
+    read_entry,
+    unit_points,
+)
 
 pytestmark = pytest.mark.usefixtures("laws")
 

@@ -18,8 +18,7 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.result import PartResult
-from studies.extraction.plan import Unread
-from studies.extraction.work_folder import part_bytes, read_part
+from studies.extraction import Unread, part_bytes, read_part
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.opened import ReadersTogether
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.sources import FoundParts, recording_reader
-from studies.extraction.plan import _program, plan_of
+from studies.extraction import _program, plan_of
 
 HOME = Path(ldctoolkit.__file__).parent
 

@@ -211,9 +211,9 @@ def test_parts_of_another_extraction_are_never_used(
     if change == "manifest":
         (folder / "manifest.json").write_text("{")
     if change == "program":
-        monkeypatch.setattr("studies.extraction.plan._program", lambda *_: "another")
+        monkeypatch.setattr("studies.extraction._program", lambda *_: "another")
     if change == "versions":
-        monkeypatch.setattr("studies.extraction.plan.versions", lambda names: dict.fromkeys(names, "0.1"))
+        monkeypatch.setattr("studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
     monkeypatch.undo()
@@ -288,7 +288,7 @@ class Mortal:
 @contextlib.contextmanager
 def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.runner.make_executor", lambda *_: executor)
+        patch.setattr("studies.extraction.make_executor", lambda *_: executor)
         yield
 
 
@@ -349,10 +349,10 @@ def test_finished_parts_need_no_workers(made: Made, tmp_path: Path, monkeypatch:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.runner.write_departures", killed)
+        patch.setattr("studies.extraction.write_departures", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
-        patch.setattr("studies.extraction.runner.make_executor", killed)
+        patch.setattr("studies.extraction.make_executor", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
     assert run_extraction(source, workers=1, output=tmp_path / "d.parquet").recordings == 6

@@ -14,9 +14,7 @@ from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import EVIL, Page, whole
 from studies import Comparison
 from studies.comparison.comparison import CaseComparison
-from studies.comparison.paired_verdicts import PairedDifferences, Verdict
-from studies.comparison.shared_scenarios import SharedScenarios
-from studies.comparison.winners import Winners
+from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
 from studies.design import Design
 from studies.pages.compare_page import compare_page, write_compare_page
 from studies.results import Case, FailedDesign

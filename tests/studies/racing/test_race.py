@@ -11,9 +11,9 @@ from scipy import stats
 
 from helpers.races import race
 from ldctoolkit.errors import InputError
-from studies.racing.race import Decision, race_round
+from studies.racing import Decision, race_round
 from studies.running.tasks import prefix_rows, schedule
-from studies.study_file.ready import load_study
+from studies.study_file import load_study
 
 LINEAR = {"none", "preview_proportional", "lqr", "lqi", "preview_lqr"}
 

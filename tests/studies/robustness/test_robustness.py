@@ -23,18 +23,21 @@ from studies.design import Design
 from studies.ranking.named_vehicles import drive_on_plants
 from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
-from studies.robustness import stored
-from studies.robustness.plants import impossible, other_plants
-from studies.robustness.robustness import (
+from studies.robustness import (
     MOST,
+    NAME,
     Robustness,
     RobustnessTask,
     chosen_designs,
+    impossible,
+    other_plants,
     paired_means,
     ranks,
+    robustness_of,
+    stored_of,
     work_out,
 )
-from studies.study_file.ready import load_study
+from studies.study_file import load_study
 
 SETUP = Setup(settle=1.0, seed=5)
 
@@ -329,11 +332,11 @@ def test_numbers_are_stored_and_worked_out_again_for_anything_else(
         return dataclasses.replace(found, key=wanted.key)
 
     monkeypatch.setattr(stored, "work_out", count)
-    assert stored.stored_of(tmp_path, task) is None
-    assert stored.robustness_of(tmp_path, task) is not None
+    assert stored_of(tmp_path, task) is None
+    assert robustness_of(tmp_path, task) is not None
     json.loads((tmp_path / "robustness.json").read_text(), parse_constant=pytest.fail)  # numbers that JSON knows only
-    assert_same_bits(stored.stored_of(tmp_path, task), found)
-    assert_same_bits(stored.robustness_of(tmp_path, task), found)
+    assert_same_bits(stored_of(tmp_path, task), found)
+    assert_same_bits(robustness_of(tmp_path, task), found)
     assert len(calls) == 1
     others = [
         dataclasses.replace(task, plants=task.plants[:4]),
@@ -343,9 +346,9 @@ def test_numbers_are_stored_and_worked_out_again_for_anything_else(
                                                              contends=(True, True))),
     ]  # fmt: skip
     for other in others:
-        assert stored.stored_of(tmp_path, other) is None
-        stored.robustness_of(tmp_path, other)
+        assert stored_of(tmp_path, other) is None
+        robustness_of(tmp_path, other)
     assert len(calls) == len(set(calls)) == 5
-    (tmp_path / stored.NAME).write_text("{broken")
-    stored.robustness_of(tmp_path, task)
+    (tmp_path / NAME).write_text("{broken")
+    robustness_of(tmp_path, task)
     assert len(calls) == 6

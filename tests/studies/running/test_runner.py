@@ -25,8 +25,8 @@ from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
 from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from studies.plant_table import simulation_settings
 from studies.storage.store import Store
-from studies.study_file.plant_table import simulation_settings
 
 pytestmark = pytest.mark.usefixtures("laws")
 

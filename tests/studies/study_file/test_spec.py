@@ -17,9 +17,9 @@ from ldctoolkit import VehicleParameters, load_model, simulate
 from ldctoolkit.errors import StudyError
 from ldctoolkit.plant_options import PlantOptions
 from studies import Case, Design, Study
-from studies.design_space.law_space import expand
-from studies.study_file.plant_table import differences, plant_settings
-from studies.study_file.ready import catalog_names, load_study
+from studies.design_space import expand
+from studies.plant_table import differences, plant_settings
+from studies.study_file import catalog_names, load_study
 
 pytestmark = pytest.mark.usefixtures("laws")
 

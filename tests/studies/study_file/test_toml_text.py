@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.study_file.ready import catalog_names, load_study, toml_text
-from studies.study_file.spec import Study
+from studies.study_file import Study, catalog_names, load_study, toml_text
 
 
 @pytest.mark.parametrize("name", catalog_names())

@@ -1,4 +1,4 @@
-"""The study file: scenarios, simulation, vehicle, designs, ranking; checked as a whole before anything runs."""
+"""The study file and the catalog: scenarios, simulation, vehicle, designs, ranking; checked before anything runs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -25,8 +25,8 @@ from pydantic import (
     model_validator,
 )
 
-from ldctoolkit import VehicleParameters
-from ldctoolkit.errors import InputError, StudyError, nearest
+from ldctoolkit import LdcError, VehicleParameters
+from ldctoolkit.errors import InputError, StudyError, UnknownNameError, nearest
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
@@ -34,11 +34,71 @@ from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import CONVENTION_GAIN, Design
-from studies.design_space.design_block import DesignBlock, check_blocks
+from studies.design_space import DesignBlock, Part, check_blocks, fail
+from studies.plant_table import read_plant
+from studies.ranking.requirements import SETS, metric, parse_requirement
 from studies.results import Case
-from studies.study_file._part import Part, fail
-from studies.study_file.plant_table import read_plant
-from studies.study_file.ranking_settings import RankingSettings, SearchSettings, VehicleName
+
+T = TypeVar("T")
+
+VehicleName = Literal["light", "heavy", "soft", "stiff"]
+
+
+def _names(entry: Any) -> Any:
+    values = (entry,) if isinstance(entry, str) else entry
+    if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
+        raise fail("", f"{entry!r}; allowed: each once")
+    return tuple(values) if isinstance(values, list | tuple) else entry
+
+
+def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(text if text in SETS else _checked(parse_requirement, text).text for text in texts)
+
+
+def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(_checked(metric, name).name for name in names)
+
+
+def _checked(check: Callable[[str], T], text: str) -> T:
+    try:
+        return check(text)
+    except LdcError as error:
+        raise fail("", str(error)) from None
+
+
+class RankingSettings(Part):
+    """``[ranking]``."""
+
+    bootstrap: int = Field(default=2000, ge=100, le=1_000_000)  # Resamples of the scenarios behind every interval
+    confidence: float = Field(default=0.95, gt=0, lt=1)  # Of the intervals, all designs together
+    # The design that all others are compared with beside the best: a law's name (its first design), or the start of a
+    # design's identifier; empty for the design without control, if there is one
+    baseline: str = ""
+    # What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``
+    require: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_requirements)] = ()
+    pareto: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures)] = (
+        "S",
+        "needless",
+        "a_y_peak_mean",
+        "effort_mean",
+    )  # Metrics of the Pareto front
+    # Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement, the
+    # front or the search asks for one of the two, for all
+    vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
+    # At most so many of the best designs are scored again on fresh scenarios; 0 for none
+    finalists: int = Field(default=10, ge=0, le=1000)
+
+
+class SearchSettings(Part):
+    """``[search]``: designs are not written down but asked for, one batch after the other."""
+
+    method: Literal["optuna"] = "optuna"
+    sampler: Literal["tpe", "random", "nsga2"] = "tpe"
+    trials: int = Field(default=200, ge=1, le=100_000)  # Designs to try in all
+    batch: int = Field(default=16, ge=1, le=10_000)  # Designs asked for at once; they run in parallel
+    objectives: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures), Field(min_length=1)] = (
+        "S",
+    )  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
 
 
 def _condition(entry: Any) -> Any:
@@ -469,3 +529,50 @@ __all__ = [
     "SimulationSettings",
     "Study",
 ]
+
+
+_LIST: Final = re.compile(r"\[\n((?:    [^\[\]{}\n\"']*,\n)+)\]|\[\n    (\"[^\"\\\n]*\"),\n\]")
+"""A list of numbers, or of one text, a line each."""
+
+_WIDTH: Final = 100
+
+
+def toml_text(study: Study) -> str:
+    """The study with every default written out."""
+    import tomli_w
+
+    return _LIST.sub(_on_one_line, tomli_w.dumps(_without_none(study.content())))
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    line = f"[{found[2] or ' '.join(found[1].split()).removesuffix(',')}]"
+    return line if len(line) <= _WIDTH else found[0]
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: what is not set is left out, and the open end of a range is infinite."""
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list):
+        return [(-math.inf, math.inf)[bool(i)] if item is None else _without_none(item) for i, item in enumerate(value)]
+    return value
+
+
+CATALOG: Final = Path(__file__).parent / "catalog"
+
+
+def catalog_names() -> tuple[str, ...]:
+    """Names of the studies in the catalog, sorted."""
+    return tuple(sorted(path.stem for path in CATALOG.glob("*.toml")))
+
+
+def load_study(name_or_path: str | Path) -> Study:
+    """A study of the catalog by its name, or any other by the path of its TOML file."""
+    path = Path(name_or_path)
+    if str(name_or_path) in catalog_names():
+        return Study.from_toml(CATALOG / f"{name_or_path}.toml")
+    if path.suffix == ".toml" or path.exists():
+        return Study.from_toml(path)
+    raise UnknownNameError(
+        f"study {str(name_or_path)!r}: neither a file nor in the catalog; {nearest(str(name_or_path), catalog_names())}"
+    )

@@ -21,7 +21,7 @@ from studies.ranking.simultaneous import SAME, separable
 from studies.results import Dropped, Race, StudyResults
 from studies.running.campaign import Campaign
 from studies.storage.folder_tables import write_race
-from studies.study_file.spec import Study
+from studies.study_file import Study
 
 
 def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:

@@ -1,0 +1,438 @@
+"""Two studies on the scenarios they share: paired differences of mean S, and their winners against each other."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.paths.random_streams import RandomStream
+from ldctoolkit.plant_options import PlantOptions
+from studies.design import Design
+from studies.ranking.bootstrap import bootstrap_means, check_confidence
+from studies.ranking.ranking import Ranking
+from studies.ranking.row_blocks import row_means
+from studies.ranking.simultaneous import SAME
+from studies.ranking.standard_error import error_parts, lengths
+from studies.results import Case, CaseResults, StudyResults
+from studies.storage.manifest import Manifest
+from studies.storage.store import Store
+from studies.study_file import Study
+
+
+@dataclasses.dataclass(frozen=True)
+class SharedScenarios:
+    """Scenarios that two sets hold, as positions in each."""
+
+    # (n,) Position of each in the old and in the new set, in the order of the new one
+    old: IntArray
+    new: IntArray
+    side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
+    # Scenarios whose departure both sets hold, but for which other numbers were drawn; they are not shared
+    other_draws: int = 0
+
+    @property
+    def n(self) -> int:
+        """Number of shared scenarios."""
+        return int(self.old.size)
+
+    @property
+    def left(self) -> int:
+        """Those to the left."""
+        return int(np.sum(self.side == LEFT))
+
+    @property
+    def right(self) -> int:
+        """Those to the right."""
+        return int(np.sum(self.side == RIGHT))
+
+    def take(self, rows: BoolArray) -> SharedScenarios:
+        """Some of them."""
+        return dataclasses.replace(self, old=self.old[rows], new=self.new[rows], side=self.side[rows])
+
+
+def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
+    """What a plant draws for each scenario beside its parameters."""
+    ranges = (getattr(options.mismatch, field.name) for field in dataclasses.fields(options.mismatch))
+    uses = {
+        RandomStream.MISMATCH: any(low != high for low, high in ranges),
+        RandomStream.RESIDUAL_Y: options.residuals.y,
+        RandomStream.RESIDUAL_V: options.residuals.v,
+        RandomStream.CAMERA: options.sensors.e_y_noise > 0 or options.sensors.e_psi_noise > 0,
+        RandomStream.CURVATURE: options.sensors.curvature_noise > 0,
+    }
+    return frozenset(stream for stream, used in uses.items() if used)
+
+
+def share_scenarios(
+    old: Scenarios, new: Scenarios, *, both_draw: bool = False, same_seed: bool = True
+) -> SharedScenarios:
+    """Find the scenarios that two sets share, by content."""
+    group = _same_rows(np.concatenate([_rows(old), _rows(new)]))
+    old_at, new_at = _pairs(group[: old.n], group[old.n :])
+    if both_draw:
+        every = new_at.size
+        numbers = np.concatenate([old.index, new.index])
+        drawn = _same_rows(np.column_stack([group, numbers]))
+        old_at, new_at = _pairs(drawn[: old.n], drawn[old.n :])
+        if not same_seed:
+            old_at, new_at = old_at[:0], new_at[:0]
+        return SharedScenarios(old_at, new_at, new.side[new_at], every - new_at.size)
+    return SharedScenarios(old_at, new_at, new.side[new_at])
+
+
+def _rows(scenarios: Scenarios) -> FloatArray:
+    return np.column_stack([scenarios.side.astype(np.float64), scenarios.matrix()]) + 0.0  # -0.0 is 0.0
+
+
+def _same_rows(table: npt.NDArray[np.generic]) -> IntArray:
+    """A number for each row, equal for rows of the same bytes."""
+    table = np.ascontiguousarray(table)
+    whole = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
+    group: IntArray = np.unique(whole, return_inverse=True)[1].astype(np.int64).ravel()
+    return group
+
+
+def _pairs(old: IntArray, new: IntArray) -> tuple[IntArray, IntArray]:
+    """Positions of equal numbers, the k-th occurrence with the k-th, in the order of `new`."""
+    most = max(old.size, new.size, 1)
+    _, old_at, new_at = np.intersect1d(
+        old * most + _occurrence(old), new * most + _occurrence(new), assume_unique=True, return_indices=True
+    )
+    order = np.argsort(new_at, kind="stable")
+    return old_at[order].astype(np.int64), new_at[order].astype(np.int64)
+
+
+def _occurrence(group: IntArray) -> IntArray:
+    """How often each number occurred before."""
+    order = np.argsort(group, kind="stable")
+    ordered = group[order]
+    first = np.searchsorted(ordered, ordered, side="left")
+    count = np.empty(group.size, dtype=np.int64)
+    count[order] = np.arange(group.size) - first
+    return count
+
+
+_STREAM: Final = 0x636D70
+"""Keeps these resamples apart from those of the rankings."""
+
+_FLAT: Final = 1e-9
+"""A row whose scenarios changed equally, up to this [m s]: what is left is rounding, and no spread."""
+
+_ROWS: Final = 500
+"""Rows resampled at once; a constant, so that no number depends on anything else."""
+
+
+class Verdict(enum.StrEnum):
+    """What the interval of a difference of mean S, new minus old, says."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    UNTOLD = "not separated"
+    SAME = "same"
+
+
+@dataclasses.dataclass(frozen=True)
+class PairedDifferences:
+    """New minus old on n shared scenarios; arrays have one entry a row, k in all."""
+
+    # (k,) [m s] Means over the shared scenarios
+    S_old: FloatArray
+    S_new: FloatArray
+    difference: FloatArray  # (k,) [m s] S_new - S_old
+    # (k,) [m s] Its interval, simultaneous over all rows that were compared together; NaN where too few scenarios
+    # changed
+    low: FloatArray
+    high: FloatArray
+    changed: IntArray  # (k,) Scenarios that differ by more than 1e-6 m s
+    largest: FloatArray  # (k,) [m s] The largest change of one scenario, with its sign; 0 where nothing changed
+    largest_at: IntArray  # (k,) Position of that scenario among the shared ones
+    verdict: tuple[Verdict, ...]
+
+    def __len__(self) -> int:
+        return len(self.verdict)
+
+    def take(self, rows: range) -> PairedDifferences:
+        """Some of the rows."""
+        arrays = {f.name: getattr(self, f.name)[rows.start : rows.stop] for f in dataclasses.fields(self)}
+        return PairedDifferences(**arrays)
+
+
+def paired_differences(
+    old: FloatArray, new: FloatArray, side: IntArray, *, seed: int, bootstrap: int = 2000, confidence: float = 0.95
+) -> PairedDifferences:
+    """Compare k rows pair by pair, all of them with one confidence.
+
+    The intervals are those of the studentised bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap,
+    1993, section 12.5), symmetric, with the largest |t| over all rows in place of one row's own (max-t; Romano and
+    Wolf, Econometrica 73, 2005), so that they hold for all rows together. Unequal tails would follow the few
+    scenarios that changed most: where only some scenarios change, they miss too often. A row is *the same* where no
+    scenario changed by more than 1e-6 m s, or its interval lies within that of 0; *better* or *worse* where the
+    interval lies beyond it. Where only m scenarios changed, even equal signs come about by chance with 2^(1 - m);
+    rows where that is above (1 - confidence) / k have no interval and *not separated*.
+    """
+    check_confidence(confidence)
+    if not (np.isfinite(old).all() and np.isfinite(new).all()):
+        raise InputError("S is not finite in some scenario; a mean would drop or hide it")
+    k, n = new.shape
+    change = new - old
+    moved = np.abs(change) > SAME
+    changed = moved.sum(axis=1)
+    largest_at = np.abs(change).argmax(axis=1) if n else np.zeros(k, dtype=np.int64)
+    largest = change[np.arange(k), largest_at]
+    difference = row_means(change)
+    low, high = difference.copy(), difference.copy()
+    fewest = 1.0 + math.log2(max(k, 1) / (1.0 - confidence))
+    too_few = (changed > 0) & (changed < fewest)
+    low[too_few] = high[too_few] = np.nan
+    rows = np.flatnonzero(changed >= fewest)
+    if rows.size:
+        half = _half_widths(change[rows], side, bootstrap, seed, confidence)
+        low[rows] -= half
+        high[rows] += half
+    verdict = tuple(map(_verdict, changed > 0, low, high))
+    largest = np.where(changed > 0, largest, 0.0)
+    return PairedDifferences(
+        S_old=row_means(old),
+        S_new=row_means(new),
+        difference=difference,
+        low=low,
+        high=high,
+        changed=changed.astype(np.int64),
+        largest=largest,
+        largest_at=largest_at.astype(np.int64),
+        verdict=verdict,
+    )
+
+
+def _verdict(any_changed: bool, low: float, high: float) -> Verdict:
+    if not any_changed or (low >= -SAME and high <= SAME):
+        return Verdict.SAME
+    if high < -SAME:
+        return Verdict.BETTER
+    return Verdict.WORSE if low > SAME else Verdict.UNTOLD
+
+
+def _half_widths(values: FloatArray, side: IntArray, samples: int, seed: int, confidence: float) -> FloatArray:
+    """Half of each row's interval, (k,); infinite where the scenarios cannot tell."""
+    strata = [side == which for which in np.unique(side)]
+    if min(rows.sum() for rows in strata) < 2:
+        return np.full(len(values), np.inf)  # one scenario tells nothing of its side's spread
+    centred = values - row_means(values)[:, None]
+    centred[np.abs(centred).max(axis=1) <= _FLAT] = 0.0
+    farthest = np.zeros(samples)
+    for first in range(0, len(values), _ROWS):
+        block = centred[first : first + _ROWS]
+        parts = [np.where(rows, block**power, 0.0) for rows in strata for power in (1, 2)]
+        # one call: rows, powers and sides have to see the same resamples
+        moments = bootstrap_means(np.concatenate(parts), side, samples=samples, seed=seed, stream=_STREAM)
+        moments = moments.reshape(samples, len(strata), 2, len(block))
+        mean, error = np.abs(moments[:, :, 0].sum(axis=1)), _errors(moments, strata)
+        # a resample without any spread, off the mean, may lie any number of errors away
+        t = np.divide(mean, error, out=np.where(mean > 0.0, np.inf, 0.0), where=error > 0.0)
+        np.maximum(farthest, t.max(axis=1), out=farthest)
+    # a value that occurred: between a finite one and an infinite one nothing can be interpolated
+    critical = float(np.quantile(farthest, confidence, method="higher"))
+    error = lengths(error_parts(centred, side))
+    return np.multiply(critical, error, out=np.zeros_like(error), where=error > 0.0)
+
+
+def _errors(moments: FloatArray, strata: list[BoolArray]) -> FloatArray:
+    """Standard errors of resampled means, (b, k), from what each side adds to mean and mean square, (b, s, 2, k)."""
+    share = np.array([rows.mean() for rows in strata])[:, None]
+    count = np.array([rows.sum() for rows in strata])[:, None]
+    mean, square = moments[:, :, 0] / share, moments[:, :, 1] / share
+    variance = np.maximum(square - mean**2, 0.0)
+    result: FloatArray = np.sqrt((share**2 * variance / (count - 1.0)).sum(axis=1))
+    return result
+
+
+@dataclasses.dataclass(frozen=True)
+class FinishedStudy:
+    """A study that ran to its end."""
+
+    source: str  # What messages call it: its folder
+    manifest: Manifest
+    study: Study
+    results: StudyResults
+
+    @classmethod
+    def read(cls, folder: str | Path) -> FinishedStudy:
+        """Read the folder of a study."""
+        store = Store.open(folder)
+        if not store.manifest.finished:
+            raise StoreError(f"{folder}: the study is not finished; run it into this folder again to go on")
+        return cls(str(folder), store.manifest, store.manifest.read_study(), store.results())
+
+
+def held_designs(results: StudyResults) -> dict[str, Design]:
+    """All designs that a study met, by identifier: with results, failed, or given up in a race."""
+    dropped = results.race.dropped if results.race is not None else ()
+    every = (*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped))
+    return {design.id: design for design in every}
+
+
+def input_differences(old: FinishedStudy, new: FinishedStudy) -> tuple[str, ...]:
+    """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``."""
+    return tuple(_differences(old, new))
+
+
+def _differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
+    was, now = old.manifest, new.manifest
+    if was.model_hash != now.model_hash:
+        texts = [f"{m.model} (content {m.model_hash[:12]})" for m in (was, now)]
+        yield f"scenarios.model: {texts[0]} -> {texts[1]}"
+    own = "ldctoolkit"
+    yield from _changes({own: was.versions.get(own)}, {own: now.versions.get(own)}, "")
+    yield from _changes(old.study.inputs(), new.study.inputs(), "")
+    before, after = (held_designs(side.results) for side in (old, new))
+    if before.keys() != after.keys():
+        yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"
+    packages = [{k: v for k, v in m.versions.items() if k != own} | {"Python": m.python} for m in (was, now)]
+    yield from _changes(packages[0], packages[1], "")
+
+
+def _changes(old: dict[str, Any], new: dict[str, Any], prefix: str) -> Iterator[str]:
+    for key in {**old, **new}:
+        was, now = old.get(key), new.get(key)
+        if was == now:
+            continue
+        if isinstance(was, dict) and isinstance(now, dict):
+            yield from _changes(was, now, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}: {_text(was)} -> {_text(now)}"
+
+
+def _text(value: Any) -> str:
+    return "not set" if value is None else str(value)
+
+
+_RIVALS: Final = 30
+"""Designs of each study that could have won: all their pairs share the confidence."""
+
+_MOST_ENTRIES: Final = 20_000_000
+"""Differences of pairs held at once (160 MB); fewer rivals where there are more scenarios."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Winners:
+    """The new study's winner against the old study's."""
+
+    # What each study's own ranking calls its winner
+    old: Design
+    new: Design
+    # [m s] Mean over the shared scenarios
+    S_old: float
+    S_new: float
+    # [m s] S_new - S_old, and its interval, valid although both were chosen by their scores; NaN as in
+    # `PairedDifferences`
+    difference: float
+    low: float
+    high: float
+    verdict: Verdict
+    scenarios: int  # How many scenarios they were compared on
+    fresh: bool  # Whether these are fresh scenarios of both studies, on which no design was chosen
+
+    @property
+    def same_design(self) -> bool:
+        """The same design won both."""
+        return self.old.id == self.new.id
+
+
+def compare_winners(
+    before: FinishedStudy,
+    after: FinishedStudy,
+    case: Case,
+    shared: SharedScenarios,
+    fresh: SharedScenarios | None,
+    *,
+    bootstrap: int,
+    confidence: float,
+) -> Winners | None:
+    """Compare the winners of two studies in one case.
+
+    Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow.
+    The interval here holds for all pairs of a design that could have won the old study and one that could have won
+    the new one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
+    """
+    rankings = (_ranking(before, case), _ranking(after, case))
+    if rankings[0].winner is None or rankings[1].winner is None:
+        return None
+    results = (before.results, after.results)
+    again = (_with_winner(before, rankings[0]), _with_winner(after, rankings[1]))
+    on_fresh = False
+    if fresh is not None and again[0] is not None and again[1] is not None:
+        results, shared, on_fresh = (again[0], again[1]), fresh, True
+    most = max(1, min(_RIVALS, math.isqrt(_MOST_ENTRIES // shared.n)))
+    rivals = [_rivals(ranking, one, most) for ranking, one in zip(rankings, results, strict=True)]
+    scores_old, scores_new = (
+        _find(one, ranking.case).counted[chosen][:, rows]
+        for one, ranking, chosen, rows in zip(results, rankings, rivals, (shared.old, shared.new), strict=True)
+    )
+    pairs = paired_differences(
+        np.repeat(scores_old, len(scores_new), axis=0),
+        np.tile(scores_new, (len(scores_old), 1)),
+        shared.side,
+        seed=after.study.seed,
+        bootstrap=bootstrap,
+        confidence=confidence,
+    )
+    old, new = (one.designs[chosen[0]] for one, chosen in zip(results, rivals, strict=True))
+    return Winners(
+        old=old,
+        new=new,
+        S_old=float(pairs.S_old[0]),
+        S_new=float(pairs.S_new[0]),
+        difference=float(pairs.difference[0]),
+        low=float(pairs.low[0]),
+        high=float(pairs.high[0]),
+        verdict=pairs.verdict[0],
+        scenarios=shared.n,
+        fresh=on_fresh,
+    )
+
+
+def _find(results: StudyResults, case: Case) -> CaseResults:
+    return next(one for one in results.cases if one.case == case)
+
+
+def _ranking(side: FinishedStudy, case: Case) -> Ranking:
+    """The study's own ranking, as far as it decides who wins."""
+    study = side.study
+    return Ranking.of(
+        side.results,
+        _find(side.results, case),
+        seed=study.seed,
+        bootstrap=study.ranking.bootstrap,
+        confidence=study.ranking.confidence,
+        D_y=study.report.D_y,
+        require=study.ranking.require,
+        setup=study.setup(),
+        vehicles=study.vehicles,
+    )
+
+
+def _with_winner(side: FinishedStudy, ranking: Ranking) -> StudyResults | None:
+    """The finalists' fresh results; None without the winner: other cases may have one that is no finalist."""
+    fresh = side.results.fresh
+    if fresh is None or ranking.winner is None:
+        return None
+    return fresh if ranking.designs[ranking.winner] in fresh.designs else None
+
+
+def _rivals(ranking: Ranking, results: StudyResults, most: int) -> list[int]:
+    """Positions of ranked designs in the results, the winner first."""
+    place = {design.id: i for i, design in enumerate(results.designs)}
+    ranked = sorted(range(ranking.ranked), key=lambda i: i != ranking.winner)
+    at = [place[ranking.designs[i].id] for i in ranked if ranking.designs[i].id in place]
+    return at[:most]

@@ -1,1 +1,0 @@
-"""The tables of designs: values, ranges, conditions, full grids and samples."""

@@ -1,0 +1,648 @@
+"""Extractions of any size: the parts of a source go to workers, are stored as they finish, and joined in order."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import importlib.metadata
+import io
+import json
+import logging
+import os
+import pickle
+import re
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, Protocol
+
+import cloudpickle
+import numpy as np
+
+import ldctoolkit
+from ldctoolkit.departures import Departures, ExtraColumn
+from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
+from ldctoolkit.recordings.account import Account, Origin
+from ldctoolkit.recordings.departures_table import write_departures
+from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
+from ldctoolkit.recordings.evidence import Evidence
+from ldctoolkit.recordings.extract import merge_results
+from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.opened import OpenedRecordings, ReadersTogether
+from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.recording import Label, Problem
+from ldctoolkit.recordings.result import Extraction, PartResult
+from ldctoolkit.recordings.sources import GROUP, RecordingPart, RecordingReader, RecordingSource, part_name
+from studies.running.executors import Executor, make_executor
+from studies.running.tasks import Faults
+from studies.running.worker import versions
+from studies.storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
+
+PACKAGES: Final = ("numpy", "polars", "numba")
+"""Packages that read files or decide numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Unread:
+    """Why nothing came out of a part."""
+
+    reason: str  # One sentence
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PartWork:
+    """Reads one part and finds its departures."""
+
+    number: int  # Place of the part in its source
+    part: RecordingPart  # What is read
+    criteria: Criteria  # What counts as a departure
+    preparation: Preparation  # How recordings are brought to a common form
+    time_limit: float = 0.0  # [s] None: how long a file takes depends on the disk
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Nothing is needed."""
+
+    def run(self, kept: dict[str, Any]) -> PartResult | Unread:  # noqa: ARG002
+        """Read the part; a fault in it, or in its reader, ends this part alone."""
+        try:
+            return extract_part(self.part, self.criteria, self.preparation)
+        except LdcError as error:
+            return Unread(str(error))
+        except Exception as error:  # a reader may be anybody's code
+            return Unread(f"{type(error).__name__}: {error}")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Probe:
+    """Does nothing: tells whether workers live at all."""
+
+    number: int  # Of no part
+    time_limit: float = 0.0  # [s] None
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Nothing is needed."""
+
+    def run(self, kept: dict[str, Any]) -> bool:  # noqa: ARG002
+        """Say so."""
+        return True
+
+
+FORMAT_VERSION: Final = 1
+
+_SAID: Final = {
+    "files": "the files have changed",
+    "parts": "they are divided in another way",
+    "program": "the program has changed",
+}
+"""What it means where a digest differs."""
+
+Plan = dict[str, Any]
+"""Content of a work folder's manifest, as JSON reads it back."""
+
+
+def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
+    """What decides the numbers of all parts."""
+    home = Path(ldctoolkit.__file__).parent
+    keys = json.dumps([part.key for part in source.parts])
+    plan = {
+        "format_version": FORMAT_VERSION,
+        "reader": reader.name,
+        "program": _program(home, _others(home, reader, source.parts)),
+        "versions": dict(versions(("ldctoolkit", *PACKAGES))) | _offered_by(reader.name),
+        "criteria": dataclasses.asdict(criteria),
+        "preparation": dataclasses.asdict(preparation),
+        "files": [[file.name, file.bytes, file.sha256] for file in source.files],
+        "parts": [len(source.parts), hashlib.sha256(keys.encode()).hexdigest()],
+    }
+    content: Plan = json.loads(json.dumps(plan))
+    return content
+
+
+def _program(home: Path, others: Iterable[tuple[str, Path]] = ()) -> str:
+    """Digest of the code that decides the numbers: a checkout changes without another version.
+
+    `home` is the toolkit's folder, `others` are names and files of modules outside it.
+    """
+    own = [*(home / "recordings").rglob("*.py"), home / "departures.py"]
+    named = sorted((path.relative_to(home).as_posix(), path) for path in own)
+    digest = hashlib.sha256()
+    for name, path in [*named, *others]:
+        content = path.read_bytes() if path.is_file() else b""
+        digest.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+    return digest.hexdigest()
+
+
+def _others(home: Path, reader: RecordingReader, parts: Iterable[RecordingPart]) -> Iterator[tuple[str, Path]]:
+    """Names and files of the modules outside the toolkit that a reader and its parts come from, where they have one."""
+    readers = reader.readers if isinstance(reader, ReadersTogether) else (reader,)
+    modules = {one.__name__ if isinstance(one, ModuleType) else type(one).__module__ for one in readers}
+    for name in sorted(modules | {kind.__module__ for kind in {type(part) for part in parts}}):
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is not None and not Path(file).is_relative_to(home):
+            yield name, Path(file)
+
+
+def _offered_by(reader: str) -> dict[str, str]:
+    """The package that a reader comes with, and its version; of each, where several work together."""
+    names = reader.split(" + ")
+    points = [point for point in importlib.metadata.entry_points(group=GROUP) if point.name in names]
+    return {point.dist.name: point.dist.version for point in points if point.dist is not None}
+
+
+def what_differs(there: Plan, now: Plan) -> str:
+    """Half a sentence on what differs between two plans; at most three things are named."""
+    found: list[str] = []
+    for key in {**now, **there}:
+        a, b = there.get(key), now.get(key)
+        if a == b:
+            continue
+        if isinstance(a, dict) and isinstance(b, dict):
+            for name in {**b, **a}:
+                if a.get(name) != b.get(name):
+                    found.append(f"{name}: {_shown(a.get(name))} there, {_shown(b.get(name))} now")
+        elif key in _SAID:
+            found.append(_SAID[key])
+        else:
+            found.append(f"{key}: {_shown(a)} there, {_shown(b)} now")
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    return "; ".join(found[:3]) + more
+
+
+def _shown(value: Any) -> str:
+    return "not set" if value is None else str(value)
+
+
+_log = logging.getLogger("studies")
+
+SUFFIX: Final = ".parts"
+"""Of the folder's name, after the name of the output."""
+
+_MANIFEST: Final = "manifest.json"
+_LOCK: Final = ".lock"
+_PART = re.compile(r"part-(\d+)-([0-9a-f]{16})\.npz")
+_DIGITS: Final = 16
+
+
+class WorkFolder:
+    """Finished parts of one extraction. Made by `work_folder`, which holds it for this process. A part's name has its
+    number and a checksum of its content: a file that was cut short or has a flipped bit is found out, and the part
+    is read again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._parts: dict[int, Path] = {}
+        for file in sorted(path.iterdir()):
+            found = _PART.fullmatch(file.name)
+            if found is not None:
+                self._take_in(int(found[1]), file, found[2])
+
+    def _take_in(self, number: int, file: Path, checksum: str) -> None:
+        # all are read once here, so that what is missing is known before anything is computed
+        content = read_bytes(file)
+        try:
+            if _checksum(content) != checksum:
+                raise StoreError("broken: its content is not what was written (the checksum in its name differs)")
+            read_part(content)
+        except StoreError as error:
+            _log.warning("%s: %s; this part is read again", file, error)
+            _unlink(file)
+        else:
+            self._parts[number] = file
+
+    @property
+    def finished(self) -> frozenset[int]:
+        """Numbers of the parts that are there."""
+        return frozenset(self._parts)
+
+    def write(self, number: int, result: PartResult) -> None:
+        """Store a part, whole or not at all."""
+        content = part_bytes(result)
+        path = self.path / f"part-{number:06d}-{_checksum(content)}.npz"
+        with stored_file(path) as stream:
+            stream.write(content)
+        self._parts[number] = path
+
+    def read(self, number: int) -> PartResult:
+        """A part that is there."""
+        path = self._parts[number]
+        content = read_bytes(path)
+        if not path.stem.endswith(_checksum(content)):
+            raise StoreError(f"{path}: changed while parts were read; run it again to go on")
+        return read_part(content)
+
+    def remove(self) -> None:
+        """Remove everything that this program wrote, and the folder if nothing else is in it."""
+        _clear(self.path)
+        _unlink(self.path / _LOCK)
+        with contextlib.suppress(OSError):
+            self.path.rmdir()
+
+
+def parts_folder(output: str | os.PathLike[str]) -> Path:
+    """Where the finished parts of an extraction wait.
+
+    Examples
+    --------
+    >>> parts_folder("d.parquet").name
+    'd.parquet.parts'
+    """
+    return Path(f"{os.fspath(output)}{SUFFIX}")
+
+
+def holds_parts(path: Path) -> bool:
+    """Whether a folder is there that an extraction has left, whatever it was of."""
+    try:
+        return (path / _MANIFEST).is_file()
+    except OSError:  # nobody may look
+        return False
+
+
+@contextlib.contextmanager
+def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
+    """Hold a work folder, made if need be, with the parts of the same plan that are in it. Parts of another plan are
+    removed, with a warning that says what differs. A folder without a finished part is removed when the block ends
+    in an error.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+    except FileExistsError:
+        raise StoreError(
+            f"{path}: is no folder; finished parts are kept there: move it, or choose another output"
+        ) from None
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be made: {error.strerror or error}") from None
+    with locked(path):
+        try:
+            remove_leftovers(path)
+            _keep_only(path, plan)
+            folder = WorkFolder(path)
+        except OSError as error:  # the run that held it may have ended, and taken it away, at this moment
+            raise StoreError(f"{path}: cannot be used: {error.strerror or error}") from None
+        try:
+            yield folder
+        except BaseException:
+            if not folder.finished:
+                folder.remove()
+            raise
+
+
+def _keep_only(path: Path, plan: Plan) -> None:
+    """Leave nothing in the folder but parts of this plan, and the plan itself."""
+    manifest = path / _MANIFEST
+    if manifest.exists():
+        try:
+            there = json.loads(read_bytes(manifest))
+            differs = what_differs(there, plan) if isinstance(there, dict) else "its manifest is broken"
+        except ValueError:
+            differs = "its manifest is broken"
+        if not differs and plan["files"]:  # without digests nobody knows whether the files are the same
+            return
+        if any(_PART.fullmatch(file.name) for file in path.iterdir()):
+            _log.warning(
+                "%s: its parts are of another extraction and are removed (%s)",
+                path,
+                differs or "the files are not known",
+            )
+        _clear(path)
+    else:
+        others = [file.name for file in path.iterdir() if file.name != _LOCK and not _PART.fullmatch(file.name)]
+        if others:
+            raise StoreError(
+                f"{path}: is not the work folder of an extraction (it holds {sorted(others)[0]}); finished parts are "
+                "kept there: move it, or choose another output"
+            )
+        _clear(path)
+    write_text(manifest, json.dumps(plan, indent=1, ensure_ascii=False) + "\n")
+
+
+def _clear(path: Path) -> None:
+    """Remove parts and manifest; the manifest first, so that no part is ever taken for one of another plan."""
+    if not path.is_dir():
+        return  # removed before
+    _unlink(path / _MANIFEST)
+    for file in list(path.iterdir()):
+        if _PART.fullmatch(file.name):
+            _unlink(file)
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be removed: {error.strerror or error}") from None
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGITS]
+
+
+_CLASSES: Final[dict[str, Any]] = {
+    kind.__name__: kind
+    for kind in (
+        PartResult, Departures, ExtraColumn, Account, Origin, Label, Evidence, Drawn, DrawnEvent, Problem,
+    )
+}  # fmt: skip
+"""Everything that a result is made of."""
+
+_TREE: Final = "tree"
+"""Entry that holds the JSON."""
+
+
+def part_bytes(result: PartResult) -> bytes:
+    """A result as the content of a file."""
+    arrays: list[np.ndarray[Any, Any]] = []
+    text = json.dumps(_packed(result, arrays), ensure_ascii=False)
+    content = io.BytesIO()
+    entries = {str(i): array for i, array in enumerate(arrays)}
+    np.savez(content, allow_pickle=False, **{_TREE: np.frombuffer(text.encode(), dtype=np.uint8)}, **entries)
+    return content.getvalue()
+
+
+def read_part(content: bytes) -> PartResult:
+    """The result that `part_bytes` made the content of."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as entries:
+            tree = json.loads(entries[_TREE].tobytes().decode())
+            result = _unpacked(tree, entries)
+    except Exception as error:  # any byte of it may be another
+        raise StoreError(f"broken: {error or type(error).__name__}") from None
+    if not isinstance(result, PartResult):
+        raise StoreError(f"broken: holds {type(result).__name__}")
+    return result
+
+
+def _packed(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    """A tree of what JSON knows; arrays are put aside and named by their place."""
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if dataclasses.is_dataclass(value) and type(value).__name__ in _CLASSES:
+        fields = {field.name: _packed(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+        return {"class": type(value).__name__, "fields": fields}
+    if isinstance(value, tuple):
+        return [_packed(item, arrays) for item in value]
+    return plain(value)
+
+
+def _unpacked(value: Any, arrays: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_unpacked(item, arrays) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        return arrays[str(value["array"])]
+    return _CLASSES[value["class"]](**{name: _unpacked(item, arrays) for name, item in value["fields"].items()})
+
+
+SMALL: Final = 16 << 20
+"""Bytes that this process has read before others would have started."""
+
+MOST_SAID: Final = 3
+"""Problems that a `NothingReadError` puts into its message."""
+
+Progress = Callable[[int, int], None]
+
+
+class NothingReadError(RecordingError):
+    """No recording could be read.
+
+    Attributes
+    ----------
+    problems : tuple of Problem
+        Why.
+    """
+
+    def __init__(self, problems: tuple[Problem, ...]) -> None:
+        told = "; ".join(map(str, problems[:MOST_SAID])) or "the files hold no recording"
+        more = f" ({len(problems):,} problems in all)" if len(problems) > MOST_SAID else ""
+        super().__init__(f"{told}{more}")
+        self.problems = problems
+
+
+def run_extraction(
+    recordings: OpenedRecordings,
+    criteria: Criteria | None = None,
+    preparation: Preparation | None = None,
+    *,
+    output: str | os.PathLike[str] | None = None,
+    workers: int | None = None,
+    dask: str | None = None,
+    progress: Progress | None = None,
+    before_removal: Callable[[Extraction], None] | None = None,
+) -> Extraction:
+    r"""Find the lane departures in recordings of any size; goes on where an earlier run was stopped.
+
+    Parameters
+    ----------
+    recordings : OpenedRecordings
+        From `ldctoolkit.recordings.opened.open_recordings`.
+    criteria : Criteria, optional
+        What counts as a departure; the paper's criteria with the reader's vehicle width by default.
+    preparation : Preparation, optional
+        How recordings are brought to a common form; the reader's time step by default.
+    output : path, optional
+        Departures table to write. Finished parts wait in a folder of this name with ``.parts`` behind it until all are
+        there; then it is removed. Without an output, or with one part alone, nothing is kept; a folder that another
+        extraction has left there is removed all the same.
+    workers : int, optional
+        Processes; 1 runs in this process. By default all cores, or 1 where less than 16 MiB have to be read.
+    dask : str, optional
+        Address of a Dask scheduler, or ``"local"``. Its workers open the same paths.
+    progress : callable, optional
+        Called as ``progress(bytes_done, bytes_total)``.
+    before_removal : callable, optional
+        Called with the result when the table is written and the finished parts are still there. If it fails or is
+        stopped, the next run begins with it.
+
+    Returns
+    -------
+    Extraction
+        The same bits for any number of workers, with Dask, and however often it was stopped.
+
+    Raises
+    ------
+    NothingReadError
+        If no recording could be read; nothing is written.
+    StoreError
+        If the folder holds other things, is in use, or cannot be written.
+    InputError
+        For arguments outside what is allowed.
+    LdcError
+        If workers or a cluster cannot be used.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from ldctoolkit.recordings.opened import open_recordings
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = pathlib.Path(folder.name, "drive.csv")
+    >>> _ = path.write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\na,0.1,0.2,3.6,25\n")
+    >>> run_extraction(open_recordings(path)).recordings
+    1
+    >>> folder.cleanup()
+    """
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise InputError(f"workers: {workers!r}; allowed: a whole number >= 1")
+    reader, source = recordings.reader, recordings.source
+    criteria = criteria or Criteria(reader.vehicle_width)
+    preparation = preparation or Preparation(step=reader.step)
+    works = tuple(PartWork(i, part, criteria, preparation) for i, part in enumerate(source.parts))
+    with contextlib.ExitStack() as stack:
+        store: _Store = _Memory()
+        if output is not None and (len(works) > 1 or holds_parts(parts_folder(output))):
+            plan = plan_of(reader, source, criteria, preparation)
+            store = stack.enter_context(work_folder(parts_folder(output), plan))
+            remove_unfinished(Path(output))
+        unread = _fill(store, works, workers, dask, progress)
+        results = _in_order(source.problems, works, store, unread)
+        extraction = merge_results(results, criteria, preparation, reader=reader.name, files=source.files)
+        if extraction.recordings == 0:
+            store.remove()
+            raise NothingReadError(extraction.problems)
+        if output is not None:
+            write_departures(output, extraction.departures, extraction.provenance)
+        if before_removal is not None:
+            before_removal(extraction)
+        store.remove()
+    return extraction
+
+
+class _Store(Protocol):
+    """Where finished parts wait."""
+
+    @property
+    def finished(self) -> frozenset[int]:
+        """Numbers of those that are there."""
+
+    def write(self, number: int, result: PartResult) -> None:
+        """Keep one."""
+
+    def read(self, number: int) -> PartResult:
+        """Give one back."""
+
+    def remove(self) -> None:
+        """They are not needed any more."""
+
+
+class _Memory:
+    """Finished parts in memory."""
+
+    def __init__(self) -> None:
+        self._parts: dict[int, PartResult] = {}
+
+    @property
+    def finished(self) -> frozenset[int]:
+        return frozenset(self._parts)
+
+    def write(self, number: int, result: PartResult) -> None:
+        self._parts[number] = result
+
+    def read(self, number: int) -> PartResult:
+        return self._parts[number]
+
+    def remove(self) -> None:
+        self._parts.clear()
+
+
+def _fill(
+    store: _Store, works: tuple[PartWork, ...], workers: int | None, dask: str | None, progress: Progress | None
+) -> dict[int, Unread]:
+    """Run what is missing; the parts that nothing came out of."""
+    unread: dict[int, Unread] = {}
+    missing = [work for work in works if work.number not in store.finished]
+    total = sum(work.part.bytes for work in works)
+    done = total - sum(work.part.bytes for work in missing)
+    if not missing:
+        return unread
+    if progress is not None:
+        progress(done, total)
+    if dask is None:
+        workers = workers or (1 if total - done < SMALL else os.cpu_count() or 1)
+        workers = min(workers, len(missing))
+    executor = make_executor(None, workers, dask, PACKAGES)
+    try:
+        _check_sendable(executor, missing[0])
+        for work, came in send_parts(executor, missing):
+            if isinstance(came, Unread):
+                unread[work.number] = came
+            else:
+                store.write(work.number, came)
+            done += work.part.bytes
+            if progress is not None:
+                progress(done, total)
+    except BaseException:
+        executor.close(orderly=False)
+        raise
+    executor.close(orderly=True)
+    return unread
+
+
+def _check_sendable(executor: Executor, work: PartWork) -> None:
+    """Refuse parts that hold more than plain data; a third party's may."""
+    if executor.name == "serial":
+        return
+    dumps = pickle.dumps if executor.name == "dask" else cloudpickle.dumps
+    try:
+        dumps(work)
+    except Exception as error:  # a part may hold anything
+        kind = type(work.part).__name__
+        raise LdcError(
+            f"parts of the kind {kind} cannot be sent to other processes ({error}); use one worker"
+        ) from None
+
+
+def _in_order(
+    problems: Sequence[Problem], works: tuple[PartWork, ...], store: _Store, unread: dict[int, Unread]
+) -> Iterator[PartResult]:
+    """The source's own problems, then the parts as they follow each other."""
+    yield PartResult(problems=tuple(problems))
+    for work in works:
+        if work.number in unread:
+            yield PartResult(problems=(Problem(part_name(work.part), "", unread[work.number].reason),))
+        else:
+            yield store.read(work.number)
+
+
+_AHEAD: Final = 2
+"""Parts a worker that are under way or wait in the executor."""
+
+_ENDED = "ended its worker process each time it was read (out of memory?); it is left out"
+
+
+def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[PartWork, PartResult | Unread]]:
+    """Run parts, and give each with what came out as soon as it is there. A part that may have ended its worker is run
+    again alone. If it ends that one too, it is `Unread`.
+    """
+    waiting, alone = deque(works), deque[PartWork]()
+    faults = Faults()
+    under_way = 0
+    while waiting or alone or under_way:
+        if alone:
+            if not under_way:
+                executor.start(alone.popleft())
+                under_way = 1
+        else:
+            most = 1 if executor.workers == 1 else _AHEAD * executor.workers
+            while under_way < most and waiting:
+                executor.start(waiting.popleft())
+                under_way += 1
+        came = executor.wait()
+        faults.came_back(came)
+        for ended in came:
+            under_way -= 1
+            work: PartWork = ended.task
+            if ended.done is not None:
+                faults.ended_well()
+                yield work, ended.done
+            elif ended.fault is None:
+                waiting.append(work)
+            elif not faults.guilty(work, ended.fault, certain=ended.certain):
+                alone.append(work)
+            else:
+                faults.check_workers(executor, Probe(1 + max(one.number for one in works)))
+                yield work, Unread(_ENDED)

@@ -1,1 +1,0 @@
-"""Designs that are given up before they have run on all scenarios."""

@@ -1,1 +1,0 @@
-"""Designs that are asked for instead of written down."""

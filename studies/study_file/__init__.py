@@ -1,1 +1,0 @@
-"""The study file: what it may say, checked as a whole before anything runs."""
