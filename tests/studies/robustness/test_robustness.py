@@ -331,7 +331,7 @@ def test_numbers_are_stored_and_worked_out_again_for_anything_else(
         calls.append(wanted.key)
         return dataclasses.replace(found, key=wanted.key)
 
-    monkeypatch.setattr(stored, "work_out", count)
+    monkeypatch.setattr("studies.robustness.work_out", count)
     assert stored_of(tmp_path, task) is None
     assert robustness_of(tmp_path, task) is not None
     json.loads((tmp_path / "robustness.json").read_text(), parse_constant=pytest.fail)  # numbers that JSON knows only
