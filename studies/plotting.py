@@ -17,7 +17,7 @@ from studies.pages import charts
 from studies.pages.confidence_section import interleaved, running_mean
 from studies.pages.landscape_section import swept_axes, values_of
 from studies.pages.text import compact, shorten
-from studies.ranking.pareto import pareto_front
+from studies.ranking.design_metrics import pareto_front
 from studies.ranking.requirements import metric, metric_values
 
 if TYPE_CHECKING:

@@ -12,12 +12,10 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from studies.design import Design
-from studies.ranking.bootstrap import check_confidence
-from studies.ranking.case_figures import find_baseline
+from studies.ranking.design_metrics import find_baseline
+from studies.ranking.inference import SAME, check_confidence, row_means, separable
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric_values, requirements_of
-from studies.ranking.row_blocks import row_means
-from studies.ranking.simultaneous import SAME, separable
 from studies.results import Dropped, Race, StudyResults
 from studies.running.campaign import Campaign
 from studies.storage.folder_tables import write_race

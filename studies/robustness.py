@@ -23,16 +23,16 @@ from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.vehicle import Convention
 from studies.design import Design, is_paper_design
-from studies.ranking.named_vehicles import Drives, drive_on_plants, first_of_each_side
-from studies.ranking.row_blocks import row_means
-from studies.ranking.standard_error import (
+from studies.ranking.inference import (
     degrees_of_freedom,
     error_parts,
     half_widths,
     lengths,
+    row_means,
     spread_is_known,
     with_tails_of_t,
 )
+from studies.ranking.named_vehicles import Drives, drive_on_plants, first_of_each_side
 from studies.results import FAILED_STATUSES, Case, status_among
 from studies.storage.files import write_text
 

@@ -16,7 +16,7 @@ from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from studies.design import FOLLOWS_CASE, Design
 from studies.racing import run_race
-from studies.ranking.case_figures import find_baseline
+from studies.ranking.design_metrics import find_baseline
 from studies.ranking.ranking import Ranking, rank_study
 from studies.results import Race, StudyResults
 from studies.running.campaign import Campaign

@@ -15,7 +15,7 @@ from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.design_space import Choices, Dimension, LawSpace, Span, rounded
-from studies.ranking.pareto import pareto_front
+from studies.ranking.design_metrics import pareto_front
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric, metric_values, requirements_of
 from studies.running.campaign import Campaign

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from studies.cli._console import add_row, console, new_table
-from studies.ranking.ranking import Ranking
-from studies.ranking.ranking_csv import write_csv
-from studies.ranking.ranking_text import (
+from studies.ranking.ranking import Ranking, write_csv
+from studies.ranking.verdict import (
     StudyHead,
+    Verdict,
     listed_places,
     more_lines,
     other_case,
@@ -21,7 +21,6 @@ from studies.ranking.ranking_text import (
     verdict_lines,
     write_markdown,
 )
-from studies.ranking.verdict import Verdict
 from studies.results import Race, StudyResults
 from studies.storage.manifest import Manifest
 from studies.study_file import Study

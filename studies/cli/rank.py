@@ -55,10 +55,8 @@ def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from studies.cli._report import stored_robustness
     from studies.cli._results import print_race, print_rankings, rank_summary, study_head, write_ranking
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.ranking_csv import write_csv
-    from studies.ranking.ranking_text import write_markdown
-    from studies.ranking.verdict import verdict
+    from studies.ranking.ranking import rank_study, write_csv
+    from studies.ranking.verdict import verdict, write_markdown
     from studies.storage.store import Store
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")

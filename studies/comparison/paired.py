@@ -19,11 +19,8 @@ from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.random_streams import RandomStream
 from ldctoolkit.plant_options import PlantOptions
 from studies.design import Design
-from studies.ranking.bootstrap import bootstrap_means, check_confidence
+from studies.ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
 from studies.ranking.ranking import Ranking
-from studies.ranking.row_blocks import row_means
-from studies.ranking.simultaneous import SAME
-from studies.ranking.standard_error import error_parts, lengths
 from studies.results import Case, CaseResults, StudyResults
 from studies.storage.manifest import Manifest
 from studies.storage.store import Store

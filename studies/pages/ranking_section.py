@@ -13,7 +13,7 @@ from ldctoolkit.metrics import METRICS
 from studies.pages.context import Context, gains_text, interval, law_title, metric_text
 from studies.pages.shell import Cell, Column, Line, Section, bullets, render, table
 from studies.pages.text import compact, number, percent, plural
-from studies.ranking.ranking_text import judged
+from studies.ranking.verdict import judged
 
 MOST_ROWS: Final = 1000
 """Designs of the table; all of them are in ranking.csv."""

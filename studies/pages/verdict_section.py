@@ -12,7 +12,7 @@ from ldctoolkit.metrics import A_Y_LIMIT, METRICS
 from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
 from studies.pages.context import Context, law_title, metric_text, name_of
 from studies.pages.shell import Section, bullets, render
-from studies.ranking.pareto import pareto_front
+from studies.ranking.design_metrics import pareto_front
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}

@@ -1,17 +1,222 @@
-"""Designs of one case, best first, with all that is known of them: what verdicts and texts are made from."""
+"""Designs in the order of a ranking, and what fresh scenarios say of the first of them."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
-from ldctoolkit.arrays import BoolArray, IntArray
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.design import Design
-from studies.ranking.case_figures import CaseFigures
-from studies.ranking.fresh_scores import FreshScores
+from studies.ranking.design_metrics import CaseFigures, DrivableCase, mean_reduction
+from studies.ranking.inference import (
+    SAME,
+    Inference,
+    Interval,
+    Resampled,
+    critical_value,
+    simultaneous_interval,
+    skewed_widths,
+)
 from studies.ranking.requirements import Miss, Requirement
-from studies.ranking.simultaneous import Inference
-from studies.results import Case, FailedDesign
+from studies.results import Case, FailedDesign, StudyResults
+
+
+def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
+    """The search's first, unless fresh scenarios part it from a better one. Taking the smallest fresh score would
+    choose by luck again, and that score would be too small again. The first of the search was not chosen on the
+    fresh scenarios, so its fresh score is not.
+    """
+    candidates = np.flatnonzero(meets & set_of_best)
+    if not candidates.size:
+        candidates = np.flatnonzero(meets)
+    if not candidates.size:
+        return None
+    first = int(candidates[0])
+    below = simultaneous_interval(resampled, confidence, first).high < -SAME
+    better = candidates[below[candidates]]
+    return int(better[np.argmin(resampled.mean[better])]) if better.size else first
+
+
+_STREAM = 1
+"""Of the resamples; the search has stream 0."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FreshScores:
+    """What scenarios that no design was chosen on say of the finalists, arrays of d; NaN for designs that are none.
+    The baseline is scored there too. It is a finalist only where it is in the set of best.
+    """
+
+    # (d,) [m s] Mean S and its interval, for all finalists and the baseline at once
+    fresh_S: FloatArray
+    fresh_low: FloatArray
+    fresh_high: FloatArray
+    # (d,) [m s] Mean S minus that of the search's first, paired, with its interval, for all finalists at once
+    fresh_difference: FloatArray
+    fresh_difference_low: FloatArray
+    fresh_difference_high: FloatArray
+    # (d,) [m s] The same to the baseline
+    fresh_baseline_difference: FloatArray
+    fresh_baseline_difference_low: FloatArray
+    fresh_baseline_difference_high: FloatArray
+    fresh_reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
+    fresh_unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
+    # (d,) [m s] How much better the search's figure was than the fresh one, and its interval, for all finalists at
+    # once: an interval that holds 0 is no more than two draws of scenarios explain
+    optimism: FloatArray
+    optimism_low: FloatArray
+    optimism_high: FloatArray
+    # Whether that figure is the difference to the baseline (where the baseline is a law) or mean S itself
+    optimism_paired: bool
+    fresh_scenarios: int  # How many; 0 for none
+    fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
+    # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
+    # no design is ranked, where no finalist meets the requirements on the fresh scenarios, or where a race gave designs
+    # up by another case
+    winner: int | None
+
+
+def no_fresh_scores(d: int, ranked: int) -> FreshScores:
+    """No fresh scenarios were run."""
+    nothing = np.full(d, np.nan)
+    three = (nothing, nothing, nothing)
+    unmet: tuple[tuple[str, ...], ...] = ((),) * d
+    return FreshScores(*three, *three, *three, nothing, unmet, *three, False, 0, None, 0 if ranked else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchScores:
+    """What the search's scenarios said, d designs by position in the ranking."""
+
+    scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
+    order: IntArray  # (d,) Where the designs of the ranking stand in it
+    side: npt.NDArray[np.signedinteger]  # (n,)
+    set_of_best: BoolArray  # (d,)
+    ranked: int  # So many first designs are ranked
+    baseline: int | None  # Position of the design that all are compared with
+    paired: bool  # Whether the baseline is a law: a difference to it then leaves most of the draw of scenarios out
+
+
+def fresh_scores(
+    drivable: DrivableCase,
+    positions: IntArray,
+    search: SearchScores,
+    unmet: Sequence[tuple[str, ...]],
+    *,
+    first_failed: bool = False,
+    seed: int,
+    samples: int,
+    confidence: float,
+) -> FreshScores:
+    """Score the finalists."""
+    d = len(search.scores)
+    order = np.argsort(positions, kind="stable")
+    positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
+    every = Resampled.of(
+        drivable.counted, drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
+    )
+    rows = np.flatnonzero(
+        (positions < search.ranked)
+        & (search.set_of_best[positions] | (positions != (-1 if search.baseline is None else search.baseline)))
+    )
+    finalists, resampled = positions[rows], every.take(rows)
+
+    def spread(values: FloatArray, among: IntArray) -> FloatArray:
+        result = np.full(d, np.nan)
+        result[among] = values
+        return result
+
+    def ends(interval: Interval, among: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return spread(interval.centre, among), spread(interval.low, among), spread(interval.high, among)
+
+    nothing = (np.full(d, np.nan),) * 3
+    S = spread(every.mean, positions)
+    to_first = to_baseline = optimism = nothing
+    reduction = nothing[0]
+    if finalists.size and (finalists[0] == 0 or first_failed):
+        to_first = ends(simultaneous_interval(resampled, confidence, 0), finalists)
+    there = search.baseline is not None and search.baseline in positions
+    if search.baseline is not None and there and finalists.size:
+        among = np.unique([*finalists, search.baseline])
+        taken = every.take(np.searchsorted(positions, among))
+        reference = int(np.searchsorted(among, search.baseline))
+        to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
+        without = np.full_like(taken.mean, taken.mean[reference])
+        reduction = spread(mean_reduction(taken.mean, without), among)
+    paired = search.paired and there
+    if finalists.size:
+        among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
+        fresh = every.take(np.searchsorted(positions, among))
+        before = Resampled.of(search.scores, search.side, seed=seed, samples=samples, rows=search.order[among])
+        found = lost(before, fresh, confidence, among.size - 1 if paired else None)
+        optimism = ends(found, among)
+        if paired:  # the baseline's own difference is 0 by definition
+            for values in optimism:
+                values[search.baseline] = np.nan
+    winner: int | None = 0 if search.ranked else None
+    if finalists.size and (finalists[0] == 0 or first_failed):
+        meets = np.array([not unmet[i] for i in rows.tolist()], dtype=np.bool_)
+        chosen = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
+        winner = None if chosen is None else int(finalists[chosen])
+    texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
+    return FreshScores(
+        S,
+        *ends(simultaneous_interval(every, confidence), positions)[1:],
+        *to_first,
+        *to_baseline,
+        reduction,
+        tuple(texts.get(i, ()) for i in range(d)),
+        *optimism,
+        paired,
+        len(drivable.scenarios),
+        int(finalists[np.argmin(resampled.mean)]) if finalists.size else None,
+        winner,
+    )
+
+
+def lost(before: Resampled, after: Resampled, confidence: float, reference: int | None = None) -> Interval:
+    """Means on one sample of scenarios minus those on another, independent one, simultaneous for all designs.
+
+    Parameters
+    ----------
+    before, after : Resampled
+        Of the same k designs; two streams of resamples.
+    confidence : float
+        Between 0 and 1.
+    reference : int, optional
+        Of the paired differences to this design instead of the means.
+
+    Returns
+    -------
+    Interval
+        `after` minus `before`, with the standard errors of both.
+    """
+    one, two = before.errors(reference), after.errors(reference)
+    errors = np.hypot(one, two)
+    deviations = after.deviations - before.deviations
+    if reference is not None:
+        deviations = deviations - deviations[:, reference : reference + 1]
+    scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
+    largest = np.abs(deviations * scale).max(axis=1, initial=0.0)
+    critical = critical_value(largest, confidence, min(before.df, after.df))
+    means = (
+        (before.mean, after.mean)
+        if reference is None
+        else (before.differences(reference), after.differences(reference))
+    )
+    centre = means[1] - means[0]
+    below, above = skewed_widths(critical, errors, after.cubes(reference) - before.cubes(reference))
+    return Interval(centre, errors, centre - below, centre + above, critical)
+
+
+def fresh_case(fresh: StudyResults, case: Case) -> DrivableCase:
+    """A case of the finalists' results, on the fresh scenarios that can be driven."""
+    return DrivableCase.of(next(one for one in fresh.cases if one.case == case), fresh.scenarios)
+
 
 SCORE: Final = (
     "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"

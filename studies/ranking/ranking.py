@@ -1,39 +1,54 @@
-"""The ranking of a study: designs by mean S, with what the scenarios allow to say of them."""
+"""The ranking of a study: designs by mean S, with what the scenarios allow to say of them, and `ranking.csv`."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import functools
+import io
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
+from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
 from ldctoolkit.arrays import IntArray
+from ldctoolkit.departures import LEFT
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
+from ldctoolkit.vehicle import Convention
 from studies.design import Design
-from studies.ranking.case_figures import DrivableCase, Margins, case_figures, find_baseline, in_order
-from studies.ranking.fresh_scores import FreshScores, SearchScores, fresh_case, fresh_scores, no_fresh_scores
+from studies.ranking.design_metrics import (
+    DrivableCase,
+    Margins,
+    case_figures,
+    find_baseline,
+    in_order,
+    pareto_costs,
+    pareto_front,
+)
+from studies.ranking.inference import Inference, infer, spread_is_known
 from studies.ranking.named_vehicles import worst_of_vehicles
-from studies.ranking.pareto import pareto_costs, pareto_front
-from studies.ranking.ranked_designs import RankedDesigns
-from studies.ranking.ranking_text import ranking_html
+from studies.ranking.ranked_designs import (
+    FreshScores,
+    RankedDesigns,
+    SearchScores,
+    fresh_case,
+    fresh_scores,
+    no_fresh_scores,
+)
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
-from studies.ranking.simultaneous import Inference, infer
-from studies.results import Case, CaseResults, StudyResults
+from studies.ranking.verdict import ranking_html
+from studies.results import Case, CaseResults, Race, StudyResults
+from studies.storage.files import write_text
 from studies.study_file import Study
 
 if TYPE_CHECKING:
     from ldctoolkit import Setup
-from typing import get_type_hints
 
-import numpy.typing as npt
-
-from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters
-from ldctoolkit.departures import LEFT
-from ldctoolkit.vehicle import Convention
-from studies.ranking.standard_error import spread_is_known
 
 FEW = 50
 """Scenarios below which intervals are too short by a figure that matters, see docs/ranking.md."""
@@ -162,7 +177,7 @@ class Ranking(RankedDesigns):
         D_y : float [m]
             Depth that counts as deep.
         baseline : str
-            As `studies.ranking.case_figures.find_baseline` takes it.
+            As `studies.ranking.design_metrics.find_baseline` takes it.
         require : sequence of str
             Requirements and names of sets, as `studies.ranking.requirements.requirements_of` takes them.
         pareto : sequence of str
@@ -377,3 +392,138 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
             "Designs with different y_s are not comparable here; use the departure window."
         )
     yield from warnings_of(case, designs)
+
+
+_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
+"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
+lower bound of how much worse than the best it is."""
+
+
+_NUMBERS: Final = {
+    "S": METRICS["S"].column,
+    "S_low": "S_low_m_s",
+    "S_high": "S_high_m_s",
+    "S_p95": METRICS["S_p95"].column,
+    "S_cvar95": METRICS["S_cvar95"].column,
+    "S_left": METRICS["S_left"].column,
+    "S_right": METRICS["S_right"].column,
+    "S_uncorrected": "S_uncorrected_m_s",
+    "reduction": METRICS["reduction"].column,
+    "reduction_left": METRICS["reduction_left"].column,
+    "reduction_right": METRICS["reduction_right"].column,
+    "difference": "difference_to_best_m_s",
+    "difference_low": "difference_low_m_s",
+    "difference_high": "difference_high_m_s",
+    "baseline_difference": "baseline_difference_m_s",
+    "baseline_difference_low": "baseline_difference_low_m_s",
+    "baseline_difference_high": "baseline_difference_high_m_s",
+    "set_of_best": "set_of_best",
+    "best_frequency": "best_frequency",
+    "pareto": "pareto",
+    "fresh_S": "fresh_S_m_s",
+    "fresh_low": "fresh_low_m_s",
+    "fresh_high": "fresh_high_m_s",
+    "fresh_difference": "fresh_difference_to_first_m_s",
+    "fresh_difference_low": "fresh_difference_to_first_low_m_s",
+    "fresh_difference_high": "fresh_difference_to_first_high_m_s",
+    "fresh_baseline_difference": "fresh_baseline_difference_m_s",
+    "fresh_baseline_difference_low": "fresh_baseline_difference_low_m_s",
+    "fresh_baseline_difference_high": "fresh_baseline_difference_high_m_s",
+    "fresh_reduction": "fresh_reduction",
+    "optimism": "optimism_m_s",
+    "optimism_low": "optimism_low_m_s",
+    "optimism_high": "optimism_high_m_s",
+}
+"""Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""
+
+_COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
+
+
+def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
+    """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
+    gains = _gain_columns(rankings, race)
+    text = io.StringIO()
+    rows = [row for ranking in rankings for row in _rows(ranking, gains)]
+    if race is not None:
+        behind = len(rankings[0]) + len(rankings[0].failed)
+        rows[behind:behind] = _given_up(race, rankings[0], gains)
+    # what a row has no value for is empty
+    writer = csv.DictWriter(text, fieldnames=[*rows[0], *_DROPPED], restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(Path(path), text.getvalue())
+
+
+def _gain_columns(rankings: Iterable[Ranking], race: Race | None) -> list[str]:
+    dropped = () if race is None else race.dropped
+    laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
+    return list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
+
+
+def _every(ranking: Ranking) -> Iterator[Design]:
+    yield from ranking.designs
+    yield from (one.design for one in ranking.failed)
+
+
+def _columns_of(law: str) -> list[str]:
+    """Column of every gain of a law; a gain of one name and unit shares its column between laws."""
+    units = {"1": "", "samples": ""}
+    return [
+        g.name + (f"_{unit}" if (unit := units.get(g.unit, g.unit.replace("/", "_per_").replace("^", ""))) else "")
+        for g in controller_class(law).gains()
+    ]
+
+
+def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
+    numbers: dict[str, Any] = {column: getattr(ranking, name) for name, column in _NUMBERS.items()}
+    numbers["winner"] = np.arange(len(ranking)) == ranking.winner
+    numbers |= {METRICS[name].column: getattr(ranking, name) for name in ("triggered", "deeper")}
+    numbers |= {name: getattr(ranking, name) for name in _COUNTS}
+    numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
+    reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
+    for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
+        here = i < len(ranking)
+        yield {
+            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
+            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            "unmet": "; ".join(ranking.unmet[i]) if here else "",
+            "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "failure": reason,
+        }
+
+
+def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+    """The columns that say which design in which case."""
+    values = dict.fromkeys(gains, "") | dict(
+        zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
+    )
+    return {
+        "window": ranking.case.window,
+        "convention": ranking.case.convention,
+        "rank": rank,
+        "design": design.id,
+        "law": design.law,
+        "y_s_m": repr(design.y_s),
+        **{f"gain_{name}": value for name, value in values.items()},
+    }
+
+
+def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """No rank and no figures: these would stand for fewer scenarios than all others."""
+    for one in race.dropped:
+        figures = (one.round, one.scenarios, _field(one.S), _field(one.low))
+        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, figures, strict=True))
+
+
+def _optimism_of(ranking: Ranking, i: int) -> str:
+    if np.isnan(ranking.optimism[i]):
+        return ""
+    return "baseline_difference" if ranking.optimism_paired else "S"
+
+
+def _field(value: Any) -> str:
+    """Numbers in full precision, truth values in lower case, nothing for a figure that is taken over no departure."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value != value else str(value)

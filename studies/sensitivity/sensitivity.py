@@ -15,8 +15,7 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.design_space import THRESHOLD, DesignBlock, LawSpace
-from studies.ranking.bootstrap import bootstrap_deviations, percentile_interval
-from studies.ranking.row_blocks import row_means
+from studies.ranking.inference import bootstrap_deviations, percentile_interval, row_means
 from studies.results import CaseResults, StudyResults
 from studies.study_file import RankingSettings, Study
 

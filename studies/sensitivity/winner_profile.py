@@ -20,7 +20,7 @@ from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive
 from studies.design import Design
 from studies.design_space import THRESHOLD, Choices, Span
-from studies.ranking.resampled import Resampled, simultaneous_interval
+from studies.ranking.inference import Resampled, simultaneous_interval
 from studies.results import FAILED_STATUSES, CaseResults, StudyResults
 from studies.sensitivity.sensitivity import BlockSensitivity, gain_value
 from studies.storage.files import write_text

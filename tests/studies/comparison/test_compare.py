@@ -24,7 +24,7 @@ from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults
 from studies.cli._comparison_table import print_comparison
 from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
 from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
-from studies.ranking.bootstrap import weight_blocks
+from studies.ranking.inference import weight_blocks
 from studies.results import Dropped, FailedDesign, Race
 
 

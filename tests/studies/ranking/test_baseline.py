@@ -6,7 +6,7 @@ import pytest
 from ldctoolkit import Scenarios
 from ldctoolkit.errors import InputError
 from studies import Design, StudyResults
-from studies.ranking.case_figures import find_baseline
+from studies.ranking.design_metrics import find_baseline
 from studies.results import Dropped, FailedDesign, Race
 
 NONE = Design.from_gains("none", 0.2, {})

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from studies.ranking.inference import Inference, infer
 from studies.ranking.ranking import warnings_of_sample
-from studies.ranking.simultaneous import Inference, infer
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
 from studies import rank_study, read_manifest, read_results
-from studies.ranking.case_figures import mean_reduction
-from studies.ranking.ranking_csv import write_csv
+from studies.ranking.design_metrics import mean_reduction
+from studies.ranking.ranking import write_csv
 from studies.ranking.requirements import metric, metric_values, parse_requirement
 
 NAN = math.nan

@@ -13,9 +13,9 @@ import scipy.stats
 from helpers.results import CONTROL, DEPARTURE
 from helpers.results import results_of as given_results
 from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.fresh_scores import choose_winner, lost
-from studies.ranking.ranking_csv import write_csv
-from studies.ranking.resampled import Resampled
+from studies.ranking.inference import Resampled
+from studies.ranking.ranked_designs import choose_winner, lost
+from studies.ranking.ranking import write_csv
 from studies.results import Dropped, FailedDesign, Race
 
 pytestmark = pytest.mark.usefixtures("laws")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies.ranking.pareto import pareto_costs, pareto_front
+from studies.ranking.design_metrics import pareto_costs, pareto_front
 
 
 def by_pairs(costs: np.ndarray) -> list[bool]:

@@ -15,8 +15,8 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, Companions
 from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.bootstrap import bootstrap_means, percentile_interval
-from studies.ranking.ranking_csv import write_csv
+from studies.ranking.inference import bootstrap_means, percentile_interval
+from studies.ranking.ranking import write_csv
 
 
 def results_of(

@@ -16,15 +16,16 @@ from helpers.results import results_of
 from studies.design import Design
 from studies.pages.text import printable
 from studies.ranking.ranking import Ranking
-from studies.ranking.ranking_text import (
+from studies.ranking.verdict import (
     MOST_ROWS,
     StudyHead,
+    Verdict,
     listed_places,
     markdown_text,
     ranking_markdown,
+    verdict,
     write_markdown,
 )
-from studies.ranking.verdict import Verdict, verdict
 from studies.results import Case, FailedDesign
 
 EVIL = "<script>alert(1)</script>"

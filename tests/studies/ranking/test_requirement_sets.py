@@ -17,9 +17,8 @@ from ldctoolkit.review import design_margins, review
 from studies import Study, rank_study, run_study
 from studies.design import Design
 from studies.ranking.ranking import Ranking
-from studies.ranking.ranking_text import judged, verdict_lines
 from studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
-from studies.ranking.verdict import Verdict, verdict
+from studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
 from studies.results import StudyResults
 
 NAN = math.nan

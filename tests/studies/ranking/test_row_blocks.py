@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from helpers.results import case_of
 from ldctoolkit import EventStatus
 from studies import CaseResults
-from studies.ranking.bootstrap import bootstrap_deviations
-from studies.ranking.case_figures import tail_figures
-from studies.ranking.row_blocks import row_blocks, row_means
+from studies.ranking.design_metrics import tail_figures
+from studies.ranking.inference import bootstrap_deviations, row_blocks, row_means
 
 
 def test_no_row_depends_on_the_rows_beside_it() -> None:

@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
-from studies.ranking.bootstrap import bootstrap_deviations, exact_grid, weight_blocks
-from studies.ranking.resampled import Resampled, simultaneous_interval
-from studies.ranking.simultaneous import compare_with_best, infer, separable
-from studies.ranking.standard_error import with_tails_of_t
+from studies.ranking.inference import (
+    Resampled,
+    bootstrap_deviations,
+    compare_with_best,
+    exact_grid,
+    infer,
+    separable,
+    simultaneous_interval,
+    weight_blocks,
+    with_tails_of_t,
+)
 
 DESIGNS = 128
 CONFIDENCE = 0.95

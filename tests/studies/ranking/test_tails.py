@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.ranking.case_figures import tail_figures
-from studies.ranking.release import masked_max, masked_mean, masked_quantile
+from studies.ranking.design_metrics import masked_max, masked_mean, masked_quantile, tail_figures
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))

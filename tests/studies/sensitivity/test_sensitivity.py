@@ -23,7 +23,7 @@ from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gai
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
 from studies import Case, Design, Study, StudyResults
-from studies.ranking.bootstrap import bootstrap_means
+from studies.ranking.inference import bootstrap_means
 from studies.results import Dropped, FailedDesign, Race
 from studies.sensitivity.sensitivity import (
     BlockSensitivity,

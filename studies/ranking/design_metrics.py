@@ -1,0 +1,473 @@
+"""Metrics of the designs of a case: means, tails, shares, counts, what a release asks for, and the Pareto front."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus, Scenarios, Setup
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.metrics import DTLE_LIMIT, METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
+from ldctoolkit.paths.uncorrected import UncorrectedPath
+from studies.design import NO_CONTROL, Design
+from studies.ranking.inference import row_blocks, row_means
+from studies.ranking.requirements import friction, metric, metric_values
+from studies.results import CaseResults, StudyResults, status_among
+from studies.storage.stored_columns import StoredColumn
+
+_FEW = 8
+"""Places up to which what stands there is found without a full sort."""
+
+
+def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
+    """Mean of what is marked in each row."""
+    count = among.sum(axis=1)
+    total = np.where(among, values, 0.0).sum(axis=1)
+    result: FloatArray = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    return result
+
+
+def masked_max(values: FloatArray, among: BoolArray) -> FloatArray:
+    """Largest of what is marked in each row; parameters and result as `masked_mean`."""
+    largest = np.where(among, values, -np.inf).max(axis=1, initial=-np.inf)
+    return np.where(among.any(axis=1), largest, np.nan)
+
+
+def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> FloatArray:
+    """Quantile of what is marked in each row, linear between neighbours; parameters and result as `masked_mean`.
+    Infinite values are allowed: between a finite and an infinite neighbour it is infinite.
+    """
+    count = among.sum(axis=1)
+    ordered = np.where(among, values, np.inf)
+    place = share * np.maximum(count - 1, 0)
+    low = np.floor(place).astype(np.int64)
+    high = np.minimum(low + 1, np.maximum(count - 1, 0))
+    wanted = np.unique([low, high])
+    if 0 < wanted.size <= _FEW:
+        ordered.partition(wanted, axis=1)  # three times faster than all of them in order
+    else:
+        ordered.sort(axis=1)
+    rows = np.arange(len(count))
+    below, above, part = ordered[rows, low], ordered[rows, high], place - low
+    with np.errstate(invalid="ignore"):  # inf - inf: the branch is not taken
+        between = below + (above - below) * part
+    result = np.where((part == 0) | (below == above), below, between)
+    # NaN is sorted behind the infinities that stand for what is not marked
+    return np.where((count > 0) & ~np.isnan(ordered).any(axis=1), result, np.nan)
+
+
+Values = dict[str, FloatArray]
+
+_BLOCK_ENTRIES: Final = 500_000
+"""Runs that are looked at at once (4 MB for each metric); no number depends on it."""
+
+_STORED_ENTRIES: Final = 50_000_000
+"""Numbers that are read from a study's folder at once (400 MB): all at once where possible, as every file holds many
+designs and no design has a file of its own."""
+
+_MOST_THREADS: Final = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class ReleaseFigures:
+    """Metrics of d designs, arrays of d, one attribute for each of `ldctoolkit.metrics.RELEASE_METRICS`.
+
+    What is taken over interventions is NaN where a design never intervened.
+    """
+
+    __annotations__ = dict.fromkeys(RELEASE_METRICS, "FloatArray")
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: FloatArray) -> None: ...
+
+        def __getattr__(self, name: str) -> FloatArray: ...
+
+    def take(self, order: Sequence[int] | npt.NDArray[np.int64]) -> ReleaseFigures:
+        """The same for some of the designs, in the order given."""
+        return ReleaseFigures(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
+
+
+def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
+    """Every metric of a design that is taken from metrics of its scenarios."""
+    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted[[design.is_baseline for design in designs]] = False
+    blocks = _Blocks(case, acted)
+
+    def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
+        def values(acted: BoolArray, *columns: FloatArray) -> Values:
+            by, there = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
+            return {one.name: _taken(one, by, *(there[name] for name in one.of)) for one in group}
+
+        return values
+
+    found: Values = {}
+    for group in _groups():
+        names = tuple(dict.fromkeys(name for one in group for name in one.of))
+        found |= blocks.values(of(group, names), *names)
+    return found
+
+
+def _groups() -> list[list[Metric]]:
+    """Metrics that are taken from the same metrics of the scenarios stand together: each of these is read once."""
+    groups: list[list[Metric]] = []
+    for one in METRICS.values():
+        if one.aggregate or one.share is not None:
+            joined = [group for group in groups if any(set(one.of) & set(other.of) for other in group)]
+            groups = [group for group in groups if group not in joined]
+            groups.append([*(other for group in joined for other in group), one])
+    return groups
+
+
+def _taken(one: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
+    """A metric of some designs, over all departures or the interventions."""
+    if one.share is not None:
+        return np.asarray(one.share(by, *values))
+    (only,) = values
+    of_all = SCENARIO_METRICS[one.of[0]].over == "all"
+    if one.aggregate == "mean":
+        return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
+    if one.aggregate == "max":
+        return np.asarray(only.max(axis=1)) if of_all else masked_max(only, by.acted)
+    if one.aggregate == "min":
+        return np.asarray(only.min(axis=1)) if of_all else -masked_max(-only, by.acted)
+    share = 0.5 if one.aggregate == "median" else float(one.aggregate[1:]) / 100.0
+    return np.asarray(np.quantile(only, share, axis=1)) if of_all else masked_quantile(only, by.acted, share)
+
+
+class _Blocks:
+    """Metrics of scenarios that are in memory, or read when they are needed, by blocks of designs in threads."""
+
+    def __init__(self, case: CaseResults, acted: BoolArray) -> None:
+        self._case, self._acted = case, acted
+        self._size = max(1, _BLOCK_ENTRIES // acted.shape[1])
+        stored = not isinstance(case.companions.deepest, np.ndarray)
+        self._room = np.empty(max(min(_STORED_ENTRIES, acted.size), 2 * acted.shape[1]) if stored else 0)
+
+    def values(self, function: Callable[..., Values], *names: str) -> Values:
+        """Metrics of designs: `function` takes where a block of designs took over, and each metric of the scenarios."""
+        columns: list[Any] = [getattr(self._case.companions, name) for name in names]
+        (d, n), count = self._acted.shape, max(1, len(names))
+        at_once = max(1, self._room.size // (count * n)) if self._room.size else d
+        found: list[Values] = []
+        for first in range(0, d, at_once):
+            rows = slice(first, min(first + at_once, d))
+            rooms = np.array_split(self._room, count)
+            values = [_values(column, rows, room) for column, room in zip(columns, rooms, strict=False)]
+            found += self._of_blocks(function, rows, values)
+        return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
+
+    def _of_blocks(self, function: Callable[..., Values], rows: slice, values: Sequence[FloatArray]) -> list[Values]:
+        def one(start: int) -> Values:
+            block = slice(start, min(start + self._size, rows.stop - rows.start))
+            acted = self._acted[rows][block]
+            # one row after the other in memory: the sum of a row depends on it in the last bit
+            return function(acted, *(np.ascontiguousarray(column[block], dtype=np.float64) for column in values))
+
+        starts = range(0, rows.stop - rows.start, self._size)
+        with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
+            return list(pool.map(one, starts))
+
+
+def _values(column: FloatArray | StoredColumn, rows: slice, room: FloatArray) -> FloatArray:
+    return column[rows] if isinstance(column, np.ndarray) else column.read(rows, room)
+
+
+_FEWEST_DIGITS = 6
+"""Of an identifier, so that no law's name is taken for one."""
+
+
+def find_baseline(baseline: str, results: StudyResults) -> int | None:
+    """Position of the baseline in `results.designs`."""
+    here = _found(baseline or NO_CONTROL, results.designs)
+    if here:
+        return here[0]
+    dropped = () if results.race is None else results.race.dropped
+    gone = [*(one.design for one in results.failed), *(one.design for one in dropped)]
+    if not baseline or _found(baseline, gone):
+        return None
+    laws = list(dict.fromkeys(design.law for design in (*results.designs, *gone)))
+    raise InputError(
+        f"ranking.baseline: {baseline!r} is no law of this study, nor the start of a design's identifier "
+        f"({_FEWEST_DIGITS} digits or more); {nearest(baseline, laws)}"
+    )
+
+
+def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
+    of_law = [i for i, design in enumerate(designs) if design.law == baseline]
+    if of_law or not re.fullmatch(rf"[0-9a-f]{{{_FEWEST_DIGITS},12}}", baseline):
+        return of_law
+    of_start = [i for i, design in enumerate(designs) if design.id.startswith(baseline)]
+    if len(of_start) > 1:
+        raise InputError(
+            f"ranking.baseline: {baseline!r} is the start of {len(of_start)} identifiers; allowed: more digits, as "
+            f"{designs[of_start[0]].id!r}"
+        )
+    return of_start
+
+
+def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
+    """Quantile, and mean beyond it, of every row."""
+    d, n = values.shape
+    quantile, cvar = np.empty(d), np.empty(d)
+    whole, rest = divmod(n * (100 - percent), 100)  # in whole numbers: 0.05 n is not exact
+    size = max(1, _BLOCK_ENTRIES // n)
+    place = percent * (n - 1) / 100
+    low = math.floor(place)
+    high = min(low + 1, n - 1)
+    needed = sorted({low, high, max(n - whole - 1, 0), min(n - whole, n - 1)})
+    for first in range(0, d, size):
+        ordered = np.partition(values[first : first + size], needed, axis=1)
+        rows = slice(first, first + size)
+        quantile[rows] = ordered[:, low] + (ordered[:, high] - ordered[:, low]) * (place - low)
+        # in order: a sum depends on it in the last bit
+        worst = np.ascontiguousarray(np.sort(ordered[:, n - whole :], axis=1)).sum(axis=1)
+        if rest:
+            worst = worst + ordered[:, n - whole - 1] * (rest / 100)
+        cvar[rows] = worst * (100 / (n * (100 - percent)))
+    return quantile, cvar
+
+
+@dataclasses.dataclass(frozen=True)
+class CaseFigures:
+    """Figures of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
+    crashed) at least as bad as without control, and never left out. Scenarios that cannot be driven under some
+    design have no S: they are left out for all designs and counted in `invalid`.
+    """
+
+    # (d,) [m s] Mean over all scenarios and over those of a side; NaN for a side without scenarios
+    S: FloatArray
+    S_left: FloatArray
+    S_right: FloatArray
+    # (d,) [m s] 95 % quantile of S, and mean of the worst 5 %
+    S_p95: FloatArray
+    S_cvar95: FloatArray
+    S_uncorrected: FloatArray  # (d,) [m s] Mean without control, over the same window
+    # (d,) 1 - mean S / mean S_uncorrected
+    reduction: FloatArray
+    reduction_left: FloatArray
+    reduction_right: FloatArray
+    triggered: FloatArray  # (d,) Share of scenarios in which the design took over
+    deeper: FloatArray  # (d,) Share of scenarios deeper than D_y
+    # (d,) Scenarios with that status
+    solver_failed: IntArray
+    diverged: IntArray
+    timed_out: IntArray
+    crashed: IntArray
+    beyond_delta_max: IntArray
+    invalid: IntArray
+    failed_solves: IntArray  # (d,) Commands that were not finite, or came from a fallback
+    release: ReleaseFigures  # What is reported beside S
+
+
+@dataclasses.dataclass(frozen=True)
+class DrivableCase:
+    """A case on the scenarios that can be driven under every design."""
+
+    case: CaseResults
+    scenarios: Scenarios  # The n of them
+    counted: FloatArray  # (d, n) [m s] `CaseResults.counted`
+    status: npt.NDArray[np.int8]  # (d, m) Of all scenarios, those that cannot be driven included
+
+    @classmethod
+    def of(cls, case: CaseResults, scenarios: Scenarios) -> Self:
+        """Leave out what cannot be driven."""
+        status, rows = case.status, case.drivable
+        if not rows.any():
+            raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
+        if not rows.all():
+            case, scenarios = case.take(rows), scenarios.take(np.flatnonzero(rows))
+        counted = case.counted
+        if not np.isfinite(counted).all():
+            raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
+        return cls(case, scenarios, counted, status)
+
+    @property
+    def left_out(self) -> int:
+        """Number of scenarios that are left out."""
+        return int(self.status.shape[1]) - len(self.scenarios)
+
+
+Margins = Mapping[str, tuple[float, float, float, float]]
+"""Design -> gain and phase margin [rad] of its linear loop, S_worst [m s] and comfortable_worst of named vehicles."""
+
+_BESIDE = ("gain_margin", "phase_margin", "S_worst", "comfortable_worst")
+
+
+def case_figures(
+    drivable: DrivableCase,
+    designs: Sequence[Design],
+    D_y: float,
+    margins: Margins | None = None,
+    setup: Setup | None = None,
+) -> CaseFigures:
+    """Figures of the designs of a case, in its order."""
+    case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
+    every = np.ones(len(scenarios), dtype=np.bool_)
+    rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
+    S, S_left, S_right = (_mean(counted, side) for side in rows)
+    before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
+    S_p95, S_cvar95 = tail_figures(counted)
+    taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
+    passive = [i for i, design in enumerate(designs) if design.is_baseline]
+    kept = taken["within_dtle"][passive[0]] if passive else np.mean(-scenarios.d_y >= DTLE_LIMIT)
+    taken["within_dtle_gain"] = taken["within_dtle"] - kept
+    allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
+    taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
+    nothing = (np.nan,) * len(_BESIDE)
+    beside = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64)
+    taken |= dict(zip(_BESIDE, beside.reshape(-1, len(_BESIDE)).T, strict=True))
+
+    def count(status: EventStatus) -> IntArray:
+        result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
+        return result
+
+    return CaseFigures(
+        S=S,
+        S_left=S_left,
+        S_right=S_right,
+        S_p95=S_p95,
+        S_cvar95=S_cvar95,
+        S_uncorrected=before,
+        reduction=mean_reduction(S, before),
+        reduction_left=mean_reduction(S_left, before_left),
+        reduction_right=mean_reduction(S_right, before_right),
+        triggered=(case.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
+        deeper=taken.pop("deeper"),
+        solver_failed=count(EventStatus.SOLVER_FAILED),
+        diverged=count(EventStatus.DIVERGED),
+        timed_out=count(EventStatus.TIMED_OUT),
+        crashed=count(EventStatus.CRASHED),
+        beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
+        invalid=count(EventStatus.INVALID),
+        failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
+        release=ReleaseFigures(**taken),
+    )
+
+
+def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
+    """Departures whose recorded path alone needs more than the tyres of a plant give, (n,)."""
+    path = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
+    t = np.linspace(0.0, 1.0, 33) * scenarios.T[:, None]
+    a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
+    result: BoolArray = np.abs(a_y).max(axis=1) > friction(setup.options)
+    return result
+
+
+def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
+    """Every figure by name, for some of the designs in the order given."""
+    values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseFigures)}
+    return {name: v.take(order) if isinstance(v, ReleaseFigures) else v[order] for name, v in values.items()}
+
+
+def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
+    if not rows.any():
+        return np.full(values.shape[0], np.nan)
+    if rows.all():
+        return row_means(values)
+    result = np.empty(values.shape[0])
+    for places, block in row_blocks(values):
+        result[places] = row_means(block[:, rows])
+    return result
+
+
+def mean_reduction(S: FloatArray, before: FloatArray) -> FloatArray:
+    """Reduction 1 - S/before of means; 0 where there was nothing to reduce, NaN where there are no scenarios."""
+    out = np.where(np.isnan(before), np.nan, 0.0)
+    return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)
+
+
+_BLOCK: Final = 64
+"""Rows that are compared with the front at once."""
+
+
+def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
+    """Figures as costs: those of which more is better change their sign.
+
+    Parameters
+    ----------
+    names : sequence of str
+        k figures, as `studies.ranking.requirements.metric` takes them.
+    *sources : Mapping or object
+        As for `studies.ranking.requirements.metric_values`.
+
+    Returns
+    -------
+    (d, k)
+        One row a design; smaller is better in every column.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown figure.
+    InputError
+        If there are no names, or no source has a figure.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> pareto_costs(["S", "reduction"], {"S": np.array([2.0, 1.0]), "reduction": np.array([0.1, 0.6])})
+    array([[ 2. , -0.1],
+           [ 1. , -0.6]])
+    """
+    if not names:
+        raise InputError("Pareto front: no figures; allowed: one or more")
+    signs = {"less": 1.0, "more": -1.0}
+    return np.stack([signs[metric(name).better] * metric_values(name, *sources) for name in names], axis=1)
+
+
+def pareto_front(costs: npt.ArrayLike) -> BoolArray:
+    """Which rows are not dominated: no other row is at most as large in every column and smaller in one.
+
+    Parameters
+    ----------
+    costs : (d, k)
+        Smaller is better. A row with a NaN is never in the front and dominates nothing; infinite costs are allowed.
+
+    Returns
+    -------
+    (d,) bool
+        Rows with equal costs are in it all or none.
+
+    Raises
+    ------
+    InputError
+        For an array of another shape, or without columns.
+
+    Examples
+    --------
+    >>> pareto_front([[1.0, 2.0], [2.0, 1.0], [2.0, 2.0]])
+    array([ True,  True, False])
+    """
+    values = np.asarray(costs, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] < 1:
+        raise InputError(f"costs: shape {values.shape}; allowed: (d, k) with k >= 1")
+    front = np.zeros(values.shape[0], dtype=np.bool_)
+    rows = np.flatnonzero(~np.isnan(values).any(axis=1))
+    rows = rows[np.lexsort(values[rows].T[::-1])]  # now no row dominates one before it
+    kept = rows[:0]
+    for first in range(0, rows.size, _BLOCK):
+        block = rows[first : first + _BLOCK]
+        block = block[~_dominated(values[block], values[kept])]
+        kept = np.concatenate([kept, block[~_dominated(values[block], values[block])]])
+    front[kept] = True
+    return front
+
+
+def _dominated(rows: FloatArray, by: FloatArray) -> BoolArray:
+    """For which of some rows a row of `by` is at most as large in every column and smaller in one."""
+    no_larger, smaller = (np.full((len(rows), len(by)), start) for start in (True, False))
+    for values, others in zip(rows.T, by.T, strict=True):
+        no_larger &= others <= values[:, None]
+        smaller |= others < values[:, None]
+    return np.asarray((no_larger & smaller).any(axis=1))

@@ -1,0 +1,593 @@
+"""Bootstrap and simultaneous intervals of mean scores, and which designs may be the best one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.errors import InputError
+
+T = TypeVar("T", bound=np.generic)
+
+_ROW_ENTRIES = 250_000
+"""Numbers in a block (2 MB)."""
+
+
+def row_blocks(
+    values: npt.NDArray[T], rows: IntArray | None = None, *, entries: int | None = None
+) -> Iterator[tuple[slice, npt.NDArray[T]]]:
+    """Some rows of a table, in blocks of about so many entries."""
+    size = max(1, (entries or _ROW_ENTRIES) // max(1, values.shape[1]))
+    count = values.shape[0] if rows is None else rows.size
+    for first in range(0, count, size):
+        places = slice(first, min(first + size, count))
+        yield places, values[places] if rows is None else values[rows[places]]
+
+
+def row_means(values: FloatArray, rows: IntArray | None = None) -> FloatArray:
+    """Mean of every row, or of some, (d,): a sum that does not depend on the rows beside it."""
+    result = np.empty(values.shape[0] if rows is None else rows.size)
+    for places, block in row_blocks(values, rows):
+        result[places] = np.ascontiguousarray(block).mean(axis=1)
+    return result
+
+
+_STREAM = 0x626F6F74
+"""Keeps the bootstrap's random numbers apart from those of the scenarios, which come from the same seed."""
+
+_WEIGHT_ENTRIES = 2_000_000
+"""Weights held at once (16 MB)."""
+
+_GRID_ENTRIES = 2_500_000
+"""Scores that are resampled at once (20 MB, and as much again for what is worked out on the way)."""
+
+_KEPT_WEIGHTS = 10_000_000
+"""Weights of a block that was kept (80 MB): in products of small matrices threads wait for each other."""
+
+_MANTISSA = 53
+"""Bits of a double precision number."""
+
+
+def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
+    """Means of d designs over resampled scenarios.
+
+    A resample is a multinomial weight vector w / n; the means are one matrix product, in blocks of B. The weights
+    depend on seed, stream, B and the sides only. A column depends on its own row and the weights, to the last bit.
+    """
+    return bootstrap_deviations(values, side, samples=samples, seed=seed, stream=stream) + row_means(values)
+
+
+def bootstrap_deviations(
+    values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0, rows: IntArray | None = None
+) -> FloatArray:
+    """What `bootstrap_means` gives minus the designs' means, (B, d); parameters and errors are the same.
+
+    With `rows`, (d,) int, of these rows of the values, in the order given.
+    """
+    n = values.shape[1]
+    d = values.shape[0] if rows is None else rows.size
+    mean = row_means(values, rows)
+    deviations = np.empty((max(samples, 0), d))
+    # weights take a byte each: below this number of designs the numbers themselves take less
+    entries = max(_GRID_ENTRIES, samples // 8 * n)
+    blocks: Iterable[FloatArray] = weight_blocks(side, samples=samples, seed=seed, stream=stream)
+    if d * n > entries:
+        blocks = _Kept(blocks)
+    for places, block in row_blocks(values, rows, entries=entries):
+        # centred: a spread that is small against the mean keeps its digits
+        grid, unit = exact_grid(block - mean[places, None], n)
+        first = 0
+        for weights in blocks:
+            result = deviations[first : first + len(weights), places]
+            np.matmul(weights, grid.T, out=result)
+            result *= unit / n
+            first += len(weights)
+    return deviations
+
+
+class _Kept:
+    """Weights that are needed more than once, in the smallest whole numbers that hold them; large blocks come back."""
+
+    def __init__(self, blocks: Iterable[FloatArray]) -> None:
+        self._weights = np.concatenate([block.astype(np.min_scalar_type(int(block.max()))) for block in blocks])
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        return (block.astype(np.float64) for _, block in row_blocks(self._weights, entries=_KEPT_WEIGHTS))
+
+
+def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:
+    """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together."""
+    n = side.size
+    if samples < 1 or n < 1:
+        raise InputError(f"bootstrap: {samples} samples of {n} scenarios; allowed: at least one of each")
+    strata = [np.flatnonzero(side == which) for which in np.unique(side)]
+    generator = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, stream]))
+    size = max(1, _WEIGHT_ENTRIES // n)
+    for first in range(0, samples, size):
+        block = min(size, samples - first)
+        weights = np.zeros((block, n))
+        for rows in strata:
+            drawn = generator.integers(rows.size, size=(block, rows.size))
+            drawn += rows.size * np.arange(block)[:, None]
+            weights[:, rows] = np.bincount(drawn.ravel(), minlength=block * rows.size).reshape(block, rows.size)
+        yield weights
+
+
+def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
+    """Values as whole numbers of a unit, so that weighted sums of them are exact.
+
+    Every partial sum of weights times grid is a whole number below 2^53. A matrix product is then the same to the
+    last bit in whatever order a BLAS sums, on any machine, for any number of threads and any rows beside it.
+    """
+    _, exponent = np.frexp(np.abs(values).max(axis=1, initial=0.0))
+    unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
+    grid: FloatArray = np.rint(values / unit[:, None])
+    return grid, unit
+
+
+def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
+    """Percentile interval of every column of (B, d) resampled means."""
+    check_confidence(confidence)
+    tail = 0.5 * (1.0 - confidence)
+    low, high = np.quantile(means, [tail, 1.0 - tail], axis=0)
+    return low, high
+
+
+def check_confidence(confidence: float) -> None:
+    """Refuse what is not between 0 and 1."""
+    if not 0.0 < confidence < 1.0:
+        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+
+
+_SPREAD_ENTRIES = 64_000
+"""Differences held at once; they stay in the cache."""
+
+_ROUNDING = 1e-12
+"""An error below this share of the scores is rounding."""
+
+
+def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
+    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean."""
+    parts = np.zeros(values.shape)
+    for which in np.unique(side):
+        rows = side == which
+        size = int(rows.sum())
+        if size > 1:
+            part = values[:, rows]
+            part = part - row_means(part)[:, None]
+            parts[:, rows] = part * (np.sqrt(size / (size - 1.0)) / side.size)
+    return parts
+
+
+def lengths(parts: FloatArray) -> FloatArray:
+    """Standard error of every row's mean, (d,), from its `error_parts`."""
+    return paired_errors(parts, np.zeros(parts.shape[1]), 0.0)
+
+
+def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> FloatArray:
+    """Standard error of the mean paired difference of every row to a reference; 0 where they move along."""
+    d, n = parts.shape
+    errors = np.empty(d)
+    size = max(1, _SPREAD_ENTRIES // n)
+    for first in range(0, d, size):
+        block = parts[first : first + size] - reference
+        block *= block
+        errors[first : first + size] = np.sqrt(block.sum(axis=1))
+    errors[errors <= _ROUNDING * largest] = 0.0
+    return errors
+
+
+def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
+    """Third moment of the mean paired difference of every row to a reference, (d,); parameters as `paired_errors`."""
+    d, n = parts.shape
+    cubes = np.empty(d)
+    size = max(1, _SPREAD_ENTRIES // n)
+    for first in range(0, d, size):
+        block = parts[first : first + size] - reference
+        cubes[first : first + size] = (block * block * block).sum(axis=1)
+    return cubes
+
+
+def spread_is_known(side: IntArray) -> bool:
+    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then."""
+    return bool((np.unique(side, return_counts=True)[1] > 1).all())
+
+
+def half_widths(critical: float | FloatArray, errors: FloatArray) -> FloatArray:
+    """Critical value times standard errors, (d,); infinite for an infinite error, whatever the critical value."""
+    result: FloatArray = np.full(errors.shape, np.inf)
+    np.multiply(critical, errors, out=result, where=np.isfinite(errors))
+    return result
+
+
+def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far intervals of skewed scores reach below and above their estimates.
+
+    With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
+    Johnson 1978) asks for g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
+    2 c^3 - 3 c) / 18 on both, here c at most. The expansion's gain on the side of the shorter tail is not taken: g
+    is itself an estimate.
+    """
+    skewness = np.zeros(errors.shape)
+    usable = np.isfinite(errors) & (errors**3 > 0)
+    np.divide(cubes, errors**3, out=skewness, where=usable)
+    both = critical + np.clip(skewness**2 * (critical**5 + 2 * critical**3 - 3 * critical) / 18, 0.0, critical)
+    one = skewness * (1 + 2 * critical**2) / 6
+    return half_widths(both + np.maximum(-one, 0.0), errors), half_widths(both + np.maximum(one, 0.0), errors)
+
+
+def degrees_of_freedom(side: IntArray) -> int:
+    """Scenarios minus the means that are estimated, one for each side; at least 1."""
+    return max(1, side.size - np.unique(side).size)
+
+
+def with_tails_of_t(critical: float, df: int) -> float:
+    """A critical value of standard normal quantities, made that of Student's t with the same tail."""
+    from scipy.special import ndtr, stdtrit
+
+    return float(-stdtrit(df, ndtr(-critical)))
+
+
+_RESAMPLED_ENTRIES = 32_000
+"""Resampled differences held at once; they stay in the cache."""
+
+_KEPT_RESAMPLED = 20_000_000
+"""Error parts that are kept (160 MB). More are made again for each of the few references."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Resampled:
+    """Scores of d designs on n scenarios and their means on B resamples, the same ones for all designs."""
+
+    # (D, n) [m s] Scores of these designs, and perhaps of others, in any order: a table may be too large for a second
+    # one
+    table: FloatArray
+    rows: IntArray  # (d,) Where the designs stand in it
+    side: IntArray  # (n,) Stratum of each scenario
+    mean: FloatArray  # (d,) [m s]
+    deviations: FloatArray  # (B, d) [m s] Mean on a resample minus `mean`
+    # (d, n) [m s] or None `studies.ranking.inference.error_parts`, where they are few enough to be kept
+    parts: FloatArray | None
+    df: int  # Degrees of freedom of a standard error
+    known: bool = True  # Whether there is a standard error: `studies.ranking.inference.spread_is_known`
+
+    @classmethod
+    def of(
+        cls,
+        scores: FloatArray,
+        side: IntArray,
+        *,
+        seed: int,
+        samples: int,
+        stream: int = 0,
+        rows: IntArray | None = None,
+    ) -> Resampled:
+        """Resample scenarios within each side."""
+        rows = np.arange(len(scores)) if rows is None else rows
+        few = rows.size * side.size <= _KEPT_RESAMPLED
+        return cls(
+            table=scores,
+            rows=rows,
+            side=side,
+            mean=row_means(scores, rows),
+            deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows),
+            parts=error_parts(scores[rows], side) if few else None,
+            df=degrees_of_freedom(side),
+            known=spread_is_known(side),
+        )
+
+    def take(self, rows: IntArray) -> Resampled:
+        """Some of the designs, on the same resamples."""
+        return dataclasses.replace(
+            self,
+            rows=self.rows[rows],
+            mean=self.mean[rows],
+            deviations=self.deviations[:, rows],
+            parts=None if self.parts is None else self.parts[rows],
+        )
+
+    def scores(self, design: int) -> FloatArray:
+        """Scores of one of the designs, (n,) [m s]."""
+        result: FloatArray = self.table[self.rows[design]]
+        return result
+
+    def differences(self, reference: int) -> FloatArray:
+        """Mean paired difference of every design to one of them, (d,) [m s]; exactly 0 for equal scores."""
+        result, other = np.empty(self.mean.size), self.scores(reference)
+        for places, block in row_blocks(self.table, self.rows):
+            result[places] = row_means(block - other)
+        return result
+
+    def errors(self, reference: int | None = None) -> FloatArray:
+        """Standard error of every mean, or of its paired difference to one design, (d,) [m s].
+
+        0 where scores do not spread, or move along with those of the reference. Infinite where a side has one scenario
+        only, but for the difference of equal scores.
+        """
+        if not self.known:
+            result = np.full(self.mean.size, np.inf)
+            if reference is not None:
+                for places, block in row_blocks(self.table, self.rows):
+                    result[places][(block == self.scores(reference)).all(axis=1)] = 0.0
+            return result
+        if reference is None:
+            other = np.zeros(self.side.size)
+            largest = max((_largest(block) for _, block in row_blocks(self.table, self.rows)), default=0.0)
+        else:
+            other, largest = self._parts_of(reference), _largest(self.scores(reference))
+        result = np.empty(self.mean.size)
+        for places, parts in self._part_blocks():
+            result[places] = paired_errors(parts, other, largest)
+        return result
+
+    def cubes(self, reference: int | None = None) -> FloatArray:
+        """Third moment of every mean, or of its paired difference to one design, (d,) [m s^3]."""
+        result = np.zeros(self.mean.size)
+        other = np.zeros(self.side.size) if reference is None else self._parts_of(reference)
+        for places, parts in self._part_blocks():
+            result[places] = paired_cubes(parts, other)
+        return result
+
+    def _part_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
+        if self.parts is not None:
+            yield slice(None), self.parts
+            return
+        for places, block in row_blocks(self.table, self.rows):
+            yield places, error_parts(block, self.side)
+
+    def _parts_of(self, design: int) -> FloatArray:
+        parts = error_parts(self.scores(design)[None], self.side) if self.parts is None else self.parts[[design]]
+        result: FloatArray = parts[0]
+        return result
+
+    def extremes(self, errors: FloatArray, reference: int | None = None, first: int | None = None) -> FloatArray:
+        """Largest absolute studentised deviation in each resample: among the first designs, and among all."""
+        scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
+        samples, d = self.deviations.shape
+        parts = (slice(None, first), slice(first, None)) if first not in (None, d) else (slice(None),)
+        found = np.empty((len(parts), samples))
+        size = max(1, _RESAMPLED_ENTRIES // d)
+        for start in range(0, samples, size):
+            rows = slice(start, start + size)
+            if reference is None:
+                t = self.deviations[rows] * scale
+            else:
+                t = self.deviations[rows] - self.deviations[rows, reference : reference + 1]
+                t *= scale
+            for part, row in zip(parts, found, strict=True):
+                # faster than the largest of abs(t), which is one more array
+                np.maximum(t[:, part].max(axis=1), -t[:, part].min(axis=1), out=row[rows])
+        return np.stack([found[0], found.max(axis=0)])
+
+
+def _largest(scores: FloatArray) -> float:
+    return float(np.abs(scores).max(initial=0.0))
+
+
+def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
+    """Number of standard errors that the largest studentised deviation stays below with the confidence."""
+    return with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """Simultaneous intervals of d means or mean differences, arrays of d in m s."""
+
+    # (d,) [m s] Mean, its standard error, and both ends: `studies.ranking.inference.skewed_widths` from the centre
+    centre: FloatArray
+    error: FloatArray
+    low: FloatArray
+    high: FloatArray
+    critical: float  # Standard errors to both sides for scores without skewness
+
+
+def simultaneous_interval(resampled: Resampled, confidence: float, reference: int | None = None) -> Interval:
+    """Intervals of all means, or of all paired differences to one design that was named beforehand: max-t. All of them
+    hold at once with the confidence. The critical value is the quantile of the largest absolute deviation, each
+    divided by its own standard error, over the resamples; skewed scores have wider intervals.
+    """
+    check_confidence(confidence)
+    errors = resampled.errors(reference)
+    critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.df)
+    centre = resampled.mean if reference is None else resampled.differences(reference)
+    below, above = skewed_widths(critical, errors, resampled.cubes(reference))
+    return Interval(centre, errors, centre - below, centre + above, critical)
+
+
+_REFERENCE_ENTRIES = 500_000
+"""Resampled means looked at at once (4 MB)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Inference:
+    """Simultaneous intervals of d designs, arrays of d: each family holds for all its designs at once."""
+
+    # (d,) [m s] Interval of the mean S
+    S_low: FloatArray
+    S_high: FloatArray
+    # (d,) [m s] Mean S minus that of the best design, paired on the scenarios, and its interval, which holds whichever
+    # design came out best
+    difference: FloatArray
+    difference_low: FloatArray
+    difference_high: FloatArray
+    # (d,) [m s] The same to the baseline; NaN without one
+    baseline_difference: FloatArray
+    baseline_difference_low: FloatArray
+    baseline_difference_high: FloatArray
+    # (d,) The truly best of the ranked designs is in this set with the confidence at least. A design within 1e-6 m s of
+    # the best, the accuracy of an iterative solver, always is
+    set_of_best: BoolArray
+    # (d,) Share of resamples in which the design has the smallest mean of the ranked ones; equal ones share it. It is
+    # not the probability that the design is the best
+    best_frequency: FloatArray
+    # Designs that the critical values of the comparisons with the best were worked out for, and those that they stand
+    # for; fewer references make intervals too short
+    references: int
+    may_be_best: int
+
+
+def infer(
+    scores: FloatArray,
+    side: IntArray,
+    *,
+    ranked: int,
+    baseline: int | None,
+    seed: int,
+    samples: int,
+    confidence: float,
+    rows: IntArray | None = None,
+) -> Inference:
+    """Compare designs."""
+    resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
+    d = resampled.mean.size
+    contenders = ranked or d
+    means = simultaneous_interval(resampled, confidence)
+    best = compare_with_best(resampled, confidence, contenders)
+    among = np.arange(d) < ranked
+    nothing = np.full(d, np.nan)
+    to_baseline = None if baseline is None else simultaneous_interval(resampled, confidence, baseline)
+    return Inference(
+        S_low=means.low,
+        S_high=means.high,
+        difference=best.difference,
+        difference_low=best.low_of_all,
+        difference_high=best.high_of_all,
+        baseline_difference=nothing if to_baseline is None else to_baseline.centre,
+        baseline_difference_low=nothing if to_baseline is None else to_baseline.low,
+        baseline_difference_high=nothing if to_baseline is None else to_baseline.high,
+        set_of_best=~best.clear & among,
+        best_frequency=np.where(among, best_frequency(resampled, contenders), 0.0),
+        references=best.references,
+        may_be_best=best.may_be_best,
+    )
+
+
+def best_frequency(resampled: Resampled, contenders: int) -> FloatArray:
+    """Share of resamples in which each design has the smallest mean of the first `contenders`, (d,)."""
+    mean, deviations = resampled.mean[:contenders], resampled.deviations[:, :contenders]
+    frequency = np.zeros(resampled.mean.size)
+    size = max(1, _REFERENCE_ENTRIES // contenders)
+    for first in range(0, len(deviations), size):
+        block = deviations[first : first + size] + mean
+        smallest = block == block.min(axis=1, keepdims=True)
+        # whole numbers of resamples by the number of equals: thirds are no sum of rounded thirds
+        equals = smallest.sum(axis=1)
+        for number in np.unique(equals).tolist():
+            frequency[:contenders] += smallest[equals == number].sum(axis=0) / number
+    return frequency / len(deviations)
+
+
+SAME = 1e-6
+"""Differences of mean S [m s] up to this are a solver's tolerance, not design."""
+
+_MOST_TERMS = 300_000_000
+"""Resampled differences that are looked at: references x designs x resamples."""
+
+_MOST_SCORES = 100_000_000
+"""Paired scores that are looked at: references x designs x scenarios."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Separation:
+    """How far k designs are from the best of them."""
+
+    mean: FloatArray  # (k,) [m s] Mean score
+    best: int  # The design with the smallest one; the first of equal ones
+    difference: FloatArray  # (k,) [m s] Mean minus that of `best`
+    error: FloatArray  # (k,) [m s] Standard error of the difference
+    # (k,) [m s] Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the
+    # best: the truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs
+    # there are
+    low: FloatArray
+    # (k,) [m s] Interval of the difference to the design `best`; all k hold at once, whichever design came out best
+    low_of_all: FloatArray
+    high_of_all: FloatArray
+    # Standard errors behind `low`, and behind the interval where scores have no skewness
+    critical: float
+    critical_of_all: float
+    # Designs that critical values were worked out for, and those that they stand for
+    references: int
+    may_be_best: int
+
+    @property
+    def clear(self) -> BoolArray:
+        """Designs that are worse than the best by more than a solver's tolerance, (k,): all but the set of best."""
+        result: BoolArray = self.low > SAME
+        return result
+
+
+def separable(
+    scores: FloatArray, side: IntArray, *, seed: int, confidence: float, samples: int, stream: int = 0
+) -> Separation:
+    """Compare k designs with the best of them on common scenarios.
+
+    Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more
+    than c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference
+    to r (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One
+    critical value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is
+    worked out for some of them, evenly over the ranks. Differences count in both directions, though only one is
+    tested: scores are skewed, and resampled means are skewed the other way than studentised ones. The interval of
+    the difference to the design that came out best needs more: its critical value is the quantile of the largest
+    difference over all these r at once. Of skewed scores it is wider, see
+    `studies.ranking.inference.skewed_widths`; `low` is not, for the test of one design is conservative.
+    """
+    return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
+
+
+def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
+    """As `separable`, of scores that are resampled already."""
+    check_confidence(confidence)
+    k = resampled.mean.size if contenders is None else contenders
+    best = int(np.argmin(resampled.mean[:k]))
+    difference, error = resampled.differences(best), resampled.errors(best)
+    may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    wanted = may.size
+    most = max(
+        2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // (resampled.mean.size * resampled.side.size))
+    )
+    if may.size > most:
+        may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
+
+    critical, of_every = 0.0, np.zeros(resampled.deviations.shape[0])
+    errors = np.empty((may.size, error.size))
+    for r, row in zip(may.tolist(), errors, strict=True):
+        row[:] = resampled.errors(r)
+        # for r to be the best it is held against the other contenders, for its intervals against all designs
+        contending, largest = resampled.extremes(row, r, k)
+        critical = max(critical, critical_value(contending, confidence, resampled.df))
+        np.maximum(of_every, largest, out=of_every)
+    of_all = critical_value(of_every, confidence, resampled.df)
+    low = np.full(error.size, -np.inf)
+    for r, row in zip(may.tolist(), errors, strict=True):
+        others = np.arange(error.size) != r
+        np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
+    below, above = skewed_widths(of_all, error, resampled.cubes(best))
+    low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
+    return Separation(
+        mean=resampled.mean,
+        best=best,
+        difference=difference,
+        error=error,
+        low=low,
+        low_of_all=difference - below,
+        high_of_all=difference + above,
+        critical=critical,
+        critical_of_all=of_all,
+        references=int(may.size),
+        may_be_best=int(wanted),
+    )
+
+
+def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
+    """Designs that even Bonferroni's bound does not part from the best, by rank; the best is the first."""
+    from scipy.special import stdtrit
+
+    bound = float(-stdtrit(df, (1.0 - confidence) / (2 * max(1, difference.size - 1))))
+    order = np.argsort(difference, kind="stable")
+    result: IntArray = order[difference[order] <= bound * error[order] + SAME].astype(np.int64)
+    return result
