@@ -38,8 +38,8 @@ from ldctoolkit.recordings.recording import Label, Problem
 from ldctoolkit.recordings.result import Extraction, PartResult
 from ldctoolkit.recordings.sources import GROUP, RecordingPart, RecordingReader, RecordingSource, part_name
 from studies.running.executors import Executor, make_executor
+from studies.running.executors.protocol import versions
 from studies.running.tasks import Faults
-from studies.running.worker import versions
 from studies.storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
 
 PACKAGES: Final = ("numpy", "polars", "numba")

@@ -18,7 +18,7 @@ from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric_values, requirements_of
 from studies.results import Dropped, Race, StudyResults
 from studies.running.campaign import Campaign
-from studies.storage.folder_tables import write_race
+from studies.storage.manifest import write_race
 from studies.study_file import Study
 
 

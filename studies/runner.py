@@ -19,9 +19,8 @@ from studies.racing import run_race
 from studies.ranking.design_metrics import find_baseline
 from studies.ranking.ranking import Ranking, rank_study
 from studies.results import Race, StudyResults
-from studies.running.campaign import Campaign
+from studies.running.campaign import Campaign, Progress, default_progress
 from studies.running.executors import Executor, make_executor
-from studies.running.progress import Progress, default_progress
 from studies.running.tasks import Prefixes, schedule
 from studies.search import run_search
 from studies.storage.files import locked, remove_leftovers

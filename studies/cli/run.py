@@ -11,7 +11,7 @@ from studies.cli._console import Subparsers, number, positive_number, warn
 from studies.cli._report import add_report_options
 
 if TYPE_CHECKING:
-    from studies.running.progress import Progress
+    from studies.running.campaign import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -117,7 +117,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
-    from studies.running.progress import Lines
+    from studies.running.campaign import Lines
 
     if chosen.json:
         return Lines(sys.stdout)

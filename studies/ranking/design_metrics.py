@@ -23,7 +23,7 @@ from studies.design import NO_CONTROL, Design
 from studies.ranking.inference import row_blocks, row_means
 from studies.ranking.requirements import friction, metric, metric_values
 from studies.results import CaseResults, StudyResults, status_among
-from studies.storage.stored_columns import StoredColumn
+from studies.storage.run_table import StoredColumn
 
 _FEW = 8
 """Places up to which what stands there is found without a full sort."""

@@ -1,26 +1,396 @@
-"""Fills a study's store: what is missing goes to an executor, what comes back is kept in memory and stored."""
+"""A campaign: tasks sent to an executor in order, what comes back stored, and progress shown."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import json
 import sys
 import time
-from collections.abc import Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final, Protocol, TextIO
 
 import cloudpickle
+import numpy as np
 
-from ldctoolkit import Scenarios, controller_class, registry
+from ldctoolkit import EventStatus, Scenarios, controller_class, registry
 from ldctoolkit.errors import LdcError, StoreError
-from studies.design import Design
+from ldctoolkit.vehicle import Convention
+from studies.design import NO_CONTROL, Design
 from studies.results import FailedRun, RunKey, TaskResult
-from studies.running.dispatch import STATUS_OF, Dispatcher, Lane
-from studies.running.executors import Executor
-from studies.running.progress import Progress
-from studies.running.tasks import Done, Faults, Job, Prefixes
+from studies.running.executors.protocol import Ended, Executor, Fault
+from studies.running.tasks import Done, Faults, Job, Piece, Prefixes, SimulationTask, Simulator, Task
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file import Study
+
+_LINE_EVERY = 1.0
+"""Seconds between lines."""
+
+
+class Progress(Protocol):
+    """Told what a run does."""
+
+    def stage(self, name: str, total: int) -> None:
+        """A new stage of so many scenario runs begins; the one before is over."""
+
+    def advance(self, runs: int) -> None:
+        """So many more scenario runs are done."""
+
+    def close(self) -> None:
+        """Nothing comes any more."""
+
+
+class Silent:
+    """Tells nothing."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Nothing."""
+
+    def advance(self, runs: int) -> None:
+        """Nothing."""
+
+    def close(self) -> None:
+        """Nothing."""
+
+
+class Lines:
+    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._name, self._total, self._done = "", 0, 0
+        self._started = self._told = time.monotonic()
+
+    def stage(self, name: str, total: int) -> None:
+        """Write the first line of a stage."""
+        self._name, self._total, self._done = name, total, 0
+        self._started = time.monotonic()
+        self._tell()
+
+    def advance(self, runs: int) -> None:
+        """Write a line if the last one is old, or this is the stage's last."""
+        self._done += runs
+        if self._done >= self._total or time.monotonic() - self._told > _LINE_EVERY:
+            self._tell()
+
+    def _tell(self) -> None:
+        now = time.monotonic()
+        seconds = now - self._started
+        rate = self._done / seconds if self._done and seconds > 0 else None
+        line = {
+            "event": "progress",
+            "stage": self._name,
+            "done": self._done,
+            "total": self._total,
+            "runs_per_s": None if rate is None else round(rate, 1),
+            "seconds_left": None if rate is None else round((self._total - self._done) / rate, 1),
+        }
+        self._stream.write(json.dumps(line) + "\n")
+        self._stream.flush()
+        self._told = now
+
+    def close(self) -> None:
+        """Nothing more."""
+
+
+class Bar:
+    """A bar on stderr with the rate and the time left."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+        self._bar: Any = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._bar.start()
+        self._task: Any = None
+        self._done, self._started = 0, time.monotonic()
+
+    def stage(self, name: str, total: int) -> None:
+        """Begin a bar."""
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+        self._done, self._started = 0, time.monotonic()
+        self._task = self._bar.add_task(name, total=max(total, 1), rate="")
+
+    def advance(self, runs: int) -> None:
+        """Move the bar."""
+        self._done += runs
+        rate = self._done / max(time.monotonic() - self._started, 1e-3)
+        self._bar.update(self._task, completed=self._done, rate=f"{rate:,.0f} scenario runs/s")
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+
+def default_progress(show: bool | None) -> Progress:
+    """A bar if asked for, or, with None, where stderr is a terminal."""
+    return Bar() if (sys.stderr.isatty() if show is None else show) else Silent()
+
+
+class InOrder:
+    """Holds results back until those of all earlier pieces of the same design are there.
+
+    Of a design that fails on a piece, exactly the pieces before it are handed on, whatever ran at the same time.
+    """
+
+    def __init__(self) -> None:
+        self._wanted: dict[RunKey, deque[int]] = defaultdict(deque)
+        self._early: dict[RunKey, dict[int, TaskResult]] = {}
+
+    def expect(self, keys: Iterable[RunKey], piece: int) -> None:
+        """A piece of some designs will come, after those that were announced before."""
+        for key in keys:
+            self._wanted[key].append(piece)
+
+    def take(self, piece: int, result: TaskResult) -> Iterator[TaskResult]:
+        """Results that can be handed on, now that these are there."""
+        now = [i for i, key in enumerate(result.keys) if self._wanted[key] and self._wanted[key][0] == piece]
+        ready = set(now)
+        for i, key in enumerate(result.keys):
+            if i not in ready:
+                self._early.setdefault(key, {})[piece] = result.take([i])
+        if not now:
+            return
+        yield result if len(now) == len(result.keys) else result.take(now)
+        for i in now:
+            key = result.keys[i]
+            wanted, early = self._wanted[key], self._early.get(key, {})
+            wanted.popleft()
+            while wanted and wanted[0] in early:
+                yield early.pop(wanted.popleft())
+
+
+class Merge:
+    """Keeps results of parts of pieces until the rest is there."""
+
+    def __init__(self) -> None:
+        self._parts: dict[tuple[RunKey, int], list[TaskResult]] = {}
+
+    def add(self, task: Task, result: TaskResult) -> TaskResult | None:
+        """Take in results of one design on a part of a piece; the whole piece, once it is complete."""
+        key = (result.keys[0], task.piece)
+        parts = self._parts.setdefault(key, [])
+        parts.append(result)
+        if sum(part.rows.size for part in parts) < task.piece_size:
+            return None
+        del self._parts[key]
+        return dataclasses.replace(
+            parts[0],
+            rows=np.concatenate([part.rows for part in parts]),
+            values=np.concatenate([part.values for part in parts], axis=2),
+            status=np.concatenate([part.status for part in parts], axis=1),
+            failed_solves=np.concatenate([part.failed_solves for part in parts], axis=1),
+            law_seconds=np.sum([part.law_seconds for part in parts], axis=0),
+            commands=np.sum([part.commands for part in parts], axis=0),
+        ).sorted_by_row()
+
+
+SECONDS_A_TASK: Final = 0.5
+"""Enough to hide the cost of sending a task, little enough to spread slow designs and to lose little with a worker."""
+
+_FIRST_RUNS: Final = 2000
+"""Scenario runs in the first task of a law, before its pace is known."""
+
+_MOST_RUNS: Final = 400_000
+"""Scenario runs in a task at most: results are in memory on both sides."""
+
+_AHEAD: Final = 2
+"""Tasks a worker that are under way or wait in the executor."""
+
+STATUS_OF: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
+"""What becomes of the scenario at fault."""
+
+
+class Lane:
+    """Designs of one law that still have to run on one piece of scenarios."""
+
+    def __init__(self, convention: Convention, piece: Piece, designs: Iterable[Design]) -> None:
+        self.convention = convention
+        self.piece = piece
+        # designs of one threshold share a takeover
+        self.designs = deque(sorted(designs, key=lambda design: design.y_s))
+
+    @property
+    def law(self) -> str:
+        """The law of all of them."""
+        return self.designs[0].law
+
+
+class Dispatcher:
+    """Runs lanes of designs through an executor."""
+
+    def __init__(
+        self,
+        job: Job,
+        scenarios: Scenarios,
+        executor: Executor,
+        collect: Callable[[Done], None],
+        *,
+        faults: Faults,
+        block_size: int | None = None,
+    ) -> None:
+        self._job = job
+        self._scenarios = scenarios
+        self._executor = executor
+        self._collect = collect
+        self._block_size = block_size
+        self._seconds_a_run: dict[str, float] = {}
+        self._under_way = 0
+        self._again: deque[SimulationTask] = deque()
+        self._alone: deque[SimulationTask] = deque()
+        self._faults = faults
+        self._merge = Merge()
+        self._in_order = InOrder()
+        self._failed: dict[RunKey, int] = {}
+
+    def run(self, lanes: Sequence[Lane]) -> None:
+        """Run everything; returns when nothing is left."""
+        for lane in lanes:
+            self._in_order.expect(((design.id, lane.convention) for design in lane.designs), lane.piece.number)
+        queue = self._tasks(deque(lanes))
+        following = next(queue, None)
+        while following or self._again or self._alone or self._under_way:
+            if self._alone:
+                # a task that may have killed its worker runs with no other beside it, so that there is no doubt
+                if not self._under_way:
+                    self._start(self._alone.popleft())
+            else:
+                most = 1 if self._executor.workers == 1 else _AHEAD * self._executor.workers
+                while self._under_way < most and (self._again or following):
+                    if self._again:
+                        self._start(self._again.popleft())
+                    elif following:
+                        self._start(following)
+                        following = next(queue, None)
+            came = self._executor.wait()
+            self._faults.came_back(came)
+            for ended in came:
+                self._under_way -= 1
+                self._take(ended)
+
+    def _tasks(self, lanes: deque[Lane]) -> Iterator[SimulationTask]:
+        while lanes:
+            lane = lanes[0]
+            if not lane.designs:
+                lanes.popleft()
+                continue
+            count = self._block_size or self._fitting(lane)
+            designs: list[Design] = []
+            while lane.designs and len(designs) < count:
+                design = lane.designs.popleft()
+                # a design that has failed on an earlier piece is out
+                if self._failed.get((design.id, lane.convention), lane.piece.number) >= lane.piece.number:
+                    designs.append(design)
+            if designs:
+                rows = lane.piece.rows
+                scenarios = self._scenarios.take(rows)
+                yield SimulationTask(
+                    self._job, lane.convention, tuple(designs), rows, scenarios, lane.piece.number, rows.size
+                )
+
+    def _fitting(self, lane: Lane) -> int:
+        """Designs that take about half a second."""
+        pace = self._seconds_a_run.get(lane.law)
+        runs = _FIRST_RUNS if pace is None else min(_MOST_RUNS, SECONDS_A_TASK / max(pace, 1e-9))
+        return max(1, int(runs / lane.piece.rows.size))
+
+    def _start(self, task: SimulationTask) -> None:
+        self._under_way += 1
+        self._executor.start(task)
+
+    def _take(self, ended: Ended) -> None:
+        task: SimulationTask = ended.task
+        if ended.done is not None:
+            self._faults.ended_well()
+            # the last pace counts: the first task of a process also loads and compiles
+            self._seconds_a_run[task.designs[0].law] = ended.done.result.seconds / task.runs
+            self._give(task, ended.done)
+        elif ended.fault is None:
+            self._again.append(task)
+        else:
+            self._blame(task, ended.fault, certain=ended.certain)
+
+    def _blame(self, task: SimulationTask, fault: Fault, *, certain: bool) -> None:
+        """Run a task once more alone; halve it when it has ended its worker again, or was over its time."""
+        if not self._faults.guilty(task, fault, certain=certain):
+            self._alone.append(task)
+            return
+        halves = task.halves()
+        if halves:
+            for half in halves:
+                self._faults.inherit(half)
+            # the halves go first: what is left of the study waits for no other death
+            self._alone.extendleft(reversed(halves))
+            return
+        key = (task.designs[0].id, task.convention)
+        reason = self._faults.record(key, int(task.rows[0]), fault)
+        if reason:
+            self._faults.check_workers(self._executor, self._harmless(task))
+            self._fail(FailedRun(key, task.piece, reason))
+            self._alone = deque(self._without(key, self._alone))
+            self._again = deque(self._without(key, self._again))
+        else:
+            self._give(task, Done(Simulator(self._job).uncontrolled(task, STATUS_OF[fault])))
+
+    def _without(self, key: RunKey, tasks: Iterable[SimulationTask]) -> Iterator[SimulationTask]:
+        """The same tasks without a design that has failed; those of its fellows are as suspect as before."""
+        for task in tasks:
+            rest = tuple(design for design in task.designs if (design.id, task.convention) != key)
+            if len(rest) == len(task.designs):
+                yield task
+            elif rest:
+                fewer = task.only(rest)
+                self._faults.same_strikes(task, fewer)
+                yield fewer
+
+    def _harmless(self, task: SimulationTask) -> SimulationTask:
+        """A task that drives nobody, on one scenario."""
+        nobody = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
+        return dataclasses.replace(
+            task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1
+        )
+
+    def _give(self, task: Task, done: Done) -> None:
+        """Hand on whole pieces; parts of one wait for the rest."""
+        for run in done.failed:
+            self._fail(run)
+        if not done.result.keys:
+            return
+        whole = done.result if task.whole else self._merge.add(task, done.result)
+        if whole is not None:
+            for result in self._in_order.take(task.piece, whole):
+                self._collect(Done(result))
+
+    def _fail(self, run: FailedRun) -> None:
+        before = self._failed.get(run.key)
+        if before is None or run.piece < before:
+            self._failed[run.key] = run.piece
+            self._collect(Done(_nothing(self._job), (run,)))
+
+
+def _nothing(job: Job) -> TaskResult:
+    none = np.zeros(0, dtype=np.int64)
+    return TaskResult(
+        (),
+        none,
+        np.zeros((len(job.columns), 0, 0)),
+        np.zeros((0, 0), dtype=np.int8),
+        np.zeros((0, 0), dtype=np.int32),
+        np.zeros(0),
+        none,
+    )
 
 
 def laws_of_this_process() -> bytes:

@@ -30,24 +30,34 @@ from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.files import read_scenarios, scenario_table, write_parquet
-from studies.storage.folder_tables import (
+from studies.storage.files import (
+    PATTERN,
+    ahead,
+    checked_content,
+    parse_part,
+    read_scenarios,
+    scenario_table,
+    write_parquet,
+    write_part,
+)
+from studies.storage.manifest import (
     DESIGNS,
     FAILURES,
     TIMING_FILE,
     LawTime,
+    Manifest,
     read_designs,
     read_failures,
+    read_manifest,
     read_race,
     read_times,
+    refuse_other,
     write_designs,
     write_failures,
+    write_manifest,
     write_times,
 )
-from studies.storage.manifest import Manifest, read_manifest, refuse_other, write_manifest
-from studies.storage.parts import PATTERN, ahead, checked_content, parse_part, write_part
-from studies.storage.run_table import AllFailedError, RunTable
-from studies.storage.stored_columns import PartIndex
+from studies.storage.run_table import AllFailedError, PartIndex, RunTable
 
 _log = logging.getLogger("studies")
 

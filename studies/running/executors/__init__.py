@@ -49,8 +49,7 @@ def make_executor(
 
         return SerialExecutor()
     if name == "dask":
-        from studies.running.executors.dask_cluster import DaskExecutor
-        from studies.running.executors.dask_connection import LOCAL
+        from studies.running.executors.dask_cluster import LOCAL, DaskExecutor
 
         if address and address != LOCAL and workers is not None:
             raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")

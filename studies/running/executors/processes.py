@@ -15,8 +15,7 @@ from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import LdcError
-from studies.running.executors.protocol import Ended, Fault, Work, attempt
-from studies.running.worker import run_task, start_worker
+from studies.running.executors.protocol import Ended, Fault, Work, attempt, run_task, start_worker
 
 _LISTEN_EVERY = 0.2
 """Seconds after which an interrupt is noticed at the latest."""

@@ -16,8 +16,7 @@ from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
 from studies import Study, read_results, run_study, runner
 from studies.running.executors import Ended
-from studies.running.simulate_designs import Simulator
-from studies.running.tasks import Task
+from studies.running.tasks import Simulator, Task
 
 MakeStudy = Callable[..., Study]
 

@@ -22,7 +22,7 @@ from loky.process_executor import BrokenProcessPool
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from studies import Study, StudyResults, rank_study, run_study
 from studies.running import campaign
-from studies.running.executors import Executor, dask_cluster, dask_connection, make_executor, processes
+from studies.running.executors import Executor, dask_cluster, make_executor, processes
 from studies.running.tasks import Done
 
 MakeStudy = Callable[..., Study]
@@ -141,7 +141,7 @@ def test_a_dask_worker_that_is_killed_loses_nothing(
 
 
 def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_connection, "_CONNECT", "1s")
+    monkeypatch.setattr(dask_cluster, "_CONNECT", "1s")
     with pytest.raises(
         InputError, match="executor: 'serial' with the address tcp://h:1; allowed with an address: 'dask'"
     ):
@@ -434,7 +434,7 @@ def test_giving_up_neither_raises_nor_hangs(client: FakeClient, monkeypatch: pyt
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(dask_connection, "_CLOSE", 0.01)
+    monkeypatch.setattr(dask_cluster, "_CLOSE", 0.01)
     monkeypatch.setattr(processes, "_CLOSE", 0.01)
     on_dask = connected()
     on_dask.start(a_task())

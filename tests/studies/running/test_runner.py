@@ -241,7 +241,7 @@ def test_a_study_resumes_where_it_was_stopped(
     make_study: MakeStudy, reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An interrupt after a few designs; then only the rest is computed, with the same bits."""
-    from studies.running import simulate_designs
+    from studies.running import tasks
 
     drives: list[Controller] = []
 
@@ -250,14 +250,14 @@ def test_a_study_resumes_where_it_was_stopped(
             raise KeyboardInterrupt
         return counting(drives)(controllers, takeover, **settings)
 
-    monkeypatch.setattr(simulate_designs, "drive_many", interrupted)
+    monkeypatch.setattr(tasks, "drive_many", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run_study(make_study(), directory=tmp_path / "s", workers=1, block_size=1)
     assert read_manifest(tmp_path / "s").finished == ""
     with pytest.raises(StoreError, match=r"7 of 7 designs are not complete \(28 % of the scenario runs are there\)"):
         read_results(tmp_path / "s")
 
-    monkeypatch.setattr(simulate_designs, "drive_many", counting(drives))
+    monkeypatch.setattr(tasks, "drive_many", counting(drives))
     again = run_study(make_study(), directory=tmp_path / "s", workers=1)
     assert len(drives) == 14
     assert_same_results(again, reference)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
 from studies import Study, read_results, run_study
-from studies.storage.parts import checked_content, parse_part
+from studies.storage.files import checked_content, parse_part
 
 MakeStudy = Callable[..., Study]
 
@@ -68,20 +68,20 @@ def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Pat
 def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On every machine: the second part finds no room."""
     from studies.running import campaign
-    from studies.storage import parts
+    from studies.storage import files
 
     monkeypatch.setattr(campaign, "_STORE_EVERY", 0.0)
-    whole, written = parts.stored_file, []
+    whole, written = files.stored_file, []
 
     @contextlib.contextmanager
     def full(path: Path) -> Iterator[IO[bytes]]:
-        written.append(path)
+        written.extend([path] if path.parent.name == "results" else [])
         if len(written) > 1:
             raise StoreError(f"{path}: cannot be written: {os.strerror(errno.ENOSPC)}")
         with whole(path) as stream:
             yield stream
 
-    monkeypatch.setattr(parts, "stored_file", full)
+    monkeypatch.setattr(files, "stored_file", full)
     with pytest.raises(StoreError, match="No space left on device"):
         run_study(make_study(), directory=tmp_path, workers=1, block_size=1)
     with pytest.raises(
@@ -131,7 +131,7 @@ def test_only_what_is_bad_is_computed_anew(
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
     from studies.running import campaign
-    from studies.running.simulate_designs import Simulator
+    from studies.running.tasks import Simulator
 
     with monkeypatch.context() as patch:
         patch.setattr(campaign, "_STORE_EVERY", 0.0)
