@@ -25,18 +25,21 @@ import numpy as np
 import ldctoolkit
 from ldctoolkit.departures import Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
-from ldctoolkit.recordings.account import Account, Origin
-from ldctoolkit.recordings.departures_table import write_departures
-from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
-from ldctoolkit.recordings.evidence import Evidence
-from ldctoolkit.recordings.extract import merge_results
-from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
+from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
-from ldctoolkit.recordings.opened import OpenedRecordings, ReadersTogether
 from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Evidence, Origin
 from ldctoolkit.recordings.recording import Label, Problem
-from ldctoolkit.recordings.result import Extraction, PartResult
-from ldctoolkit.recordings.sources import GROUP, RecordingPart, RecordingReader, RecordingSource, part_name
+from ldctoolkit.recordings.sources import (
+    GROUP,
+    OpenedRecordings,
+    ReadersTogether,
+    RecordingPart,
+    RecordingReader,
+    RecordingSource,
+    part_name,
+)
 from studies.running.executors import Executor, make_executor
 from studies.running.executors.protocol import versions
 from studies.running.tasks import Faults
@@ -440,7 +443,7 @@ def run_extraction(
     Parameters
     ----------
     recordings : OpenedRecordings
-        From `ldctoolkit.recordings.opened.open_recordings`.
+        From `ldctoolkit.recordings.sources.open_recordings`.
     criteria : Criteria, optional
         What counts as a departure; the paper's criteria with the reader's vehicle width by default.
     preparation : Preparation, optional
@@ -478,7 +481,7 @@ def run_extraction(
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> from ldctoolkit.recordings.opened import open_recordings
+    >>> from ldctoolkit.recordings.sources import open_recordings
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = pathlib.Path(folder.name, "drive.csv")
     >>> _ = path.write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\na,0.1,0.2,3.6,25\n")

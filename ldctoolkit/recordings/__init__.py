@@ -6,21 +6,26 @@ departures table. The formats, the rules and the reasons for refusing a candidat
 ``docs/recordings.md``.
 """
 
-from ldctoolkit.recordings.account import Account, Origin
-from ldctoolkit.recordings.departures_table import read_departures, write_departures
-from ldctoolkit.recordings.drawn import Drawn, DrawnEvent
-from ldctoolkit.recordings.extract import extract_departures, merge_results
-from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.departures_table import (
+    Extraction,
+    PartResult,
+    Provenance,
+    Refused,
+    read_departures,
+    write_departures,
+)
+from ldctoolkit.recordings.extract import extract_departures, extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
-from ldctoolkit.recordings.opened import OpenedRecordings, open_recordings, read_recordings
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Label, Problem, Recording
-from ldctoolkit.recordings.result import Extraction, PartResult, Provenance, Refused
-from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin
+from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile
 from ldctoolkit.recordings.sources import (
+    OpenedRecordings,
     RecordingPart,
     RecordingReader,
     RecordingSource,
+    open_recordings,
+    read_recordings,
     reader_names,
     recording_reader,
 )

@@ -16,8 +16,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
-from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, SourceFile, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex
 from ldctoolkit.recordings.trip_tables import (

@@ -13,8 +13,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Problem, Recording, measured
-from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch
 from ldctoolkit.recordings.trip_tables import (

@@ -1,23 +1,413 @@
-"""Reader of plain recording tables as a source: a part is a file; a recording at fault is left out, the others stay."""
+"""Plain tables of recordings, CSV or Parquet: the text table, its columns and units, and what is wrong with it."""
 
 from __future__ import annotations
 
+import codecs
+import csv
 import dataclasses
 import gzip
+import io
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
+import polars as pl
 
-from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import NO_ROWS, REQUIRED, Problem, Recording, TableFault
-from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.recording import (
+    MISSING,
+    NO_ROWS,
+    REQUIRED,
+    Problem,
+    Recording,
+    SourceFile,
+    TableFault,
+    source_file,
+)
 from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+
+ROW: Final = "(row)"
+"""Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
+
+FAULT: Final = "(fault)"
+"""Column that is true for a sample that is at fault, or next to a line that could not be used."""
+
+_VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
+_SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
+_SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
+
+
+def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFrame:
+    """Typed columns; the first value of a column that does not fit is a fault, all of them are marked."""
+    marked = frame[FAULT].to_numpy() if FAULT in frame.columns else np.zeros(frame.height, dtype=bool)
+
+    def refuse(name: str, bad: pl.Series, allowed: str) -> None:
+        nonlocal marked
+        if bad.any():
+            i = bad.arg_max() or 0
+            more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
+            what = f"column '{name}' holds {frame[name][i]!r}; allowed: {allowed}{more}"
+            faults.append(TableFault(f"{word} {frame[ROW][i]}", what))
+            marked = marked | bad.fill_null(False).to_numpy()
+
+    columns: list[pl.Series] = [frame[ROW]]
+    for name in frame.columns:
+        values = frame[name]
+        if name in (ROW, FAULT):
+            continue
+        if name in NUMBERS:
+            if values.dtype == pl.String:
+                words = values.str.strip_chars()
+                values = words.cast(pl.Float64, strict=False)
+                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
+            elif not values.dtype.is_numeric() and values.dtype != pl.Null:
+                raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: numbers")
+            columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
+            continue
+        if values.dtype.is_nested() or values.dtype in (pl.Binary, pl.Duration):
+            raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: text or numbers")
+        words = values.cast(pl.String).str.strip_chars()
+        lower = words.str.to_lowercase()
+        if name == "recording":
+            refuse(name, words.is_null() | (words == ""), "an identifier of the recording")
+            columns.append(words)
+        elif name == "lane":
+            # "3" and "3.0" are one lane whatever the rest of the column holds
+            label = words.str.replace(r"^(-?\d+)\.0+$", "$1")
+            columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
+        elif name == "valid":
+            known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
+            refuse(name, known.is_null() & ~lower.is_in(MISSING).fill_null(True), "0, 1, false, true")
+            columns.append(known.fill_null(False))
+        else:
+            known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)
+            off = lower.is_in(_SIGNAL_OFF).fill_null(True)
+            refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
+            columns.append(known.fill_null(0).alias(name))
+    return pl.DataFrame([*columns, pl.Series(FAULT, marked)])
+
+
+def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
+    """The columns of a frame as those of a `Recording`, by name; None for one that it lacks."""
+
+    def numbers(name: str) -> npt.NDArray[np.float64] | None:
+        return frame[name].to_numpy() if name in frame.columns else None
+
+    valid = frame["valid"].to_numpy() if "valid" in frame.columns else np.ones(frame.height, dtype=bool)
+    lane = None
+    if "lane" in frame.columns:
+        valid = valid & frame["lane"].is_not_null().to_numpy()
+        lane = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
+    signal = frame["turn_signal"].to_numpy() if "turn_signal" in frame.columns else None
+    return {name: numbers(name) for name in NUMBERS} | {"valid": valid, "lane": lane, "turn_signal": signal}
+
+
+COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")
+
+LONGEST_LINE: Final = 1 << 20
+"""A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
+
+PACKED_PIECE: Final = 1 << 16
+"""Packed files are unpacked in pieces of so many bytes: what lies before a cut is not lost with it."""
+
+_BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
+_POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
+
+
+def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[pl.DataFrame]:
+    """Blocks of a recording file: the known columns, typed, with `ROW` and `FAULT`."""
+    seen: set[str] = set()
+    present: list[str] = []
+    rows = 0
+    for block in blocks_of(path, block_bytes, faults):
+        rows += block.height
+        present = block.columns
+        # a column that holds nothing at all is a mistake, not a series of invalid samples
+        for name in set(present) - seen:
+            values = block[name]
+            if name in NUMBERS:
+                seen |= {name} if values.is_finite().any() else set()
+            elif name != "lane" or values.null_count() < values.len():
+                seen.add(name)
+        yield block
+    empty = [name for name in COLUMNS if name in present and name not in seen]
+    if rows == 0:
+        faults.append(TableFault("", NO_ROWS))
+    elif empty:
+        advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
+        faults.append(TableFault("", f"column '{empty[0]}' holds no number in any of {rows} rows{advice}"))
+
+
+def blocks_of(
+    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str] = COLUMNS
+) -> Iterator[pl.DataFrame]:
+    """The same for some of the columns, whatever they hold."""
+    read = _parquet_frames if is_parquet(path) else _csv_frames
+    return read(path, block_bytes, faults, names)
+
+
+def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Regroup blocks of rows so that each holds whole recordings: the last recording of a block waits for the next."""
+    waiting: list[pl.DataFrame] = []
+    for block in blocks:
+        if block.height == 0:
+            continue
+        waiting.append(block)
+        last = block["recording"][-1]
+        if waiting[0]["recording"][0] == last:  # one long recording; its blocks are joined once, at its end
+            continue
+        # rows of the block that belong to its last recording, counted from the end
+        other = (block["recording"] != last).reverse().arg_true()
+        tail = int(other[0]) if other.len() else block.height
+        waiting[-1] = block[: block.height - tail]
+        yield pl.concat(waiting)
+        waiting = [block[block.height - tail :]]
+    if waiting:
+        yield pl.concat(waiting)
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether the name is that of a Parquet file."""
+    return path.name.lower().endswith(".parquet")
+
+
+def csv_blocks(path: Path, block_bytes: int) -> Iterator[tuple[list[str], bytes, int]]:
+    """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first.
+
+    Of a packed file that is cut short the lines before the cut come first, then the error.
+    """
+    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
+        line = 0
+        try:
+            first = stream.readline(LONGEST_LINE)
+            if first[:2] == b"\x1f\x8b":
+                raise TableFault("", "the content is gzip; give it a name that ends in .csv.gz")
+            if len(first) == LONGEST_LINE:
+                raise TableFault("line 1", f"longer than {LONGEST_LINE} bytes; this is not CSV")
+            header = _csv_header(first)
+            line = 2
+            rest = b""
+            broken: Exception | None = None
+            while broken is None:
+                block, broken = _next_bytes(stream, block_bytes)
+                if not block:
+                    break
+                block = rest + block
+                cut = block.rfind(b"\n") + 1
+                block, rest = block[:cut], block[cut:]
+                if len(rest) >= LONGEST_LINE and not block:
+                    raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
+                if block:
+                    yield header, block, line
+                    line += block.count(b"\n")
+            if broken is not None:
+                raise broken  # the line that it cuts is lost
+            if rest:
+                yield header, rest, line
+        except _BROKEN as error:
+            where = f" after line {line - 1}" if line else ""
+            raise TableFault("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
+
+
+def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
+    """The next bytes of a file, about so many, and what ended those of a packed one before their time.
+
+    What a cut leaves is sound. Of bytes that cannot be unpacked nobody knows where they went wrong: none is given.
+    """
+    if not isinstance(stream, gzip.GzipFile):
+        return stream.read(size), None
+    pieces: list[bytes] = []
+    count = 0
+    try:
+        while count < size and (piece := stream.read1(PACKED_PIECE)):
+            pieces.append(piece)
+            count += len(piece)
+    except EOFError as error:
+        return b"".join(pieces), error
+    return b"".join(pieces), None
+
+
+def _csv_header(first: bytes) -> list[str]:
+    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise TableFault("", "the text is UTF-16; save it as UTF-8")
+    try:
+        text = first.decode("utf-8-sig").strip("\r\n")
+    except UnicodeDecodeError as error:
+        raise TableFault("line 1", f"the text is not UTF-8 ({error.reason})") from None
+    if not text.strip():
+        state = "the file is empty" if not first else "line 1 is blank"
+        raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
+    names = [name.strip() for name in _fields(text, 1)]
+    if len(names) == 1 and any(mark in text for mark in ";\t|"):
+        raise TableFault("line 1", f"columns are not separated by commas: {text[:60]!r}")
+    check_columns(names)
+    return names
+
+
+def _fields(text: str, line: int) -> list[str]:
+    try:
+        return next(csv.reader([text]), [])
+    except csv.Error as error:
+        what = "a carriage return stands inside the line" if "\r" in text else str(error)
+        raise TableFault(f"line {line}", f"{what}; allowed: lines that end in LF or CR LF") from None
+
+
+def check_columns(names: Sequence[str]) -> None:
+    """Refuse a header that lacks a column or repeats one."""
+    for name in COLUMNS:
+        if names.count(name) > 1:
+            raise TableFault("", f"column '{name}' appears {names.count(name)} times")
+    for name in REQUIRED:
+        if name not in names:
+            # the nearest name is looked for among the file's own, which is what its author has to rename
+            unknown = [given for given in names if given and given not in COLUMNS]
+            hint = nearest(name, unknown) if unknown else "no other column of the file could be it"
+            hint = hint.replace("allowed:", "columns not known here:")
+            raise TableFault("", f"column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
+
+
+def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
+    for header, block, line in csv_blocks(path, block_bytes):
+        places = {name: header.index(name) for name in names if name in header}
+        frame = None if _ends_inside(header, block) else _parse(len(header), places, block, line)
+        if frame is None:
+            frame = _parse_faulty(header, places, block, line, faults)
+        yield typed(frame, "line", faults)
+
+
+def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
+    """Lines as columns of numbers and texts; `line` is the number of the first. None if they cannot be split."""
+    # positional names: a file may repeat or leave blank the names of columns that nobody needs
+    position = [f"c{i}" for i in range(width)]
+    wanted = {name: position[i] for name, i in places.items()}
+    text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
+    if b'"' in text and _open_quote(text):
+        return None
+
+    def read(numbers: type[pl.DataType]) -> pl.DataFrame | None:
+        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
+        kinds |= {place: numbers for name, place in wanted.items() if name in NUMBERS}
+        try:
+            frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
+        except _POLARS:
+            return None
+        return frame.select(pl.col(place).alias(name) for name, place in wanted.items())
+
+    frame = read(pl.Float64)
+    if frame is None:
+        # slower, but tolerates blanks and words for "missing", and can say where the fault lies
+        frame = read(pl.String)
+    if frame is None or frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
+        return None  # a line has too many fields, or a quoted field holds a line break
+    frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
+    return frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null()))
+
+
+def _parse_faulty(
+    header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault]
+) -> pl.DataFrame:
+    """Lines of which some are at fault: these are left out where they cannot be split, and told.
+
+    A line left out marks the sample before or behind it that has its recording's name, or else both.
+    """
+    good, numbers, broken = [], [], []
+    lines = block.replace(b"\r\n", b"\n").split(b"\n")
+    for number, raw in enumerate(lines, line):
+        fault = _fault_of_line(len(header), raw, number)
+        if fault is None and number == line + len(lines) - 1 and _ends_inside(header, block):
+            few = f"{raw.count(b',') + 1} of {len(header)} fields"
+            fault = TableFault(f"line {number}", f"the file ends inside this line, behind {few}")
+        if fault is not None:
+            faults.append(fault)
+            broken.append((number, raw.split(b",")[: places["recording"] + 1][-1].strip(b' "')))
+        elif raw.strip():
+            good.append(next(csv.reader([raw.decode()])))
+            numbers.append(number)
+    cells = {name: [row[i] if i < len(row) else None for row in good] for name, i in places.items()}
+    rows = np.array(numbers, dtype=np.int64)
+    near = np.zeros(rows.size, dtype=bool)
+    for number, name_there in broken:
+        after = int(np.searchsorted(rows, number))
+        around = [i for i in (after - 1, after) if 0 <= i < rows.size]
+        same = [i for i in around if (cells["recording"][i] or "").strip().encode() == name_there]
+        near[same or around] = True
+    frame = pl.DataFrame(cells, schema=dict.fromkeys(places, pl.String))
+    return frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near))
+
+
+def _ends_inside(header: list[str], block: bytes) -> bool:
+    """Whether the last line has no end and lacks cells: the file was cut. Short lines elsewhere lack values only."""
+    last = block[block.rfind(b"\n") + 1 :]
+    return bool(last.strip()) and last.count(b",") + 1 < len(header)
+
+
+def _open_quote(text: bytes) -> bool:
+    """Whether any line has an odd number of quotation marks; the CSV parser must not see such a line."""
+    marks = np.frombuffer(text, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(marks == ord("\n")), marks.size)
+    quotes = np.searchsorted(np.flatnonzero(marks == ord('"')), ends)
+    return bool((quotes % 2).any())
+
+
+def _fault_of_line(fields: int, raw: bytes, number: int) -> TableFault | None:
+    """Why a line cannot be split into columns, if it cannot."""
+    place = f"line {number}"
+    try:
+        text = raw.decode("utf-8").rstrip("\r")
+        if text.count('"') % 2:
+            return TableFault(place, "a quotation mark is not closed on its line")
+        found = len(_fields(text, number))
+    except UnicodeDecodeError as error:
+        return TableFault(place, f"the text is not UTF-8 ({error.reason})")
+    except TableFault as error:
+        return error
+    return TableFault(place, f"{found} fields; the header has {fields} columns") if found > fields else None
+
+
+def parquet_names(path: Path) -> list[str]:
+    """Names of a Parquet file's columns."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise TableFault("", "its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
+    try:
+        return list(pl.read_parquet_schema(path))
+    except _POLARS as error:
+        raise _not_parquet(error) from None
+
+
+def _parquet_frames(
+    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]
+) -> Iterator[pl.DataFrame]:
+    """Blocks of rows of a Parquet file."""
+    there = parquet_names(path)
+    check_columns(there)
+    rows, first = max(block_bytes // 64, 1), 0
+    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in there)
+    while True:
+        try:
+            frame = lazy.slice(first, rows).collect()
+        except _POLARS as error:
+            raise _not_parquet(error) from None
+        if frame.height == 0:
+            return
+        places = pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW)
+        yield typed(frame.with_columns(places), "row", faults)
+        first += frame.height
+
+
+def _not_parquet(error: BaseException) -> TableFault:
+    return TableFault("", f"cannot be read as Parquet: {str(error).splitlines()[0]}")
 
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
@@ -39,8 +429,6 @@ def header_names(path: Path) -> tuple[str, ...]:
         if not name.endswith(SUFFIXES) or not path.is_file():
             return ()
         if name.endswith(".parquet"):
-            from ldctoolkit.recordings.csv_text import parquet_names
-
             return tuple(parquet_names(path))
         with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
             first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is told when it is read
@@ -55,8 +443,6 @@ def header_names(path: Path) -> tuple[str, ...]:
 
 def check_header(path: Path) -> None:
     """Refuse a file whose header lacks a column, or that has no rows at all."""
-    from ldctoolkit.recordings.csv_text import check_columns, csv_blocks, is_parquet, parquet_names
-
     if is_parquet(path):
         check_columns(parquet_names(path))
     elif next(csv_blocks(path, HEADER_BYTES), None) is None:
@@ -98,8 +484,6 @@ def place_word(path: Path) -> str:
 def _names(path: Path) -> dict[str, int]:
     """First row of each recording of a file, as far as it can be read; its faults are told when it is read in full."""
     import polars as pl
-
-    from ldctoolkit.recordings.csv_text import ROW, blocks_of
 
     found: dict[str, int] = {}
     name = pl.col("recording").fill_null("")
@@ -158,8 +542,6 @@ class TablePart:
 
     def _items(self) -> Iterator[Recording | Problem]:
         """Recordings and problems, as they come."""
-        from ldctoolkit.recordings.csv_text import frames, whole_recordings
-
         faults: list[TableFault] = []
         seen: dict[str, int] = {}
         try:
@@ -178,8 +560,6 @@ class TablePart:
 
     def _recordings(self, frame: pl.DataFrame, seen: dict[str, int]) -> Iterator[Recording | Problem]:
         """Those of a frame; `seen` has the first row of each that came before."""
-        from ldctoolkit.recordings.csv_text import FAULT, ROW, columns_of
-
         word = place_word(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
         starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
@@ -299,8 +679,6 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
 def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
     """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
-    from ldctoolkit.recordings.csv_text import FAULT
-
     for block in blocks:
         nameless = block["recording"].fill_null("") == ""
         if nameless.any():

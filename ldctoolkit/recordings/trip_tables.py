@@ -15,8 +15,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.preparation import rising_rows
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.signals_in_time import rising_rows
 from ldctoolkit.recordings.sources import find_tables, shown_names
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
 

@@ -13,9 +13,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording
-from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, rising_rows, values_at
-from ldctoolkit.recordings.source_file import SourceFile, source_file
+from ldctoolkit.recordings.preparation import local_slope, merge_repeated, rising_rows, values_at
+from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, source_file
 from ldctoolkit.recordings.sources import FoundParts
 
 DETECTED: Final = 2.0

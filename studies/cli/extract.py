@@ -11,12 +11,11 @@ from ldctoolkit.errors import InputError
 from studies.cli._console import Subparsers, console, number, output_file, positive_number, progress_bar, warn
 
 if TYPE_CHECKING:
+    from ldctoolkit.recordings.departures_table import Extraction
     from ldctoolkit.recordings.find_departures import Criteria
-    from ldctoolkit.recordings.opened import OpenedRecordings
     from ldctoolkit.recordings.preparation import Preparation
-    from ldctoolkit.recordings.recording import Problem
-    from ldctoolkit.recordings.result import Extraction
-    from ldctoolkit.recordings.source_file import SourceFile
+    from ldctoolkit.recordings.recording import Problem, SourceFile
+    from ldctoolkit.recordings.sources import OpenedRecordings
 
 
 SOME_LEFT_OUT = 3
@@ -75,7 +74,7 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from ldctoolkit.recordings.opened import open_recordings
+    from ldctoolkit.recordings.sources import open_recordings
     from studies.extraction import MOST_SAID, NothingReadError, parts_folder, run_extraction
 
     target = output_file(chosen.output, ".parquet")
@@ -190,7 +189,7 @@ def print_extraction(found: Extraction) -> None:
 
 def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequence[SourceFile]) -> None:
     """Refuse to write over what is read."""
-    from ldctoolkit.recordings.source_file import source_file
+    from ldctoolkit.recordings.recording import source_file
 
     if not target.exists():
         return

@@ -16,10 +16,10 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, curvature, lateral, speed
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
-from ldctoolkit.recordings.account import Account, Origin, joined_accounts, share_of_widths
-from ldctoolkit.recordings.events import REASONS
-from ldctoolkit.recordings.extract_part import SCALE, SOURCE
-from ldctoolkit.recordings.opened import ReadersTogether
+from ldctoolkit.recordings.extract import SCALE, SOURCE
+from ldctoolkit.recordings.find_departures import REASONS
+from ldctoolkit.recordings.quality import Account, Origin, joined_accounts, share_of_widths
+from ldctoolkit.recordings.sources import ReadersTogether
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Series, Style, bars, legend, lines
 from studies.pages.settings_section import pairs
@@ -38,7 +38,7 @@ from studies.pages.text import (
 from studies.storage.files import write_text
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings.drawn import DrawnEvent
+    from ldctoolkit.recordings.quality import DrawnEvent
 
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 FIT: Final = Style(-1, "", "|")

@@ -6,10 +6,9 @@ import numpy as np
 
 from ldctoolkit.departures import LEFT, RIGHT, Departures, ExtraColumn, rebuild_signals
 from ldctoolkit.recordings import Criteria, Extraction, Provenance, Refused, SourceFile
-from ldctoolkit.recordings.account import WIDTH_BINS, Account, Origin
-from ldctoolkit.recordings.drawn import Drawn, drawn_of
-from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, drawn_of
 from ldctoolkit.recordings.recording import Label, Problem
 
 

@@ -10,7 +10,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import Criteria
-from ldctoolkit.recordings.events import LARGEST_ACCELERATION
+from ldctoolkit.recordings.find_departures import LARGEST_ACCELERATION
 from ldctoolkit.scenario_model import (
     PHYSICAL_BOUNDS,
     ModelProvenance,

@@ -15,14 +15,12 @@ from helpers.examples import examples
 from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, ExtraColumn
 from ldctoolkit.recordings import Account, Criteria, Label, PartResult, Preparation, Recording, Refused
-from ldctoolkit.recordings.account import WIDTH_BINS, share_of_widths
-from ldctoolkit.recordings.events import REASONS
-from ldctoolkit.recordings.extract import extract_departures, merge_results
-from ldctoolkit.recordings.extract_part import extract_items, table_of
-from ldctoolkit.recordings.find_departures import find_departures
-from ldctoolkit.recordings.result import joined_results
+from ldctoolkit.recordings.departures_table import joined_results
+from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results, table_of
+from ldctoolkit.recordings.find_departures import REASONS, find_departures
+from ldctoolkit.recordings.quality import WIDTH_BINS, share_of_widths
 
-MODULE = sys.modules["ldctoolkit.recordings.extract_part"]
+MODULE = sys.modules["ldctoolkit.recordings.extract"]
 CRITERIA = Criteria(2.0)
 SOURCES = ("one.csv", "two.csv", "")
 ROADS = ("motorway", "secondary")

@@ -8,9 +8,9 @@ import pytest
 
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, reduce_signals
 from ldctoolkit.recordings import Criteria, Drawn, Preparation, Recording
-from ldctoolkit.recordings.drawn import KEPT
-from ldctoolkit.recordings.extract_part import extract_items
-from ldctoolkit.recordings.result import joined_results
+from ldctoolkit.recordings.departures_table import joined_results
+from ldctoolkit.recordings.extract import extract_items
+from ldctoolkit.recordings.quality import KEPT
 
 CRITERIA = Criteria(1.8)
 T = np.arange(200) * 0.1

@@ -258,8 +258,8 @@ def test_notes_are_counted():
 def test_warnings_do_not_depend_on_the_split(monkeypatch):
     """The sums behind them are the same to the last bit, however recordings are searched together."""
     from ldctoolkit.recordings import Criteria
-    from ldctoolkit.recordings.extract_part import extract_items
-    from ldctoolkit.recordings.result import joined_results
+    from ldctoolkit.recordings.departures_table import joined_results
+    from ldctoolkit.recordings.extract import extract_items
 
     rng = np.random.default_rng(7)
     recordings = [
@@ -267,7 +267,7 @@ def test_warnings_do_not_depend_on_the_split(monkeypatch):
         for i in range(7)
     ]
     whole = extract_items(recordings, Criteria(), Preparation()).evidence
-    monkeypatch.setattr(sys.modules["ldctoolkit.recordings.extract_part"], "BATCH", 7000)
+    monkeypatch.setattr(sys.modules["ldctoolkit.recordings.extract"], "BATCH", 7000)
     for cut in (1, 3, 6):
         parts = [extract_items(some, Criteria(), Preparation()) for some in (recordings[:cut], recordings[cut:])]
         split = joined_results(parts).evidence

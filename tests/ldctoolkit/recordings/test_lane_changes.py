@@ -7,7 +7,7 @@ import pytest
 
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.recordings import Extraction, Preparation, Recording, extract_departures
-from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.find_departures import REASONS
 
 WIDTH = 3.6
 VEHICLE = 1.8

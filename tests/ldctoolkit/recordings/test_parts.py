@@ -30,7 +30,7 @@ from ldctoolkit.recordings import (
     recording_reader,
 )
 from ldctoolkit.recordings import sources as readers
-from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.find_departures import REASONS
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,7 +14,7 @@ from helpers.examples import examples
 from helpers.recordings import assert_same, drive, frame_of
 from ldctoolkit.departures import LEFT, RIGHT, rebuild_signals
 from ldctoolkit.recordings import Extraction, OpenedRecordings, Recording, extract_departures
-from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.recording import usable_samples
 from ldctoolkit.recordings.table_reader import READER
 from ldctoolkit.scenarios import Scenarios

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.signals_in_time import rising_rows
+from ldctoolkit.recordings.preparation import rising_rows
 
 
 def by_trial(times: list[int]) -> list[bool]:

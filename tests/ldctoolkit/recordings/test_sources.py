@@ -14,10 +14,8 @@ import pytest
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import sources
 from ldctoolkit.recordings.extract import extract_departures
-from ldctoolkit.recordings.opened import open_recordings
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.source_file import SourceFile
-from ldctoolkit.recordings.sources import RecordingPart, RecordingSource
+from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
+from ldctoolkit.recordings.sources import RecordingPart, RecordingSource, open_recordings
 
 OWN = ("spmd-das1", "spmd-das2", "table", "uah-driveset")
 INSTALLED = importlib.metadata.entry_points

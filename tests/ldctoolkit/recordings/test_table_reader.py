@@ -21,12 +21,11 @@ from helpers.examples import examples
 from helpers.recordings import OFFSET, assert_same, drive, frame_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
-from ldctoolkit.recordings.extract_part import extract_part
+from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import Criteria
-from ldctoolkit.recordings.opened import open_recordings
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording, usable_samples
-from ldctoolkit.recordings.sources import part_name
+from ldctoolkit.recordings.sources import open_recordings, part_name
 from ldctoolkit.recordings.table_reader import READER, TablePart
 
 Save = Callable[..., Path]

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from helpers.recordings import drive
-from ldctoolkit.recordings.evidence import no_evidence, unit_counts, unit_warnings
-from ldctoolkit.recordings.extract import few_usable, warnings_in_words
-from ldctoolkit.recordings.extract_part import table_of
+from ldctoolkit.recordings.extract import few_usable, table_of, warnings_in_words
+from ldctoolkit.recordings.quality import no_evidence, unit_counts, unit_warnings
 from ldctoolkit.recordings.recording import usable_samples
 
 

@@ -16,8 +16,7 @@ from helpers import cli
 from helpers.fuzz import DEPARTURES, SOUND
 from ldctoolkit.errors import RecordingError, StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
 

@@ -15,10 +15,9 @@ import pytest
 
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Extraction
-from ldctoolkit.recordings.opened import OpenedRecordings
-from ldctoolkit.recordings.recording import Label, Problem, Recording
-from ldctoolkit.recordings.result import PartResult
-from ldctoolkit.recordings.source_file import SourceFile
+from ldctoolkit.recordings.departures_table import PartResult
+from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile
+from ldctoolkit.recordings.sources import OpenedRecordings
 
 
 def drive(seed: int) -> Recording:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.recordings import extract_departures, read_departures
-from ldctoolkit.recordings.opened import open_recordings
+from ldctoolkit.recordings.sources import open_recordings
 from studies.extraction import run_extraction
 
 FILES = 40

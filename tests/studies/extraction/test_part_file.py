@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from helpers.bits import assert_same_bits
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
-from ldctoolkit.recordings.extract_part import extract_items
+from ldctoolkit.recordings.departures_table import PartResult
+from ldctoolkit.recordings.extract import extract_items
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.result import PartResult
 from studies.extraction import Unread, part_bytes, read_part
 
 

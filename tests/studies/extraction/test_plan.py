@@ -12,9 +12,8 @@ import pytest
 
 import ldctoolkit
 from ldctoolkit.recordings.find_departures import Criteria
-from ldctoolkit.recordings.opened import ReadersTogether
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.sources import FoundParts, recording_reader
+from ldctoolkit.recordings.sources import FoundParts, ReadersTogether, recording_reader
 from studies.extraction import _program, plan_of
 
 HOME = Path(ldctoolkit.__file__).parent
@@ -32,7 +31,7 @@ def test_every_module_that_decides_numbers_is_reached(copied: Path) -> None:
     before = _program(copied)
     assert before == _program(HOME)
     modules = [*(copied / "recordings").rglob("*.py"), copied / "departures.py"]
-    assert {"spmd_das1.py", "uah_driveset.py", "csv_text.py", "departures.py"} <= {path.name for path in modules}
+    assert {"spmd_das1.py", "uah_driveset.py", "table_reader.py", "departures.py"} <= {path.name for path in modules}
     for path in modules:
         content = path.read_bytes()
         path.write_bytes(content + b"# another\n")

@@ -16,8 +16,8 @@ import pytest
 import ldctoolkit
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.recordings import Extraction, extract_departures, read_departures
-from ldctoolkit.recordings.opened import OpenedRecordings
 from ldctoolkit.recordings.preparation import Preparation
+from ldctoolkit.recordings.sources import OpenedRecordings
 from studies.extraction import NothingReadError, run_extraction
 from studies.running.executors import Ended, Work
 from studies.storage.files import locked

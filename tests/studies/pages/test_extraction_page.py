@@ -14,8 +14,8 @@ from helpers.pages import EVIL, Page, whole
 from helpers.recordings import drive
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings import Extraction, SourceFile, extract_departures
-from ldctoolkit.recordings.account import Origin
-from ldctoolkit.recordings.events import REASONS
+from ldctoolkit.recordings.find_departures import REASONS
+from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from studies.pages.extraction_page import extraction_page, extraction_verdict, hours, rate, size, write_extraction_page
 

@@ -9,7 +9,7 @@ import pytest
 from helpers import das1
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
-from ldctoolkit.recordings.result import PartResult, joined_results
+from ldctoolkit.recordings.departures_table import PartResult, joined_results
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1
 

@@ -12,8 +12,8 @@ import pytest
 from helpers import das1, das2
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
-from ldctoolkit.recordings.opened import open_recordings
 from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.sources import open_recordings
 from ldctoolkit.recordings.spmd_das2 import SpmdDas2
 
 Write = Callable[..., Path]

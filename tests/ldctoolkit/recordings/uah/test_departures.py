@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ldctoolkit.recordings.events import REASONS
-from ldctoolkit.recordings.extract_part import extract_part
-from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.extract import extract_part
+from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.uah_driveset import READER
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.signals_in_time import rising_rows
+from ldctoolkit.recordings.preparation import rising_rows
 from ldctoolkit.recordings.uah_driveset import Column, read_number_text
 
 COLUMNS = (Column(0, "time"), Column(1, "offset"), Column(3, "lane width"))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
-from ldctoolkit.recordings.signals_in_time import local_slope, merge_repeated, values_at
+from ldctoolkit.recordings.preparation import local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.uah_driveset import READER
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding

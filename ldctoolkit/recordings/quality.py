@@ -1,18 +1,165 @@
-"""What is counted while recordings pass, so that at the end it can be said in words what looks wrong with them."""
+"""Quality statistics of an extraction: what was read, kept and dropped, and example events."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.recordings.recording import LARGEST, Recording, RecordingTable
+from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
+from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
+from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable
+
+WIDTH_STEP: Final = 0.1
+"""Width of a bin of the lane-width histogram [m]."""
+
+WIDTH_BINS: Final = 80
+"""Bins from 0 to 8 m; the last also holds what is wider."""
+
+LONGEST: Final = 1e8
+"""Time [s] of a recording that is counted at most, three years: the sums stay whole numbers of 64 bits."""
+
+SIDES: Final = 2
+"""Left first, then right."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """What a recording came from: recordings of one origin are counted together.
+
+    Attributes
+    ----------
+    source : str
+        File or folder.
+    labels : tuple of Label
+        Such as driver, behaviour, road.
+    """
+
+    source: str = ""
+    labels: tuple[Label, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "source", printable(self.source))
+
+
+@dataclasses.dataclass(frozen=True)
+class Account:
+    """Counts of all recordings of one origin.
+
+    Attributes
+    ----------
+    origin : Origin
+        What they came from.
+    recordings, samples, usable : int
+        Amounts; samples after resampling.
+    read_ns, valid_ns : int [ns]
+        Time in steps between neighbours, and between usable neighbours; without gaps. Whole numbers, whose sums do not
+        depend on how the recordings were split.
+    departures : (2,) int
+        Left, right.
+    refused : (2, k) int
+        Candidates by side of their first crossing and by reason, in the order of `REASONS`.
+    widths : (80,) int
+        Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones.
+    """
+
+    origin: Origin
+    recordings: int
+    samples: int
+    usable: int
+    read_ns: int
+    valid_ns: int
+    departures: IntArray
+    refused: IntArray
+    widths: IntArray
+
+    @property
+    def candidates(self) -> IntArray:
+        """Departures and refused candidates, (2,): left, right."""
+        total: IntArray = self.departures + self.refused.sum(axis=1)
+        return total
+
+    @property
+    def hours_read(self) -> float:
+        """Hours of recordings, without gaps."""
+        return self.read_ns / 3.6e12
+
+    @property
+    def hours_valid(self) -> float:
+        """Hours in which a departure could have been seen."""
+        return self.valid_ns / 3.6e12
+
+
+def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]) -> tuple[Account, ...]:
+    """Accounts of one table of r recordings; `origins` has one of each, (r,)."""
+    distinct = tuple(dict.fromkeys(origins))
+    place = {origin: i for i, origin in enumerate(distinct)}
+    group = np.array([place[origin] for origin in origins], dtype=np.int64)
+    count = len(distinct)
+    samples = np.diff(table.offsets)
+    sample_group = np.repeat(group, samples)[found.usable]
+    bins = np.clip(table.lane_width[found.usable] / WIDTH_STEP, 0, WIDTH_BINS - 1).astype(np.int64)
+    widths = np.bincount(sample_group * WIDTH_BINS + bins, minlength=count * WIDTH_BINS).reshape(count, WIDTH_BINS)
+    kinds = ACCEPTED + 1
+    side = np.where(found.side == LEFT, 0, 1)
+    cell = (group[found.recording] * SIDES + side) * kinds + found.reason
+    candidates = np.bincount(cell, minlength=count * SIDES * kinds).reshape(count, SIDES, kinds)
+    before = np.concatenate([[0], np.cumsum(found.usable)])
+    usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
+    amounts = [_grouped(values, group, count) for values in (np.ones_like(group), samples, usable)]
+    read, valid = (_grouped(_nanoseconds(seconds), group, count) for seconds in (found.read, found.driven))
+    return tuple(
+        Account(
+            origin=origin,
+            recordings=int(amounts[0][i]),
+            samples=int(amounts[1][i]),
+            usable=int(amounts[2][i]),
+            read_ns=int(read[i]),
+            valid_ns=int(valid[i]),
+            departures=candidates[i, :, ACCEPTED],
+            refused=candidates[i, :, : len(REASONS)],
+            widths=widths[i],
+        )
+        for i, origin in enumerate(distinct)
+    )
+
+
+def _grouped(values: IntArray, group: IntArray, count: int) -> IntArray:
+    """Sums of whole numbers by group, (count,)."""
+    total = np.zeros(count, dtype=np.int64)
+    np.add.at(total, group, values)
+    return total
+
+
+def _nanoseconds(seconds: FloatArray) -> IntArray:
+    """Times as whole numbers; a recording of absurd times counts as `LONGEST`."""
+    whole: IntArray = np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64)
+    return whole
+
+
+def joined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
+    """One account an origin, in the order in which the origins first come."""
+    of: dict[Origin, list[Account]] = {}
+    for account in accounts:
+        of.setdefault(account.origin, []).append(account)
+    return tuple(_sum(origin, parts) for origin, parts in of.items())
+
+
+def _sum(origin: Origin, parts: list[Account]) -> Account:
+    names = [field.name for field in dataclasses.fields(Account) if field.name != "origin"]
+    return Account(origin, *(sum(getattr(part, name) for part in parts) for name in names))
+
+
+def share_of_widths(widths: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Bin edges, (81,) [m], and the share of samples in each bin, (80,)."""
+    edges: FloatArray = np.asarray(np.arange(WIDTH_BINS + 1) * WIDTH_STEP, dtype=np.float64)
+    return edges, widths / max(int(widths.sum()), 1)
 
 
 def unit_counts(
@@ -232,3 +379,119 @@ def joined_evidence(parts: Iterable[Evidence]) -> Evidence:
         median_widths=np.concatenate([part.median_widths for part in given]),
         notes=tuple(notes.items()),
     )
+
+
+T = TypeVar("T")
+
+KEPT: Final = 12
+"""Departures of each kind that are kept of each source and side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnEvent:
+    """One departure with its signals, outward frame.
+
+    Attributes
+    ----------
+    source, recording : str
+        Where it was found.
+    side : int
+        `LEFT` or `RIGHT`.
+    start_time : float [s]
+        Of the crossing outwards, on the recording's clock.
+    parameters : (8,)
+        In the order of `PARAMETER_NAMES`.
+    t, y, v, c : (k,) [s], [m], [m/s], [1/m]
+        From crossing to crossing.
+    lot : int
+        Decides which departures are drawn by lot; from recording and time alone, so no split of the work matters.
+    """
+
+    source: str
+    recording: str
+    side: int
+    start_time: float
+    parameters: FloatArray
+    t: FloatArray
+    y: FloatArray
+    v: FloatArray
+    c: FloatArray
+    lot: int
+
+    @property
+    def depth(self) -> tuple[float, str, float]:
+        """Sorts the deepest first."""
+        return (-float(self.parameters[1]), self.recording, self.start_time)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Departures to look at.
+
+    Attributes
+    ----------
+    deepest : tuple of DrawnEvent
+        Up to 12 of each source and side, deepest first; left before right.
+    by_lot : tuple of DrawnEvent
+        Up to 12 of each source and side, in the order of their lots; left before right.
+    """
+
+    deepest: tuple[DrawnEvent, ...] = ()
+    by_lot: tuple[DrawnEvent, ...] = ()
+
+
+def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
+    """The departures to keep of n found ones."""
+    found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
+    lots = [_lot(name, time) for name, time in found]
+    depths = [(-depth, name, time) for depth, (name, time) in zip(departures.d_y.tolist(), found, strict=True)]
+    matrix = departures.matrix()
+
+    def event(i: int) -> DrawnEvent:
+        rows = slice(int(signals.offsets[i]), int(signals.offsets[i + 1]))
+        return DrawnEvent(
+            sources[i],
+            str(departures.recording[i]),
+            int(departures.side[i]),
+            float(departures.start_time[i]),
+            matrix[i].copy(),
+            signals.t[rows].copy(),
+            signals.y[rows].copy(),
+            signals.v[rows].copy(),
+            signals.c[rows].copy(),
+            lots[i],
+        )
+
+    deepest: list[DrawnEvent] = []
+    by_lot: list[DrawnEvent] = []
+    for places in _by_source_and_side(list(range(len(sources))), sources, departures.side.tolist()):
+        deepest += [event(i) for i in sorted(places, key=depths.__getitem__)[:KEPT]]
+        by_lot += [event(i) for i in sorted(places, key=lambda i: (lots[i], depths[i]))[:KEPT]]
+    return Drawn(tuple(deepest), tuple(by_lot))
+
+
+def joined_drawn(parts: Iterable[Drawn]) -> Drawn:
+    """The departures to keep of several shares of the work."""
+    given = list(parts)
+    return Drawn(
+        _best([event for part in given for event in part.deepest], lambda event: event.depth),
+        _best([event for part in given for event in part.by_lot], lambda event: (event.lot, *event.depth)),
+    )
+
+
+def _best(events: list[DrawnEvent], key: Callable[[DrawnEvent], tuple[object, ...]]) -> tuple[DrawnEvent, ...]:
+    groups = _by_source_and_side(events, [event.source for event in events], [event.side for event in events])
+    return tuple(event for found in groups for event in sorted(found, key=key)[:KEPT])
+
+
+def _by_source_and_side(items: Sequence[T], sources: Sequence[str], sides: Sequence[int]) -> list[list[T]]:
+    """Items by source and side: sources as they first come, left before right."""
+    groups: dict[str, dict[int, list[T]]] = {}
+    for item, source, side in zip(items, sources, sides, strict=True):
+        groups.setdefault(source, {LEFT: [], RIGHT: []})[side].append(item)
+    return [found for both in groups.values() for found in both.values() if found]
+
+
+def _lot(recording: str, start_time: float) -> int:
+    digest = hashlib.blake2b(f"{recording}|{float(start_time)!r}".encode(), digest_size=7)
+    return int.from_bytes(digest.digest(), "big")
