@@ -36,8 +36,8 @@ from ldctoolkit.diagnostics._marginals import (
 )
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
+from ldctoolkit.mixture.checks import Events as Rows
 from ldctoolkit.mixture.checks import check_number, check_weights, inside_bounds
-from ldctoolkit.mixture.events import Events as Rows
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 
 LEAST_EVENTS: Final = 10

@@ -1,10 +1,9 @@
 """Bounded Gaussian mixtures: truncated normals, truncated EM, choice of the number of components."""
 
 from ldctoolkit.mixture._distribution import SAMPLE_BLOCK, Distribution
-from ldctoolkit.mixture._trial import Failure
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.bounds import auto_bounds
-from ldctoolkit.mixture.selection import Selection, select_components
+from ldctoolkit.mixture.selection import Failure, Selection, select_components
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
 __all__ = [

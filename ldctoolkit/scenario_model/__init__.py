@@ -1,6 +1,5 @@
 """Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
 
-from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
 from ldctoolkit.scenario_model.fit import fit_scenario_model
 from ldctoolkit.scenario_model.model import (
     Given,
@@ -11,8 +10,15 @@ from ldctoolkit.scenario_model.model import (
     merged_provenance,
     read_all_departures,
 )
-from ldctoolkit.scenario_model.parts import PHYSICAL_BOUNDS, SideModel
-from ldctoolkit.scenario_model.source_summary import SourceSummary, summarize
+from ldctoolkit.scenario_model.provenance import (
+    PHYSICAL_BOUNDS,
+    FitSettings,
+    ModelProvenance,
+    SideModel,
+    SideSummary,
+    SourceSummary,
+    summarize,
+)
 
 __all__ = [
     "PHYSICAL_BOUNDS",

@@ -1,4 +1,4 @@
-"""Fit a scenario model to departures: the events of a side made ready, and how many components they carry."""
+"""Fit of a scenario model to departures, and its settings."""
 
 from __future__ import annotations
 
@@ -12,27 +12,214 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
-from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import Selection, select_components
-from ldctoolkit.mixture.checks import InsideBounds, check_number, check_weights, inside_bounds
-from ldctoolkit.mixture.events import Events, profile_of
-from ldctoolkit.recordings import Criteria
-from ldctoolkit.scenario_model.card import ModelProvenance, SideSummary, software_versions
-from ldctoolkit.scenario_model.model import ScenarioModel
-from ldctoolkit.scenario_model.parts import SideModel, check_usable
-from ldctoolkit.scenario_model.settings import (
-    Bounds,
-    Box,
-    SideSettings,
-    box_of,
-    check_transform,
-    component_numbers,
-    fit_settings,
-    transforms,
-    wanted_bounds,
+from ldctoolkit.mixture.bounds import auto_bounds
+from ldctoolkit.mixture.checks import (
+    Events,
+    InsideBounds,
+    check_components,
+    check_number,
+    check_weights,
+    inside_bounds,
+    profile_of,
 )
-from ldctoolkit.scenario_model.source_summary import summarize_events
+from ldctoolkit.recordings import Criteria
+from ldctoolkit.scenario_model.model import ScenarioModel
+from ldctoolkit.scenario_model.provenance import (
+    LEAST_LOWER,
+    PHYSICAL_BOUNDS,
+    FitSettings,
+    ModelProvenance,
+    SideModel,
+    SideSummary,
+    check_usable,
+    software_versions,
+    summarize_events,
+)
 from ldctoolkit.version import __version__
+
+End = float | None | Literal["auto"]
+Bounds = Literal["auto", "physical"] | Mapping[str, tuple[End, End] | Literal["auto", "physical"]]
+"""For all parameters one word, or per parameter a word or (lower, upper); None is open."""
+
+GIVEN: Final = "given"
+CRITERIA: Final = "extraction criteria"
+PHYSICAL: Final = "physical"
+AUTO: Final = "auto"
+
+
+@dataclasses.dataclass(frozen=True)
+class _End:
+    """One wanted end: a value, or with `auto` the furthest that what the data show may reach."""
+
+    value: float
+    origin: str
+    auto: bool = False
+
+
+WantedBounds = Mapping[str, tuple[_End, _End]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Box:
+    """The box of one side."""
+
+    lower: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
+    upper: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
+    origins: tuple[tuple[str, str, str], ...]  # (str, str, str)
+
+
+def wanted_bounds(bounds: Bounds | None, criteria: Criteria | None) -> WantedBounds:
+    """The bounds of each parameter, those of "auto" still to be found in the data."""
+    known = _physical(criteria)
+    if bounds is None or isinstance(bounds, str):
+        per_name: Mapping[str, Any] = {} if bounds is None else dict.fromkeys(PARAMETER_NAMES, _word("bounds", bounds))
+    elif isinstance(bounds, Mapping):
+        per_name = bounds
+    else:
+        raise InputError(f"bounds: {bounds!r}; allowed: 'auto', 'physical', or a mapping of parameters")
+    out = dict(known)
+    for name, entry in per_name.items():
+        if name not in known:
+            raise InputError(f"bounds: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+        out[name] = _wanted(name, entry, known[name])
+    return out
+
+
+def _word(where: str, word: str) -> str:
+    if word not in (AUTO, PHYSICAL):
+        raise InputError(f"{where}: {word!r}; {nearest(word, (AUTO, PHYSICAL))}")
+    return word
+
+
+def _physical(criteria: Criteria | None) -> dict[str, tuple[_End, _End]]:
+    out = {name: (_End(low, PHYSICAL), _End(high, PHYSICAL)) for name, (low, high) in PHYSICAL_BOUNDS.items()}
+    if criteria is not None:  # no event outside them could have been found
+        out["T"] = (_End(criteria.min_duration, CRITERIA), _End(criteria.max_duration, CRITERIA))
+        out["v_mean"] = (_End(criteria.min_speed, CRITERIA), _End(np.inf, PHYSICAL))
+    return out
+
+
+def _furthest(name: str, known: tuple[_End, _End]) -> tuple[_End, _End]:
+    """How far bounds that are read off the data may reach: what was not found, or cannot be driven, is outside."""
+    low, high = known
+    if low.origin != CRITERIA:
+        low = _End(LEAST_LOWER.get(name, -np.inf), PHYSICAL)
+    if high.origin != CRITERIA:
+        high = _End(np.inf, PHYSICAL)
+    return dataclasses.replace(low, auto=True), dataclasses.replace(high, auto=True)
+
+
+def _wanted(name: str, entry: Any, known: tuple[_End, _End]) -> tuple[_End, _End]:
+    where = f"bounds[{name!r}]"
+    if isinstance(entry, str):
+        return _furthest(name, known) if _word(where, entry) == AUTO else known
+    ends: list[_End] = []
+    try:
+        given = tuple(entry)
+        for value, fill, limit in zip(given, (-np.inf, np.inf), _furthest(name, known), strict=True):
+            if isinstance(value, str) and value == AUTO:
+                ends.append(limit)
+            else:
+                ends.append(_End(fill if value is None else float(value), GIVEN))
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: {entry!r}; allowed: 'auto', 'physical' or (lower, upper)") from None
+    least = LEAST_LOWER.get(name, -np.inf)
+    if given[0] is None and least > -np.inf:
+        ends[0] = _End(least, PHYSICAL)  # open as far as can be driven
+    if not (ends[0].value < ends[1].value and ends[0].value >= least):
+        raise InputError(f"{where}: {entry!r}; allowed: {least:g} <= lower < upper")
+    return ends[0], ends[1]
+
+
+def box_of(wanted: WantedBounds, x: FloatArray) -> Box:
+    """The box for the events x (n, 8) of one side."""
+    lower, upper = np.empty(len(PARAMETER_NAMES)), np.empty(len(PARAMETER_NAMES))
+    origins = []
+    for j, name in enumerate(PARAMETER_NAMES):
+        low, high = wanted[name]
+        found = auto_bounds(x[:, [j]]) if low.auto or high.auto else (np.empty(1), np.empty(1))
+        lower[j], low_from = _decided(low, float(found[0][0]), 1.0)
+        upper[j], high_from = _decided(high, float(found[1][0]), -1.0)
+        origins.append((name, low_from, high_from))
+    return Box(lower, upper, tuple(origins))
+
+
+def _decided(end: _End, found: float, inwards: float) -> tuple[float, str]:
+    """The value of an end, and where it comes from."""
+    if not end.auto:
+        return end.value, end.origin
+    further_in = inwards * found >= inwards * end.value
+    return (found, AUTO) if further_in else (end.value, end.origin)
+
+
+TRANSFORMS: Final = ("none", "log", "logit", "auto")
+
+
+@dataclasses.dataclass(frozen=True)
+class SideSettings:
+    """How each side is fitted."""
+
+    components: int | tuple[int, ...]  # K, or the K to choose from in ascending order
+    seed: int  # of the fits
+    bounds: WantedBounds  # of each parameter
+    transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
+    fit: FitSettings  # choice of K, prior, tolerance, starts
+    workers: int | None  # cores; all by default
+    verbose: bool  # tell of every start and pass on stderr
+
+    def selection(self) -> dict[str, Any]:
+        """Arguments of `select_components` but for the events and the box."""
+        return dataclasses.asdict(self.fit) | {
+            "random_state": self.seed,
+            "n_jobs": self.workers,
+            "verbose": int(self.verbose),
+        }
+
+
+def fit_settings(*values: Any) -> FitSettings:
+    """Settings in Python's own numbers, as a file needs them; the fits check them."""
+    return FitSettings(*(value.item() if isinstance(value, np.generic) else value for value in values))
+
+
+def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
+    """K, or the K to choose from, in ascending order."""
+    if isinstance(components, int | np.integer):
+        return check_components([components])[0]
+    return tuple(check_components(components))
+
+
+def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
+    """The wanted transform of each parameter."""
+    if transform is None or isinstance(transform, str):
+        return dict.fromkeys(PARAMETER_NAMES, _transform("transform", transform or "none"))
+    out = dict.fromkeys(PARAMETER_NAMES, "none")
+    for name, kind in transform.items():
+        if name not in out:
+            raise InputError(f"transform: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+        out[name] = _transform(f"transform[{name!r}]", kind)
+    return out
+
+
+def _transform(where: str, kind: Any) -> str:
+    if kind not in TRANSFORMS:
+        raise InputError(f"{where}: {kind!r}; {nearest(str(kind), TRANSFORMS)}")
+    return str(kind)
+
+
+def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatArray) -> None:
+    """Refuse a map that the bounds (8,) do not allow, by the parameter's name."""
+    for j, name in enumerate(PARAMETER_NAMES):
+        finite = int(np.isfinite(lower[j])) + int(np.isfinite(upper[j]))
+        needed = {"log": 1, "logit": 2}.get(wanted[name], finite)
+        if finite != needed:
+            allowed = "one finite bound" if needed == 1 else "two finite bounds"
+            raise InputError(
+                f"transform[{name!r}]: {wanted[name]!r} with the bounds {lower[j]:g} to {upper[j]:g}; allowed: with "
+                f"{allowed}"
+            )
+
 
 LEAST_EVENTS: Final = 30
 """Departures a side needs."""

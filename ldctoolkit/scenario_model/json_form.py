@@ -17,9 +17,16 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model.card import FitSettings, ModelProvenance, SideSummary
-from ldctoolkit.scenario_model.parts import LEAST_LOWER, SideModel, check_usable
-from ldctoolkit.scenario_model.source_summary import UNIT, SourceSummary
+from ldctoolkit.scenario_model.provenance import (
+    LEAST_LOWER,
+    UNIT,
+    FitSettings,
+    ModelProvenance,
+    SideModel,
+    SideSummary,
+    SourceSummary,
+    check_usable,
+)
 
 _WHOLE_DIGITS: Final = 18
 """Longest whole number of a file: it must fit a float and 64 bits."""

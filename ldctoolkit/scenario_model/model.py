@@ -22,9 +22,8 @@ from ldctoolkit.mixture.checks import check_number
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model import json_form as form
-from ldctoolkit.scenario_model.card import ModelProvenance
 from ldctoolkit.scenario_model.json_form import read_text
-from ldctoolkit.scenario_model.parts import SideModel
+from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
 

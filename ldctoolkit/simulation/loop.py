@@ -29,7 +29,7 @@ from ldctoolkit.control import (
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import COMPANION_UNITS, Companions
-from ldctoolkit.mixture.events import usable_cores
+from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, InitialYawRate, PlantKnowledge, Setup, Start

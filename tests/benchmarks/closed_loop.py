@@ -24,7 +24,7 @@ import numpy as np
 
 from controllers import LQR, PreviewProportional
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
-from ldctoolkit.mixture.events import usable_cores
+from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
 

@@ -10,8 +10,7 @@ from helpers.bits import assert_same_bits
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import inside_bounds
-from ldctoolkit.mixture.events import Events, profile_of, sums_of
+from ldctoolkit.mixture.checks import Events, inside_bounds, profile_of, sums_of
 
 INF = np.inf
 ROWS = 24_653

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.mixture._fit_warnings import correlation_of, fit_warnings
-from ldctoolkit.mixture.events import Events, profile_of
+from ldctoolkit.mixture.bounded_gaussian_mixture import correlation_of, fit_warnings
+from ldctoolkit.mixture.checks import Events, profile_of
 
 INF = np.inf
 

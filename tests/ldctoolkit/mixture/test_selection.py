@@ -9,7 +9,7 @@ from scipy.stats import truncnorm
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture import BoundedGaussianMixture, select_components
-from ldctoolkit.mixture.events import Events
+from ldctoolkit.mixture.checks import Events
 from ldctoolkit.mixture.selection import Rule, choose, in_processes
 
 INF = np.inf

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ldctoolkit.mixture import BoundedGaussianMixture, TruncatedNormal, _em
+from ldctoolkit.mixture._em import best_moves
 from ldctoolkit.mixture._expectation import Components, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._kernels import statistics_of_rows
-from ldctoolkit.mixture._split_merge import best_moves
 
 POINTS = 1021
 

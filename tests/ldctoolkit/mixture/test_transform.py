@@ -9,7 +9,7 @@ from scipy.stats import norm
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.mixture._transform import Transform
+from ldctoolkit.mixture._distribution import Transform
 
 INF = np.inf
 

@@ -9,7 +9,7 @@ from scipy.stats import truncnorm
 from helpers.examples import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import TruncatedNormal
-from ldctoolkit.mixture._univariate import Restricted, log_mass
+from ldctoolkit.mixture._separation import Restricted, log_mass
 
 INF = np.inf
 

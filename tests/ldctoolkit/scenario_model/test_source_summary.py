@@ -10,9 +10,9 @@ from scipy import stats
 
 from helpers.models import one_component_model
 from ldctoolkit.errors import ModelError
-from ldctoolkit.mixture.events import Events
+from ldctoolkit.mixture.checks import Events
 from ldctoolkit.scenario_model import ScenarioModel, SourceSummary, fit_scenario_model, summarize
-from ldctoolkit.scenario_model.source_summary import UNIT, summarize_events, weighted_ranks
+from ldctoolkit.scenario_model.provenance import UNIT, summarize_events, weighted_ranks
 
 NAMES = ("T", "d_y", "v_mean")
 

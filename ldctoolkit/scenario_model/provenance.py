@@ -1,15 +1,84 @@
-"""What a model's file keeps of the departures that it was fitted to: how they spread, and none of them."""
+"""Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import math
-from typing import Final
+import platform
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.mixture.events import Events
+from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.errors import ModelError
+from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.mixture.checks import Events
+from ldctoolkit.version import __version__
+
+PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
+    "T": (0.5, 10.0),  # s, the extraction criteria
+    "d_y": (0.0, np.inf),  # m
+    "sigma_y": (0.0, np.inf),  # m
+    "v_mean": (5.0, np.inf),  # m/s, the extraction criteria
+    "a_mean": (-9.81, 9.81),  # m/s^2, what tyres can do; the extraction refuses more as implausible
+    "sigma_v": (0.0, np.inf),  # m/s
+    "c_0": (-np.inf, np.inf),  # 1/m
+    "dc": (-np.inf, np.inf),  # 1/m
+}
+"""Default box of the eight parameters, SI units; infinite means open."""
+
+LEAST_LOWER: Final[Mapping[str, float]] = {"T": 0.0, "d_y": 0.0, "sigma_y": 0.0, "v_mean": 0.0, "sigma_v": 0.0}
+"""No model may reach below these: such a departure cannot be replayed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SideModel:
+    """One side: a mixture over the parameters that vary, and the values of those that do not.
+
+    Attributes
+    ----------
+    mixture : BoundedGaussianMixture
+        Over `names`, in that order.
+    names : tuple of str
+        Parameters that vary, in the order of `PARAMETER_NAMES`.
+    constants : tuple of (str, float)
+        The other parameters.
+    """
+
+    mixture: BoundedGaussianMixture
+    names: tuple[str, ...]
+    constants: tuple[tuple[str, float], ...] = ()
+
+    def columns(self, x: FloatArray) -> dict[str, FloatArray]:
+        """All eight parameters of drawn events x (n, len(names))."""
+        out = {name: np.full(x.shape[0], value) for name, value in self.constants}
+        out |= {name: x[:, j] for j, name in enumerate(self.names)}
+        return {name: out[name] for name in PARAMETER_NAMES}
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of `names`, in the data's units."""
+        transform = self.mixture.distribution.transform
+        return transform.lower, transform.upper
+
+    def transform(self) -> tuple[str, ...]:
+        """How each of `names` was mapped before the fit: ``"none"``, ``"log"`` or ``"logit"``."""
+        return self.mixture.distribution.transform.kinds
+
+
+def check_usable(mixture: BoundedGaussianMixture) -> None:
+    """Refuse a mixture that cannot be sampled; a fit and a file go through this one check."""
+    if not np.isfinite(mixture.log_probabilities_).all():
+        k = int(np.argmin(np.isfinite(mixture.log_probabilities_)))
+        raise ModelError(f"component {k}: the probability of its box is not a number that a computer can hold")
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            mixture.distribution.check_samplable()
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
+        raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
+
 
 TOGETHER: Final = 10
 """Departures behind every quantile at least: each is a mean over so many."""
@@ -199,3 +268,142 @@ def _cells(first: IntArray, second: IntArray, share: FloatArray, b: int) -> tupl
 
 def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
+
+
+@dataclasses.dataclass(frozen=True)
+class SideSummary:
+    """How one side was fitted. Tuples over K are empty where a criterion was not computed.
+
+    Attributes
+    ----------
+    events : int
+        Departures used.
+    n_components : tuple of int
+        The K that were fitted.
+    bic, log_likelihood : tuple of float
+        Criterion, and log-likelihood per event [nats], of each.
+    converged : bool
+        Whether the chosen fit reached its tolerance.
+    moved_inside : tuple of (str, int)
+        Events that lay exactly on a bound, per parameter.
+    redrawn_share : float
+        Share of drawn events that fall below the speed floor and are drawn again.
+    n_parameters : tuple of int
+        Free parameters of each K.
+    aic, icl : tuple of float
+        Other criteria of each K, lower is better.
+    held_out : tuple of float
+        Log-likelihood per event [nats] on events that were kept out of the fit.
+    criterion : str
+        By which K was taken; ``""`` where one K was fitted as asked.
+    reason : str
+        Why this K, in words.
+    failed : tuple of (int, str)
+        The K that could not be fitted, and why.
+    passes : int, optional
+        Of the chosen fit.
+    stop_reason : str
+        Of the chosen fit, as in `BoundedGaussianMixture`.
+    weight : float, optional
+        Sum of the weights, where the departures had any.
+    bounds_from : tuple of (str, str, str)
+        Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``,
+        ``"physical"`` or ``"auto"``.
+    source_summary : SourceSummary, optional
+        How the departures spread; None where weights rest on too few departures.
+    """
+
+    events: int
+    n_components: tuple[int, ...]
+    bic: tuple[float, ...]
+    log_likelihood: tuple[float, ...]
+    converged: bool
+    moved_inside: tuple[tuple[str, int], ...]
+    redrawn_share: float
+    n_parameters: tuple[int, ...] = ()
+    aic: tuple[float, ...] = ()
+    icl: tuple[float, ...] = ()
+    held_out: tuple[float, ...] = ()
+    criterion: str = ""
+    reason: str = ""
+    failed: tuple[tuple[int, str], ...] = ()
+    passes: int | None = None
+    stop_reason: str = ""
+    weight: float | None = None
+    bounds_from: tuple[tuple[str, str, str], ...] = ()
+    source_summary: SourceSummary | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class FitSettings:
+    """Settings of the fits, the same for both sides.
+
+    Attributes
+    ----------
+    criterion : {"bic", "aic", "icl", "held_out"}
+        What K is chosen by.
+    slack : float, optional
+        The smallest K within this distance of the best criterion is taken; None is the criterion's own.
+    indifference : float
+        The same in nats per event; the larger of the two counts.
+    prior_strength : float
+        Pseudo-events per component.
+    tol : float
+        Gain per pass [nats an event] below which a fit has converged.
+    n_init : int
+        Starts.
+    max_iter : int
+        Most passes.
+    """
+
+    criterion: str
+    slack: float | None
+    indifference: float
+    prior_strength: float
+    tol: float
+    n_init: int
+    max_iter: int
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelProvenance:
+    """Where a scenario model comes from.
+
+    Attributes
+    ----------
+    source : mapping
+        JSON values that describe the data; ``"criteria"`` and ``"refused"`` are those of the extraction.
+    synthetic : bool
+        True where the data were drawn from a stated population and not recorded.
+    created : str
+        Time in UTC, ISO 8601.
+    software : str
+        Name and version of the program that fitted it.
+    seed : int
+        Seed of the fit.
+    warnings : tuple of str
+        What a user of the model should know.
+    left, right : SideSummary, optional
+        How each side was fitted.
+    versions : mapping of str to str
+        Software behind the numbers, see `software_versions`.
+    settings : FitSettings, optional
+        Of the fits.
+    """
+
+    source: Mapping[str, Any]
+    synthetic: bool = False
+    created: str = ""
+    software: str = ""
+    seed: int = 0
+    warnings: tuple[str, ...] = ()
+    left: SideSummary | None = None
+    right: SideSummary | None = None
+    versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    settings: FitSettings | None = None
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of what a fit's numbers come from."""
+    packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "numba")}
+    return {"ldctoolkit": __version__, "python": platform.python_version()} | packages
