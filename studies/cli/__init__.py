@@ -1,4 +1,4 @@
-"""The command ``ldc``: one file a subcommand. Nothing heavy is imported before a subcommand runs."""
+"""The command ``ldc``: a file each for most subcommands. Nothing heavy is imported before a subcommand runs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
-from studies.cli import compare, controllers, extract, fit, models, rank, report, review, run, sample, sensitivity
+from studies.cli import compare, controllers, extract, fit, rank, report, review, run, sensitivity
 
-_COMMANDS = (extract, fit, sample, review, run, rank, compare, report, sensitivity, controllers, models)
+_COMMANDS = (extract, fit, review, run, rank, compare, report, sensitivity, controllers)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -195,3 +195,21 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{option} {name}: given {names.count(name)} times; allowed: once a name")
+
+
+def add_report_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what every command that writes a report takes."""
+    parser.add_argument(
+        "--source",
+        action="append",
+        metavar="FILE.parquet",
+        help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
+        "generated ones with them; repeatable",
+    )
+    parser.add_argument(
+        "--no-robustness",
+        action="store_true",
+        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows what "
+        "DIR/robustness.json holds of this study, or leaves that section out",
+    )
+    parser.add_argument("--no-figures", action="store_true", help="write no figures/: the report's charts as SVG files")

@@ -42,7 +42,7 @@ def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     import json
 
-    from studies.cli._comparison_table import print_comparison
+    from studies.cli._tables import print_comparison
     from studies.comparison.comparison import compare, comparison_content, write_comparison
     from studies.pages.compare_page import write_compare_page
 

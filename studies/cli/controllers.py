@@ -1,4 +1,4 @@
-"""``ldc controllers``: the laws and their declared gains."""
+"""``ldc controllers`` and ``ldc models``: the laws with their gains, and the scenario models."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(commands: Subparsers) -> None:
-    """Declare the command."""
+    """Declare the commands."""
     parser = commands.add_parser(
         "controllers",
         help="list the laws and their gains",
@@ -22,6 +22,14 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("law", nargs="*", metavar="LAW", help="only these (default: all)")
     parser.set_defaults(run=run)
+    parser = commands.add_parser(
+        "models",
+        help="describe scenario models",
+        description="Describe the bundled scenario models, or the given ones: where they come from and how they were "
+        "fitted.",
+    )
+    parser.add_argument("model", nargs="*", metavar="MODEL", help="bundled model or JSON file (default: all bundled)")
+    parser.set_defaults(run=describe_models)
 
 
 def run(chosen: argparse.Namespace) -> None:
@@ -79,3 +87,15 @@ def _interval(lower: float, upper: float) -> str:
     if math.isinf(upper):
         return f">= {lower:g}"
     return f"<= {upper:g}" if math.isinf(lower) else f"{lower:g} .. {upper:g}"
+
+
+def describe_models(chosen: argparse.Namespace) -> None:
+    """Carry ``ldc models`` out."""
+    from ldctoolkit.scenario_model import bundled_models, load_model
+    from studies.storage.stored_model import model_notes
+
+    for name in chosen.model or bundled_models():
+        model = load_model(name)
+        print(f"{name} (content {model.content_hash[:12]})")
+        for note in model_notes(model):
+            print(f"  {note}")

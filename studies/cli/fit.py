@@ -1,4 +1,4 @@
-"""``ldc fit``: a departures table in, a scenario model and a page about its fit out."""
+"""``ldc fit``: from departures to a scenario model and a page about its fit; ``ldc sample``: scenarios from a model."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ldctoolkit.errors import InputError, LdcError
 from studies.cli._console import (
     Subparsers,
     bound,
+    condition,
     console,
     each_once,
     named,
@@ -31,7 +32,7 @@ _CRITERIA = ("bic", "aic", "icl", "held_out")
 
 
 def add_parser(commands: Subparsers) -> None:
-    """Declare the command."""
+    """Declare the commands."""
     parser = commands.add_parser(
         "fit",
         help="fit a scenario model to departures",
@@ -77,6 +78,7 @@ def add_parser(commands: Subparsers) -> None:
     )  # fmt: skip
     add("--verbose", action="store_true", help="tell of every start and pass on stderr")
     parser.set_defaults(run=run)
+    _add_sample(commands)
 
 
 def components(text: str) -> int | range:
@@ -236,3 +238,67 @@ def _print_curve(summary: SideSummary, taken: int) -> None:
         cells = [format(values[i], form) for _, values, form in columns]
         table.add_row(f"{K}{' *' if taken == K else '  '}", *cells, style="bold" if taken == K else None)
     console().print(table)
+
+
+_MOST = 10_000_000
+"""Departures to one side that fit in memory; the same bound as in a study file."""
+
+
+def _add_sample(commands: Subparsers) -> None:
+    parser = commands.add_parser(
+        "sample",
+        help="draw scenarios from a scenario model",
+        description="Draw departures from a scenario model and write one row each, left ones first. The same model, "
+        "numbers and seed give the same file.",
+    )
+    parser.add_argument("model", metavar="MODEL", help="bundled model or JSON file")
+    parser.add_argument("-n", type=whole_number, metavar="N", help="departures in all, half of them to each side")
+    parser.add_argument("--left", type=whole_number, metavar="N", help="departures to the left")
+    parser.add_argument("--right", type=whole_number, metavar="N", help="departures to the right")
+    parser.add_argument(
+        "--given",
+        type=condition,
+        action="append",
+        metavar="NAME=LOW:HIGH",
+        help="only departures with this parameter between two values in SI units (an empty end is open), or at one: "
+        "NAME=VALUE; repeatable",
+    )
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="table to write, .parquet or .csv")
+    parser.set_defaults(run=sample)
+
+
+def sample(chosen: argparse.Namespace) -> None:
+    """Carry ``ldc sample`` out."""
+    from ldctoolkit.scenario_model import load_model
+    from ldctoolkit.scenario_model.model import outside_fit
+    from studies.storage.files import scenario_table, stored_file, write_parquet
+
+    target = output_file(chosen.output, ".parquet", ".csv")
+    left, right = _numbers(chosen)
+    each_once("--given", chosen.given)
+    given = dict(chosen.given or ())
+    model = load_model(chosen.model)
+    table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
+    for text in outside_fit(model, given):
+        warn(text)
+    if target.suffix.lower() == ".parquet":
+        write_parquet(target, table)
+    else:
+        with stored_file(target) as stream:
+            table.write_csv(stream)
+    print(f"{left} left and {right} right departures written to {target}")
+
+
+def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
+    if chosen.n is None:
+        left, right = chosen.left or 0, chosen.right or 0
+    elif chosen.left is None and chosen.right is None:
+        left, right = (chosen.n + 1) // 2, chosen.n // 2
+    else:
+        raise InputError("-n goes with neither --left nor --right")
+    if max(left, right) > _MOST:
+        raise InputError(f"{max(left, right)} departures to one side; allowed: up to {_MOST}")
+    if left + right == 0:
+        raise InputError("no departures asked for: give -n, or --left and --right")
+    return left, right

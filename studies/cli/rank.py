@@ -53,8 +53,14 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._report import stored_robustness
-    from studies.cli._results import print_race, print_rankings, rank_summary, study_head, write_ranking
+    from studies.cli._results import (
+        print_race,
+        print_rankings,
+        rank_summary,
+        stored_robustness,
+        study_head,
+        write_ranking,
+    )
     from studies.ranking.ranking import rank_study, write_csv
     from studies.ranking.verdict import verdict, write_markdown
     from studies.storage.store import Store

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from studies.cli._console import Subparsers
-from studies.cli._report import add_report_options
+from studies.cli._console import Subparsers, add_report_options
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -41,8 +40,7 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._report import ReportOptions, write_study_report
-    from studies.cli._results import write_ranking
+    from studies.cli._results import ReportOptions, write_ranking, write_study_report
     from studies.pages.replay import designs_of_ids, rows_of_numbers
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict

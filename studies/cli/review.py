@@ -1,11 +1,16 @@
-"""``ldc review``: check a design before a study."""
+"""``ldc review``: checks of a design, or of the designs of a study, before anything is run."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 from studies.cli._console import (
     Subparsers,
     add_row,
@@ -21,7 +26,280 @@ from studies.cli._console import (
 if TYPE_CHECKING:
     import numpy as np
 
+    from ldctoolkit import Controller, Scenarios
+    from ldctoolkit.gains import Gain
+    from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import Review
+    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.simulation import Takeover
+    from ldctoolkit.vehicle import Convention
+    from studies.design import Design
+    from studies.study_file import Study
+
+
+_MOST_SCENARIOS = 1000
+"""Departures to a side that are drawn to see at which speeds and steering angles a study triggers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """One design to review."""
+
+    label: str
+    ids: tuple[str, ...]  # designs of the study that it stands for; empty for a law by itself
+    controller: Controller
+    arguments: dict[str, Any]  # of `ldctoolkit.review.review`
+    stored: tuple[Finding, ...] = ()  # what its results say, where it was run
+
+
+def subjects(chosen: argparse.Namespace) -> list[Subject]:
+    """The designs that the command line names, each set of gains once."""
+    from ldctoolkit import controller_names
+    from studies.study_file import catalog_names, load_study
+
+    if chosen.design in controller_names():
+        if chosen.only:
+            raise InputError("--design: goes with a study; a law's gains are given with --gain")
+        return [_law(chosen)]
+    if _is_file(f"{chosen.design}/manifest.json"):
+        return list(_of_folder(chosen))
+    known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
+    if not known and not _is_file(chosen.design):
+        names = (*controller_names(), *catalog_names())
+        raise UnknownNameError(f"{chosen.design!r}: neither a law, nor a study; {nearest(chosen.design, names)}")
+    if chosen.gain:
+        raise InputError("--gain: goes with the name of a law; a study has its own gains")
+    return list(_of_study(load_study(chosen.design), chosen))
+
+
+def reviewed_design(subject: Subject) -> Review:
+    """The review of a subject; what a study's design raises is its fault, so that the others are reviewed too."""
+    from ldctoolkit import BicycleModel
+    from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.review import SPEEDS, review, review_plant, without_review
+
+    given, stored = subject.arguments, subject.stored
+    dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
+    review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
+    try:
+        found = review(subject.controller, **given)
+        return dataclasses.replace(found, findings=(*stored, *found.findings))
+    except LdcError as error:
+        if not subject.ids:
+            raise
+        return without_review(subject.controller, dt, error)
+
+
+def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
+    """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
+    from ldctoolkit.review.limits import Finding
+    from studies.ranking.ranking import rank_study
+    from studies.ranking.requirements import G, metric_values
+    from studies.ranking.verdict import verdict
+    from studies.storage.store import Store
+
+    store = Store.open(chosen.design)
+    study, results = store.manifest.read_study(), store.results()
+    ranking = rank_study(results, study)[0]
+    named = ranking.designs[verdict(ranking, results, study.setup()).place].id
+    only = chosen.only or named
+    for subject in _of_study(study, argparse.Namespace(**{**vars(chosen), "only": only})):
+        found = []
+        for place, design in enumerate(ranking.designs):
+            if design.id not in subject.ids:
+                continue
+            peak, lost = (float(metric_values(name, ranking)[place]) for name in ("a_y_peak_max", "lost"))
+            most = next(one.limit for one in ranking.limits if one.set == "physical")
+            if peak > most:
+                text = (
+                    f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g), friction "
+                    f"allows {most:.3g} m/s^2"
+                )
+                found.append(Finding("fault", "friction", text, peak, most, math.nan))
+            if lost:
+                text = (
+                    f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged, though "
+                    "friction allows their path"
+                )
+                found.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
+        yield dataclasses.replace(subject, stored=tuple(found))
+
+
+def _is_file(path: str) -> bool:
+
+    try:
+        return Path(path).is_file()
+    except OSError:  # a name that is longer than names of files may be
+        return False
+
+
+def _law(chosen: argparse.Namespace) -> Subject:
+    from ldctoolkit import controller_class
+    from ldctoolkit.gains import find_gain
+    from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.review import SPEEDS
+    from studies.cli._console import each_once
+
+    kind = controller_class(chosen.design)
+    each_once("--gain", chosen.gain)
+    gains = {name: _value(find_gain(kind, name, kind.name), text) for name, text in chosen.gain or ()}
+    given = ", ".join(f"{name}={text}" for name, text in chosen.gain or ())
+    arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
+    if chosen.dt is not None:
+        arguments["dt"] = chosen.dt
+    arguments["speeds"] = _speeds(chosen, (SPEEDS[0], SPEEDS[-1]))
+    return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
+
+
+def _value(declared: Gain, text: str) -> Any:
+    """The text of a gain as what it stands for; what it cannot be is left to the gain's own check."""
+    if isinstance(declared.default, bool):
+        return {"true": True, "false": False}.get(text, text)
+    if isinstance(declared.default, str):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _plant(chosen: argparse.Namespace, options: PlantOptions) -> PlantOptions:
+    """The plant with what the command line says of its actuator."""
+    given = {name: getattr(chosen, name) for name in ("delay", "lag", "rate_max", "delta_max")}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return dataclasses.replace(options, actuator=dataclasses.replace(options.actuator, **changed))
+
+
+def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> np.ndarray | None:
+    import numpy as np
+
+    ends = chosen.speed or default
+    if ends is None:
+        return None
+    low, high = ends
+    return np.linspace(low, high, chosen.points if high > low else 1)
+
+
+def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from studies.runner import study_model
+
+    designs = _chosen(study.designs, chosen.only)
+    wanted, conventions = study.scenarios, study.simulation.convention
+    left, right = min(wanted.left, _MOST_SCENARIOS), min(wanted.right, _MOST_SCENARIOS)
+    scenarios = study_model(study).sample(left, right, seed=study.seed, given=wanted.given)
+    for convention in conventions:
+        said = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
+        for subject in _of_convention(study, designs, scenarios, convention, chosen):
+            yield dataclasses.replace(subject, label=f"{subject.label}{said}")
+
+
+def _of_convention(
+    study: Study, designs: list[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
+) -> Iterator[Subject]:
+    from ldctoolkit.simulation import Takeover
+
+    setup = study.setup(convention)
+    options = _plant(chosen, setup.options)
+    dt = setup.dt if chosen.dt is None else chosen.dt
+    triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
+    speeds = _speeds(chosen, _range(list(triggers.values())))
+    groups: dict[tuple[Any, ...], list[Design]] = {}
+    for design in designs:
+        groups.setdefault((design.law, design.gains), []).append(design)
+    for same in groups.values():
+        thresholds = [design.y_s for design in same]
+        arguments: dict[str, Any] = {"model": setup.model, "dt": dt, "options": options, "y_s": max(thresholds)}
+        arguments["plant_knowledge"] = setup.plant_knowledge
+        if speeds is not None:
+            arguments["speeds"] = speeds
+        angles = _angles([triggers[y_s] for y_s in thresholds])
+        if angles is not None:
+            arguments["delta_prev"] = angles
+        name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
+        yield Subject(name, tuple(d.id for d in same), same[0].controller(convention), arguments)
+
+
+def _chosen(designs: tuple[Design, ...], only: str | None) -> list[Design]:
+    if only is None:
+        return list(designs)
+    found = [design for design in designs if only in (design.id, design.label)]
+    if not found:
+        names = [design.label for design in designs]
+        close = nearest(only, names) if len(names) <= 20 else f"allowed: an id or a label of the {len(names)} designs"
+        raise UnknownNameError(f"--design {only!r}: no such design; {close}")
+    return found
+
+
+def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
+    """Lowest and highest speed at the triggers; None where nothing triggers."""
+    speeds = [takeover.plant.v for takeover in triggers if takeover.m]
+    if not speeds:
+        return None
+    return min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
+
+
+def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Steering angles at the triggers and the speeds there."""
+    import numpy as np
+
+    angles = np.concatenate([takeover.delta_0 for takeover in triggers])
+    return (angles, np.concatenate([takeover.plant.v for takeover in triggers])) if angles.size else None
+
+
+UNITS: Final = {
+    "v": "m_s",
+    "bend": "rad_s",
+    "slowest": "s",
+    "gain_margin": "dB",
+    "gain_reduction_margin": "dB",
+    "phase_margin": "rad",
+    "delay_margin": "s",
+    "crossover": "rad_s",
+    "bandwidth": "rad_s",
+    "e_y_bend": "m",
+    "e_y_bend_mismatched": "m",
+}
+"""Number of a loop -> unit at the end of its column; one that is not here is a pure number."""
+
+
+def columns(review: Review) -> dict[str, list[Any]]:
+    """Numbers of a loop by column, units in the names; empty without a loop."""
+    if review.loop is None:
+        return {}
+    return {
+        f"{field.name}_{UNITS[field.name]}" if field.name in UNITS else field.name: getattr(
+            review.loop, field.name
+        ).tolist()
+        for field in dataclasses.fields(review.loop)
+    }
+
+
+def to_json(reviews: Sequence[tuple[str, tuple[str, ...], Review]]) -> str:
+    """Reviews as JSON; NaN is null, an infinite number "inf" or "-inf"."""
+    content = [
+        {
+            "design": label,
+            "ids": list(ids),
+            "law": review.law,
+            "gains": dict(review.gains),
+            "dt_s": review.dt,
+            "findings": [dataclasses.asdict(finding) for finding in review.findings],
+            "loop": columns(review),
+        }
+        for label, ids, review in reviews
+    ]
+    return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
+
 
 FAULT = 3
 """Exit code where a fault was found."""
@@ -50,7 +328,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("--dt", type=_positive, metavar="S", help="sample time in s (default: 0.05, or the study's)")
     parser.add_argument(
         "--speed",
-        type=_range,
+        type=_speed_range,
         metavar="LOW:HIGH",
         help="speeds in m/s (default: 10:40, or those at the study's triggers)",
     )
@@ -79,7 +357,7 @@ def _points(text: str) -> int:
     return int(text)
 
 
-def _range(text: str) -> tuple[float, float]:
+def _speed_range(text: str) -> tuple[float, float]:
     """``LOW:HIGH`` or one speed."""
     low, high = interval(text, text) if ":" in text else (number(text),) * 2
     if low is None or high is None or not 0 < low <= high < math.inf:
@@ -89,7 +367,6 @@ def _range(text: str) -> tuple[float, float]:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
-    from studies.cli._review_designs import reviewed_design, subjects, to_json
     from studies.storage.files import write_text
 
     target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, number, positive_number, warn
-from studies.cli._report import add_report_options
+from studies.cli._console import Subparsers, add_report_options, number, positive_number, warn
 
 if TYPE_CHECKING:
     from studies.running.campaign import Progress
@@ -66,8 +65,14 @@ SOME_FAILED = 3
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.scenario_model.model import outside_fit
-    from studies.cli._report import ReportOptions, write_study_report
-    from studies.cli._results import json_summary, print_race, print_rankings, write_ranking
+    from studies.cli._results import (
+        ReportOptions,
+        json_summary,
+        print_race,
+        print_rankings,
+        write_ranking,
+        write_study_report,
+    )
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
     from studies.runner import TIME_LIMIT, run_study, study_model

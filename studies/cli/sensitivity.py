@@ -41,7 +41,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.errors import InputError
-    from studies.cli._sensitivity_tables import print_indices, print_profiles
+    from studies.cli._tables import print_indices, print_profiles
     from studies.ranking.ranking import rank_study
     from studies.sensitivity.sensitivity import sensitivity
     from studies.sensitivity.winner_profile import winner_profile, write_sensitivity

@@ -21,7 +21,7 @@ from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.random_streams import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
-from studies.cli._comparison_table import print_comparison
+from studies.cli._tables import print_comparison
 from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
 from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
 from studies.ranking.inference import weight_blocks
