@@ -28,7 +28,7 @@ SHAPE: Final = 1.3
 """Pacejka's C of the tyres that the law believes in."""
 
 GRAVITY: Final = 9.81
-_SATURATED: Final = 0.95  # steady cornering is asked for up to this share of the tyres' peak force
+_SATURATED: Final = 0.95  # steady cornering is held up to this share of the tyres' peak force
 _TURNED: Final = 0.97  # and the front tyres, turned by delta, up to this
 
 # numbers of one scenario that CasADi's functions take as one column, in this order

@@ -253,7 +253,7 @@ def _c_text(functions: tuple[Any, ...], name: str) -> str:
 
 
 def _compile(compiler: str, text: str, target: Path) -> None:
-    """Compile beside the target and rename, so that nobody ever sees half a library."""
+    """Compile beside the target and rename, so that no one ever sees half a library."""
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".compile-") as folder:
         source, made = Path(folder, "code.c"), Path(folder, "code.so")
         source.write_text(text, encoding="utf-8")

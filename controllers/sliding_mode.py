@@ -4,7 +4,7 @@ Let x~ = x - x_ss psi_l' be the deviation from steady cornering at the lane's ya
 e_psi~ the offset at a point T_lp v ahead. The sliding variable is s = e_s' + lambda_ e_s, of relative degree one; on
 s = 0 the offset decays with the time constant 1/lambda_. The super-twisting algorithm (A. Levant, *Sliding order and
 sliding accuracy in sliding mode control*, 1993; Y. Shtessel, C. Edwards, L. Fridman, A. Levant, *Sliding Mode Control
-and Observation*, 2014, chapter 4) asks for
+and Observation*, 2014, chapter 4) requires
 
     ds/dt = u + disturbance,    u = -k_1 |s|^(1/2) sign s + w,    dw/dt = -k_2 sign s,
 
@@ -28,7 +28,7 @@ Brogliato, A. Polyakov, D. Efimov, IEEE TAC 65(8), 2020, without y, leaves s = d
 
 Delta is clipped to +-delta_max. Against windup w is conditioned (R. Seeber, M. Reichhartinger, *Conditioned
 super-twisting algorithm for systems with saturated control action*, Automatica 116, 2020): it moves as it would have if
-the u that the clipped delta stands for had been asked for, w+ = w + (u - w)/2, by at most dt k_2. Where delta is not
+the u that the clipped delta stands for had been commanded, w+ = w + (u - w)/2, by at most dt k_2. Where delta is not
 clipped this is the w+ above.
 
 Positive to the left (ISO 8855), radians. Use it where the vehicle is badly known: w takes up any disturbance whose rate

@@ -6,7 +6,7 @@ a law whose type says what it can do:
 - `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev + f_i z, arrays of n;
   behind an actuator also with weights of earlier commands and of the wheels' steering angle;
 - `SteeringLaw`: any other law, one call a time step for all n scenarios at once, with explicit state;
-- `RecordedPath`: nobody intervenes, the departure runs as it was recorded.
+- `RecordedPath`: no one intervenes, the departure runs as it was recorded.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class EventStatus(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Preview:
-    """The lane ahead, at the lookahead times that a law asked for.
+    """The lane ahead, at the lookahead times that a law requested.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ Law = LinearLaw | SteeringLaw | RecordedPath
 
 
 _checked: weakref.WeakSet[type] = weakref.WeakSet()
-"""Classes that are made as `Controller` asks for."""
+"""Classes that follow `Controller`."""
 
 
 class Controller(abc.ABC):
@@ -307,7 +307,7 @@ class Controller(abc.ABC):
 
 
 def check_class(controller: type[Controller]) -> None:
-    """Raise if a controller class is not made as `Controller` asks for."""
+    """Raise if a controller class does not follow `Controller`."""
     if controller in _checked:  # a class is looked at once: studies make thousands of designs of it
         return
     called = controller.__name__

@@ -183,7 +183,7 @@ def declared_gains(owner: Any) -> tuple[Gain, ...]:
     return _declared(owner if isinstance(owner, type) else type(owner))
 
 
-@functools.cache  # asked for every design that is made
+@functools.cache  # used for every design that is made
 def _declared(owner: type) -> tuple[Gain, ...]:
     return tuple(_named(field) for field in dataclasses.fields(owner) if _KEY in field.metadata)
 
@@ -199,7 +199,7 @@ def _kind(field: dataclasses.Field[Any]) -> str:
 
 
 def _named(field: dataclasses.Field[Any]) -> Gain:
-    """The declaration with the field's name, and its default in the type that the annotation asks for."""
+    """The declaration with the field's name, and its default in the type that the annotation requires."""
     declared: Gain = dataclasses.replace(field.metadata[_KEY], name=field.name)
     default, kind = declared.default, _kind(field)
     if isinstance(default, numbers.Real) and not isinstance(default, bool):

@@ -327,7 +327,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     _score("S_worst", "Mean S, worst of the named vehicles"),
     _share("comfortable_worst", "Comfortable, worst of the named vehicles", "comfort", better="more"),
 )
-"""What a release asks for beside S, by its name, in the order of ``ranking.csv``."""
+"""What a release requires beside S, by its name, in the order of ``ranking.csv``."""
 
 METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}
 """Every metric of a design by its name."""

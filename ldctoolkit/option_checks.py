@@ -86,7 +86,7 @@ class Declaration:
     choices: tuple[str, ...] = ()  # Allowed words; empty for a number or a switch
     usual: tuple[float, float] | None = None  # (, ) or None The narrower range that a study file allows
     kind: type | None = None  # Of a table of options that is absent by default
-    description: str = ""  # A few words; of a plant's option, for where it is not ideal
+    description: str = ""  # A short text; of a plant's option, for where it is not ideal
 
 
 def declaration(**limits: Any) -> dict[str, Declaration]:

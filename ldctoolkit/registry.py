@@ -18,7 +18,7 @@ GROUP = "ldctoolkit.controllers"
 _registered: dict[str, type[Controller]] = {}
 
 _loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}
-"""Installed classes that were asked for before."""
+"""Installed classes that were requested before."""
 
 _sound: weakref.WeakSet[type] = weakref.WeakSet()
 """Classes that can be used by name."""
@@ -84,7 +84,7 @@ def forget(name: str) -> None:
 
 def _check(controller: type[Controller]) -> None:
     """Raise if a class cannot be used by name: studies see, write and compare its gains and nothing else."""
-    if controller in _sound:  # asked for every design that is made
+    if controller in _sound:  # used for every design that is made
         return
     check_class(controller)
     for field in undeclared_fields(controller):
@@ -121,7 +121,7 @@ def controller_class(name: str) -> type[Controller]:
     ShadowedPackageError
         If a user's own folder hides the package that should hold it.
     LdcError
-        If the installed controller cannot be loaded, or is not made as `Controller` asks for; the message carries the
+        If the installed controller cannot be loaded, or does not follow `Controller`; the message carries the
         reason.
     """
     if name in _registered:

@@ -109,7 +109,7 @@ class Design:
     def _follows(name: str, value: GainValue) -> bool:
         return name == CONVENTION_GAIN and value == FOLLOWS_CASE
 
-    @functools.cached_property  # asked for many times in a run
+    @functools.cached_property  # used many times in a run
     def id(self) -> str:
         """Twelve hexadecimal digits that depend on the content only."""
         content = json.dumps([self.law, self.y_s, self.gains], separators=(",", ":"))

@@ -251,7 +251,7 @@ class LawSpace:
         return self._design(self.active(single | dict(values)))
 
     def holds(self, gain: str, values: Mapping[str, GainValue]) -> bool:
-        """Whether the conditions on a gain hold, given the values of the gains that they ask for."""
+        """Whether the conditions on a gain hold, given the values of the gains that they require."""
         return all(c.on in values and values[c.on] in c.values for c in self.conditions if c.gain == gain)
 
     def active(self, values: Mapping[str, GainValue]) -> dict[str, GainValue]:
@@ -373,7 +373,7 @@ class DesignBlock(Part):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # a full grid is told as it was before there were samples and conditions
+        # a full grid is reported as it was before there were samples and conditions
         content: dict[str, Any] = handler(self)
         return {key: value for key, value in content.items() if value or key not in ("sample", "when")}
 

@@ -261,7 +261,7 @@ def holds_parts(path: Path) -> bool:
     """Whether a folder is there that an extraction has left, whatever it was of."""
     try:
         return (path / _MANIFEST).is_file()
-    except OSError:  # nobody may look
+    except OSError:  # no one may look
         return False
 
 
@@ -303,7 +303,7 @@ def _keep_only(path: Path, plan: Plan) -> None:
             differs = what_differs(there, plan) if isinstance(there, dict) else "its manifest is broken"
         except ValueError:
             differs = "its manifest is broken"
-        if not differs and plan["files"]:  # without digests nobody knows whether the files are the same
+        if not differs and plan["files"]:  # without digests no one knows whether the files are the same
             return
         if any(_PART.fullmatch(file.name) for file in path.iterdir()):
             _log.warning(

@@ -123,7 +123,7 @@ class Decision:
     mean: FloatArray  # (k,) [m s] Mean S on the scenarios of the round
     difference: FloatArray  # (k,) [m s] The same minus that of the best
     # (k,) [m s] Lower bound of how much worse the design is than the best one in truth, simultaneous over designs and
-    # rounds: it is given up where that is above 1e-6 m s. Minus infinity where nothing can be said
+    # rounds: it is given up where that is above 1e-6 m s. Minus infinity where nothing can be stated
     low: FloatArray
 
 

@@ -62,7 +62,7 @@ class OtherPlant:
     """A plant to drive on."""
 
     name: str  # Letters and dashes
-    title: str  # A few words
+    title: str  # A short text
     what: str  # What is different, with values and units
     options: PlantOptions
 
@@ -303,7 +303,7 @@ class Robustness:
     slow: tuple[str, ...]  # Laws that were left out because they take too long
     unsafe: tuple[str, ...]  # Labels of designs that were left out because their law ended or held up its process
     more: int  # Further designs that were left out
-    # Name, a few words, and what differs from the study's plant, p each
+    # Name, a short text, and what differs from the study's plant, p each
     plants: tuple[str, ...]
     titles: tuple[str, ...]
     differences: tuple[str, ...]

@@ -242,7 +242,7 @@ class _Run:
         return dataclasses.replace(results, race=race)
 
     def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:
-        """Run what the study asks for; the designs that went all the way, and how a race went."""
+        """Run what the study requires; the designs that went all the way, and how a race went."""
         study = campaign.study
         if study.search is not None:
             return run_search(campaign), None

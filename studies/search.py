@@ -68,7 +68,7 @@ class LawSearch:
         return len(self._found) == self._space.size or self._repeats >= _MOST_REPEATS
 
     def propose(self) -> tuple[Any, Design]:
-        """Optuna's next trial, which is to be told later, and its design."""
+        """Optuna's next trial, whose values follow later, and its design."""
         with _quiet():
             trial = self._optuna.ask()
             design = self._design(trial)
@@ -92,14 +92,14 @@ class LawSearch:
                 self._optuna.tell(trial, list(costs))
 
     def _constraints(self, trial: Any) -> tuple[float, ...]:
-        """What Optuna before its version 5 asks for when a trial is told."""
+        """What Optuna before its version 5 requires with the values of a trial."""
         return self._margins[trial.number]
 
     def _design(self, trial: Any) -> Design:
         space = self._space
         values: dict[str, GainValue] = {}
         dependent = {condition.gain for condition in space.conditions}
-        # the gains that conditions ask for come first
+        # the gains that conditions require come first
         for name, dimension in sorted(space.dimensions, key=lambda one: one[0] in dependent):
             if dimension.size == 1:
                 values[name] = dimension.at(0.0)
@@ -145,7 +145,7 @@ def _sampler(
     from optuna import samplers
     from optuna.trial import Trial
 
-    # later ones are told with the trial, and refuse this
+    # later ones take them with the trial, and refuse this
     before_5 = {"constraints_func": constraints} if constraints and not hasattr(Trial, "set_constraint") else {}
 
     short = int(np.random.SeedSequence([seed[0], _STREAM, seed[1]]).generate_state(1)[0])
@@ -184,14 +184,14 @@ def _quiet() -> Iterator[None]:
 def run_search(campaign: Campaign) -> Sequence[Design]:
     """Run the search of a study; the designs that were tried.
 
-    What the store holds is not run again: the same study asks for the same designs.
+    What the store holds is not run again: the same study requires the same designs.
     """
     study, store, n = campaign.study, campaign.store, len(campaign.scenarios)
     search = Search(study)
     stored = store.known_designs()
     while batch := search.ask():
         campaign.table.add_designs(batch)
-        # what an earlier run asked for is asked for again: its table stays until there is more to say
+        # what an earlier run requested is requested again: its table stays until there are more values
         if stored[: len(search.asked)] != search.asked:
             store.write_designs(search.asked)
         campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
@@ -200,7 +200,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
 
 
 _RESAMPLES = 100
-"""Of an interval that nobody reads: figures do not depend on it."""
+"""Of an interval that no one reads: figures do not depend on it."""
 
 
 def _values_and_margins(
@@ -329,8 +329,8 @@ class Search:
         Raises
         ------
         InputError
-            If a design of the last batch is missing, another is told, the number of objectives or of margins is wrong,
-            or a margin is not a number. Nothing is told then.
+            If a design of the last batch is missing, another is given, the number of objectives or of margins is wrong,
+            or a margin is not a number. Nothing is taken then.
         """
         for name in self._untold:
             if name not in values:

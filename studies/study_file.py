@@ -83,19 +83,19 @@ class RankingSettings(Part):
         "effort_mean",
     )  # Metrics of the Pareto front
     # Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement, the
-    # front or the search asks for one of the two, for all
+    # front or the search requires one of the two, for all
     vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
     # At most so many of the best designs are scored again on fresh scenarios; 0 for none
     finalists: int = Field(default=10, ge=0, le=1000)
 
 
 class SearchSettings(Part):
-    """``[search]``: designs are not written down but asked for, one batch after the other."""
+    """``[search]``: designs are not written down but requested, one batch after the other."""
 
     method: Literal["optuna"] = "optuna"
     sampler: Literal["tpe", "random", "nsga2"] = "tpe"
     trials: int = Field(default=200, ge=1, le=100_000)  # Designs to try in all
-    batch: int = Field(default=16, ge=1, le=10_000)  # Designs asked for at once; they run in parallel
+    batch: int = Field(default=16, ge=1, le=10_000)  # Designs requested at once; they run in parallel
     objectives: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures), Field(min_length=1)] = (
         "S",
     )  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
@@ -440,7 +440,7 @@ class Study(Part):
 
     @functools.cached_property
     def designs(self) -> tuple[Design, ...]:
-        """All designs in the order written, each once; none where a search asks for them."""
+        """All designs in the order written, each once; none where a search requires them."""
         if self.search is not None:
             return ()
         every = (design for block in self.design for design in block.designs())

@@ -221,7 +221,7 @@ class SideDiagnostics:
     comparison_note : str
         Empty where it was made.
     warnings : tuple of str
-        What a user should know, in words.
+        What a user should know, as text.
     """
 
     label: str

@@ -257,7 +257,7 @@ def _careful(strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray) ->
             return None
         gain = 0.5 * float(step @ gradient[0, :m])
         if not gain > _LEAST_GAIN * (1.0 + abs(float(psi[0]))):
-            # what psi could still gain is added: it must not exceed the peak that sampling is told
+            # what psi could still gain is added: it must not exceed the peak that sampling is given
             return mu, psi + abs(gain)
         t = 1.0
         while t > 1e-9:

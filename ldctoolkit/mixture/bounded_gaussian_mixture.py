@@ -74,7 +74,7 @@ def fit_warnings(
     passes: int,
     names: Sequence[str] | None = None,
 ) -> tuple[str, ...]:
-    """Sentences, the gravest first; none where nothing is to be said."""
+    """Sentences, the gravest first; none where nothing is to be reported."""
     out = [_stopped(stop_reason, passes)] if stop_reason != "converged" else []
     out += _of_components(distribution, profile)
     out += _of_columns(profile, correlation, names)

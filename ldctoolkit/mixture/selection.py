@@ -211,7 +211,7 @@ _LISTEN_EVERY: Final = 0.2
 """Seconds after which an interrupt is noticed at the latest."""
 
 _LOOK_FOR_PARENT_EVERY: Final = 2.0
-"""Seconds after which a worker notices that nobody waits for it."""
+"""Seconds after which a worker notices that no one waits for it."""
 
 
 def in_processes(
@@ -250,7 +250,7 @@ def in_processes(
                 "`if __name__ == '__main__':` around what it does; n_jobs=1 needs no other process"
             ) from None
         finally:
-            # after an error or an interrupt nothing waits for fits that nobody will read
+            # after an error or an interrupt nothing waits for fits that no one will read
             for process in set(multiprocessing.active_children()) - children:
                 process.terminate()
             # the pool's own thread waits for them: two that wait for one process can both miss its end
@@ -463,7 +463,7 @@ def select_components(
     if n_jobs is not None:
         check_number("n_jobs", n_jobs, 1, integer=True)
     seed = seed_of(random_state)
-    # made here, so that a wrong setting is told before anything starts
+    # made here, so that a wrong setting is found before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]
     x = np.ascontiguousarray(as_matrix(X))  # in the order the passes read it
     if x.size == 0:

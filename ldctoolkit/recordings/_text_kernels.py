@@ -34,7 +34,7 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
 def _parse(text: npt.NDArray[np.uint8], column: npt.NDArray[np.int64], numbers: FloatArray, powers: FloatArray) -> int:
     """Number of lines, or -1 where something is not plain.
 
-    The text ends with a line end, where every inner loop stops, so that none has to ask for the end of the text. Places
+    The text ends with a line end, where every inner loop stops, so that none has to require the end of the text. Places
     are unsigned: a place that may be negative would be looked at twice.
     """
     size, one = np.uint64(text.size), np.uint64(1)

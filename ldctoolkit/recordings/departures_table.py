@@ -207,7 +207,7 @@ class Extraction:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What looked wrong with the recordings, in words."""
+        """What looked wrong with the recordings, as text."""
         return self.provenance.warnings
 
 

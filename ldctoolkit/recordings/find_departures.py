@@ -303,7 +303,7 @@ def _seconds(table: RecordingTable, place: IntArray, limit: FloatArray, *, adjac
 
 
 def _lateral(signals: DepartureSignals) -> FloatArray:
-    """Largest lateral acceleration that the curvature asks for, (n,) [m/s^2]."""
+    """Largest lateral acceleration that the curvature requires, (n,) [m/s^2]."""
     if signals.n == 0:
         return np.empty(0)
     largest: FloatArray = np.maximum.reduceat(signals.v**2 * np.abs(signals.c), signals.offsets[:-1])

@@ -144,7 +144,7 @@ _SLACK: Final = 1e-6
 """Of a step: a sample on the edge of a window is in it, however its time was rounded."""
 
 _MOST_STEPS: Final = 2**52
-"""Multiples of the step up to here are told apart by floating point numbers."""
+"""Multiples of the step up to here are distinguished by floating point numbers."""
 
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 _NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
@@ -351,7 +351,7 @@ LONGEST: Final = 1.5
 """Longest time [s] between headings that is bridged; GPS receivers give one a second at least."""
 
 WORTH_TELLING: Final = 0.01
-"""Share of the valid samples above which it is told."""
+"""Share of the valid samples above which it is reported."""
 
 FILLED: Final = "the yaw rate is missing in places, and comes from the GPS heading there"
 NONE: Final = "no yaw rate: the lane counts as straight"

@@ -193,7 +193,7 @@ def unit_counts(
 
 
 def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
-    """Warnings in words, none when everything is plausible."""
+    """Warnings as text, none when everything is plausible."""
 
     def share(name: str, of: str = "samples") -> float:
         return counts.get(name, 0) / max(counts.get(of, 0), 1)
@@ -279,7 +279,7 @@ class Evidence:
     names: npt.NDArray[np.str_]  # (r,): names of the recordings
     fingerprints: npt.NDArray[np.str_]  # (r,): digest of offset, width and speed of each; empty for short ones
     median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
-    notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, in words, and how many lack it
+    notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
 
 def no_evidence() -> Evidence:

@@ -28,7 +28,7 @@ class RecordingPart(Protocol):
     """A share of a source that is read in one go: whole recordings, which fit into memory together.
 
     It is sent to worker processes, so it is plain data. Which recordings lie in which part depends on the source alone.
-    Problems of a whole part are told under its attribute `shown`, if it has one, or else under its key.
+    Problems of a whole part are reported under its attribute `shown`, if it has one, or else under its key.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class RecordingReader(Protocol):
     name : str
         As given to ``ldc extract --format``.
     title : str
-        A few words.
+        A short text.
     vehicle_width : float [m]
         Taken unless the user gives another.
     step : float [s] or None
@@ -120,7 +120,7 @@ class RecordingReader(Protocol):
 
     @property
     def title(self) -> str:
-        """A few words."""
+        """A short text."""
 
     @property
     def vehicle_width(self) -> float:
@@ -131,7 +131,7 @@ class RecordingReader(Protocol):
         """In s."""
 
     def recognise(self, paths: Sequence[Path]) -> str:
-        """What was found, in a few words, if these paths are of this kind; otherwise an empty text.
+        """What was found, in a short text, if these paths are of this kind; otherwise an empty text.
 
         It looks at names, folders and first lines only, and raises nothing for content of another kind.
         """
@@ -352,7 +352,7 @@ class OpenedRecordings:
     source : RecordingSource
         Parts, files, problems.
     found : str
-        What was found, in a few words.
+        What was found, in a short text.
     """
 
     reader: RecordingReader

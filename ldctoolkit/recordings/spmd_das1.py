@@ -79,7 +79,7 @@ class Das1Part:
             first = stretches[0]
             name = f"{first.device}/{first.trip}"
             if begin == end:
-                continue  # every row was left out, and told
+                continue  # every row was left out, and reported
             if there and joined[begin] == joined[end]:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
                 apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))

@@ -67,7 +67,7 @@ CELLS: Final = (45, 53)
 """Cells of a row: the table comes with and without the last eight columns, also both in one file."""
 
 LOOKED_AT: Final = 20
-"""A table without a header is told by so many first lines, of which the first may be an odd one."""
+"""A table without a header is recognised by so many first lines, of which the first may be an odd one."""
 
 
 def layout_of(path: Path) -> TableLayout | None:
@@ -148,7 +148,7 @@ class Das2Part:
         ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1))
         for stretches, begin, end in zip(self.trips, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
             if begin == end:
-                continue  # every row was left out, and told
+                continue  # every row was left out, and reported
             name = f"{stretches[0].device}/{stretches[0].trip}"
             own: dict[str, Any] = {
                 key: None if column is None else column[begin:end] for key, column in columns.items()

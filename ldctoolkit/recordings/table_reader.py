@@ -221,7 +221,7 @@ def csv_blocks(path: Path, block_bytes: int) -> Iterator[tuple[list[str], bytes,
 def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
     """The next bytes of a file, about so many, and what ended those of a packed one before their time.
 
-    What a cut leaves is sound. Of bytes that cannot be unpacked nobody knows where they went wrong: none is given.
+    What a cut leaves is sound. Of bytes that cannot be unpacked no one knows where they went wrong: none is given.
     """
     if not isinstance(stream, gzip.GzipFile):
         return stream.read(size), None
@@ -287,7 +287,7 @@ def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: S
 
 def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
     """Lines as columns of numbers and texts; `line` is the number of the first. None if they cannot be split."""
-    # positional names: a file may repeat or leave blank the names of columns that nobody needs
+    # positional names: a file may repeat or leave blank the names of columns that no one needs
     position = [f"c{i}" for i in range(width)]
     wanted = {name: position[i] for name, i in places.items()}
     text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
@@ -316,7 +316,7 @@ def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.Da
 def _parse_faulty(
     header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault]
 ) -> pl.DataFrame:
-    """Lines of which some are at fault: these are left out where they cannot be split, and told.
+    """Lines of which some are at fault: these are left out where they cannot be split, and reported.
 
     A line left out marks the sample before or behind it that has its recording's name, or else both.
     """
@@ -419,7 +419,7 @@ HEADER_BYTES: Final = 1 << 16
 """A header is looked for in so many first bytes."""
 
 MOST_REPEATED: Final = 20
-"""So many recordings that two files hold are told one by one."""
+"""So many recordings that two files hold are reported one by one."""
 
 
 def header_names(path: Path) -> tuple[str, ...]:
@@ -431,7 +431,7 @@ def header_names(path: Path) -> tuple[str, ...]:
         if name.endswith(".parquet"):
             return tuple(parquet_names(path))
         with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
-            first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is told when it is read
+            first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is reported when it is read
     except (OSError, EOFError, ValueError, zlib.error, RecordingError):
         return ()
     utf_16 = first[:2] in (b"\xff\xfe", b"\xfe\xff")
@@ -482,7 +482,7 @@ def place_word(path: Path) -> str:
 
 
 def _names(path: Path) -> dict[str, int]:
-    """First row of each recording of a file, as far as it can be read; its faults are told when it is read in full."""
+    """First row of each recording of a file, as far as it can be read; faults are reported when it is read in full."""
     import polars as pl
 
     found: dict[str, int] = {}
@@ -501,7 +501,7 @@ KNOWN_BY: Final = 3
 """A file with so many of the five columns that are needed is meant as a recording table."""
 
 MOST_TOLD: Final = 20
-"""So many problems of one file are told one by one; the others are counted."""
+"""So many problems of one file are reported one by one; the others are counted."""
 
 LARGEST_TIME: Final = 1e20
 """A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""
@@ -522,7 +522,7 @@ class TablePart:
         object.__setattr__(self, "shown", self.shown or Path(self.path).name)
 
     def read(self) -> Iterator[Recording | Problem]:
-        """Recordings in the file's order; one with a fault in any of its rows is left out, and told."""
+        """Recordings in the file's order; one with a fault in any of its rows is left out, and reported."""
         told = 0
         more: Problem | None = None
         for one in self._items():

@@ -102,7 +102,7 @@ Key = tuple[int, int]
 T = TypeVar("T")
 
 MOST_PROBLEMS: Final = 20
-"""Problems of one kind that are told one by one; the others are counted."""
+"""Problems of one kind that are reported one by one; the others are counted."""
 
 LARGEST_TIME: Final = 1e11
 """A time of this size or more, in the table's own unit, is none."""
@@ -128,7 +128,7 @@ class TripRows:
     """Cells of several trips, one trip after the other, times of a trip never falling."""
 
     cells: Cells  # m rows
-    trip: IntArray  # (m,): which of the trips asked for a row belongs to; never falls
+    trip: IntArray  # (m,): to which of the requested trips a row belongs; never falls
     problems: tuple[Problem, ...]  # what was left out
 
 
@@ -348,7 +348,7 @@ class FoundTable:
 
 
 def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
-    """How many tables there are of each kind, in words; empty if there are none."""
+    """How many tables there are of each kind, as text; empty if there are none."""
     kinds: list[str] = []
     for path, _ in find_tables(paths):
         kind, plain = "", False

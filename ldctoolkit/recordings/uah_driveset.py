@@ -412,7 +412,7 @@ COURSE_HALF: Final = 1.5
 """Half the window [s] of a yaw rate from courses."""
 
 ENOUGH: Final = 0.95
-"""A signal that covers less than this share of the samples with a lane is told."""
+"""A signal that covers less than this share of the samples with a lane is reported."""
 
 
 @dataclasses.dataclass(frozen=True)

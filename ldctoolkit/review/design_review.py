@@ -192,7 +192,7 @@ def _softer(controller: Controller) -> str:
 
 
 _NONLINEAR = 0.05
-"""Relative difference of the answers to small and larger pulses from which it is told."""
+"""Relative difference of the answers to small and larger pulses from which it is reported."""
 
 _IN_THE_LOOP = ("period", "delay", "kalman")
 """What of the camera the loop holds."""
@@ -202,7 +202,7 @@ _UNEXPLAINED = 0.02
 
 
 def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
-    """What can be said of a law by itself."""
+    """What can be stated of a law by itself."""
     if not view.finite.all():
         at = float(v[int(np.argmin(view.finite))])
         text = f"At {at:.3g} m/s the law gives commands that are not finite numbers near straight, centred driving."

@@ -4,7 +4,7 @@ Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel), where r is th
 curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time; the wheels'
 steering angle is for linear laws only. At each sample delta = C s + D u and s+ = A s + B u.
 
-A `SteeringLaw` is asked for its answers to small pulses, up and down, at one sample of a run that is quiet otherwise;
+A `SteeringLaw` is probed with small pulses, up and down, at one sample of a run that is quiet otherwise;
 half the difference is its pulse response. The first answer gives D. Where later ones are not zero the law has a memory,
 and A, B, C are the smallest system with that response (J.-N. Juang, R. S. Pappa, *An eigensystem realization algorithm
 for modal parameter identification and model reduction*, 1985).

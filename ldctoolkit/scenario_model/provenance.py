@@ -84,7 +84,7 @@ TOGETHER: Final = 10
 """Departures behind every quantile at least: each is a mean over so many."""
 
 LEAST_IN_CELL: Final = 5
-"""Departures behind every share of a cell; cells with fewer are told as empty."""
+"""Departures behind every share of a cell; cells with fewer are reported as empty."""
 
 QUANTILES: Final = 40
 CELLS: Final = 12
@@ -297,7 +297,7 @@ class SideSummary:
     criterion : str
         By which K was taken; ``""`` where one K was fitted as asked.
     reason : str
-        Why this K, in words.
+        Why this K, as text.
     failed : tuple of (int, str)
         The K that could not be fitted, and why.
     passes : int, optional

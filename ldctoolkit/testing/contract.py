@@ -31,7 +31,7 @@ CHECKS: Final[dict[str, Check]] = {
     "ended": law_checks.ended,
     "extremes": law_checks.extremes,
 }
-"""Name -> check; the first line of a check's documentation says what it asks for."""
+"""Name -> check; the first line of a check's documentation states what it requires."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,7 +45,7 @@ sys.stdout.buffer.write(pickle.dumps(pickle.loads(pickle.load(sys.stdin.buffer))
 
 
 def declared(subject: Subject) -> Iterator[str]:
-    """The class is made as `Controller` asks for, and everything that it takes is declared and described."""
+    """The class follows `Controller`, and everything that it takes is declared and described."""
     kind = type(subject.design)
     check_class(kind)
     for name in undeclared_fields(kind):

@@ -1,4 +1,4 @@
-"""What one check looks at, and the words that faults are told in."""
+"""What one check looks at, and the text of its faults."""
 
 from __future__ import annotations
 

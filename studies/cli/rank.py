@@ -99,7 +99,7 @@ def run(chosen: argparse.Namespace) -> None:
 
 
 def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
-    """The study with the settings of the ranking that were asked for, checked as if they stood in its file."""
+    """The study with the settings of the ranking that were requested, checked as if they stood in its file."""
     changes: dict[str, Any] = {name: getattr(chosen, name) for name in ("baseline", "confidence")}
     for name in ("require", "pareto"):
         texts = getattr(chosen, name)
@@ -112,7 +112,7 @@ def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
 
 
 def _same_chances(own: Study, study: Study) -> bool:
-    """Whether nothing is asked for that decides who could be the best."""
+    """Whether no other setting was given that decides which design could be the best."""
     return (own.ranking.require, own.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
 
 

@@ -436,7 +436,7 @@ def _print_loop(label: str, review: Review) -> None:
 
 
 _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
-"""What is told of a design among others, at its worst speed."""
+"""What is reported of a design among others, at its worst speed."""
 
 
 def _print_overview(reviewed: Reviewed) -> None:

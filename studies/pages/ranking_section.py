@@ -19,7 +19,7 @@ MOST_ROWS: Final = 1000
 """Designs of the table; all of them are in ranking.csv."""
 
 FIRST_ROWS: Final = 20
-"""Rows that are shown before all are asked for, and those that are printed."""
+"""Rows that are shown before all are requested, and those that are printed."""
 
 METRIC_COLUMNS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
 

@@ -21,7 +21,7 @@ from studies.results import FAILED_STATUSES
 
 MOST_DESIGNS: Final = 8
 COUNT: Final = 60
-"""Departures in the explorer beside those asked for."""
+"""Departures in the explorer beside those requested."""
 
 STATUS_TEXT: Final = {
     EventStatus.OK: "driven to the end",
@@ -98,7 +98,7 @@ class Pick:
 
 
 def chosen_designs(context: Context) -> tuple[Chosen, ...]:
-    """The shown design, those asked for, the baseline, the best of each law, Table I, the second of the ranking."""
+    """The shown design, those requested, the baseline, the best of each law, Table I, the second of the ranking."""
     ranking = context.ranking
     place_of = {index: place for place, index in enumerate(ranking.index.tolist())}
     wanted = designs_of_ids(context.report.results.designs, context.report.shown_designs)
@@ -122,7 +122,7 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
 
 
 def picked_departures(context: Context, designs: Sequence[Chosen], count: int = COUNT) -> tuple[Pick, ...]:
-    """Departures asked for, then those with a name, then others evenly over the ranks of S."""
+    """Departures requested, then those with a name, then others evenly over the ranks of S."""
     n = context.scenarios.n
     roles: dict[int, list[str]] = {}
     for row in rows_of_numbers(context.scenarios, context.report.departures):

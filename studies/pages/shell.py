@@ -64,7 +64,7 @@ class Cell:
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """One row; `kind` is a class of the style sheet, `later` hides it until all rows are asked for."""
+    """One row; `kind` is a class of the style sheet, `later` hides it until all rows are requested."""
 
     cells: tuple[Cell | str, ...]
     kind: str = ""
@@ -148,7 +148,7 @@ def figure(charts: Sequence[Chart], caption: str, key: Markup = Markup()) -> Mar
 
 
 def details(title: str, body: Markup) -> Markup:
-    """What is shown when asked for; it is not printed."""
+    """What is shown when requested; it is not printed."""
     return Markup("<details><summary>{}</summary>{}</details>").format(symbols(title), body)
 
 

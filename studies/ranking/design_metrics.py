@@ -1,4 +1,4 @@
-"""Metrics of the designs of a case: means, tails, shares, counts, what a release asks for, and the Pareto front."""
+"""Metrics of the designs of a case: means, tails, shares, counts, what a release requires, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FEW = 8
 
 
 def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
-    """Mean of what is marked in each row."""
+    """Mean of what is marked in each row; NaN where nothing is."""
     count = among.sum(axis=1)
     total = np.where(among, values, 0.0).sum(axis=1)
     result: FloatArray = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
@@ -38,13 +38,14 @@ def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
 
 
 def masked_max(values: FloatArray, among: BoolArray) -> FloatArray:
-    """Largest of what is marked in each row; parameters and result as `masked_mean`."""
+    """Largest of what is marked in each row; NaN where nothing is."""
     largest = np.where(among, values, -np.inf).max(axis=1, initial=-np.inf)
     return np.where(among.any(axis=1), largest, np.nan)
 
 
 def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> FloatArray:
-    """Quantile of what is marked in each row, linear between neighbours; parameters and result as `masked_mean`.
+    """Quantile of what is marked in each row, linear between neighbours; NaN where nothing is marked.
+
     Infinite values are allowed: between a finite and an infinite neighbour it is infinite.
     """
     count = among.sum(axis=1)
@@ -99,7 +100,7 @@ class ReleaseFigures:
 
 
 def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
-    """Every metric of a design that is taken from metrics of its scenarios."""
+    """Every metric of a design that is taken from those of its scenarios; d_y (n,) [m] is without control."""
     acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
     acted[[design.is_baseline for design in designs]] = False
     blocks = _Blocks(case, acted)
@@ -188,7 +189,7 @@ _FEWEST_DIGITS = 6
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
-    """Position of the baseline in `results.designs`."""
+    """Position of the baseline in `results.designs`; None where it failed, was given up, or there is none."""
     here = _found(baseline or NO_CONTROL, results.designs)
     if here:
         return here[0]
@@ -217,7 +218,10 @@ def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
 
 
 def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
-    """Quantile, and mean beyond it, of every row."""
+    """Quantile of every row, and mean of its worst (100 - percent) %, the last value by its share of them.
+
+    The latter is CVaR (R. Rockafellar, S. Uryasev, J. Banking and Finance 26, 2002).
+    """
     d, n = values.shape
     quantile, cvar = np.empty(d), np.empty(d)
     whole, rest = divmod(n * (100 - percent), 100)  # in whole numbers: 0.05 n is not exact
@@ -311,7 +315,7 @@ def case_figures(
     margins: Margins | None = None,
     setup: Setup | None = None,
 ) -> CaseFigures:
-    """Figures of the designs of a case, in its order."""
+    """Metrics of the designs of a case, in its order. Without `setup`, friction allows every recorded path."""
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)

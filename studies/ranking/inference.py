@@ -119,10 +119,11 @@ def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -
 
 
 def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
-    """Values as whole numbers of a unit, so that weighted sums of them are exact.
+    """Values as whole numbers (d, n) of a unit (d,), a power of two, so that weighted sums of them are exact.
 
-    Every partial sum of weights times grid is a whole number below 2^53. A matrix product is then the same to the
-    last bit in whatever order a BLAS sums, on any machine, for any number of threads and any rows beside it.
+    `total` bounds the sum of weights. Every partial sum of weights times grid is a whole number below 2^53. A matrix
+    product is then the same to the last bit in whatever order a BLAS sums, on any machine, for any number of threads
+    and any rows beside it.
     """
     _, exponent = np.frexp(np.abs(values).max(axis=1, initial=0.0))
     unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
@@ -152,7 +153,10 @@ _ROUNDING = 1e-12
 
 
 def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
-    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean."""
+    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean.
+
+    Deviation from the stratum's mean times sqrt(n_h / (n_h - 1)) / n; those of a difference are their differences.
+    """
     parts = np.zeros(values.shape)
     for which in np.unique(side):
         rows = side == which
@@ -170,7 +174,7 @@ def lengths(parts: FloatArray) -> FloatArray:
 
 
 def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> FloatArray:
-    """Standard error of the mean paired difference of every row to a reference; 0 where they move along."""
+    """Standard error of the mean paired difference of every row to a reference; 0 within the rounding of `largest`."""
     d, n = parts.shape
     errors = np.empty(d)
     size = max(1, _SPREAD_ENTRIES // n)
@@ -183,7 +187,7 @@ def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> F
 
 
 def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
-    """Third moment of the mean paired difference of every row to a reference, (d,); parameters as `paired_errors`."""
+    """Third moment of the mean paired difference of every row to a reference, (d,)."""
     d, n = parts.shape
     cubes = np.empty(d)
     size = max(1, _SPREAD_ENTRIES // n)
@@ -209,7 +213,7 @@ def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tup
     """How far intervals of skewed scores reach below and above their estimates.
 
     With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
-    Johnson 1978) asks for g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
+    Johnson 1978) takes g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
     2 c^3 - 3 c) / 18 on both, here c at most. The expansion's gain on the side of the shorter tail is not taken: g
     is itself an estimate.
     """
@@ -346,7 +350,7 @@ class Resampled:
         return result
 
     def extremes(self, errors: FloatArray, reference: int | None = None, first: int | None = None) -> FloatArray:
-        """Largest absolute studentised deviation in each resample: among the first designs, and among all."""
+        """Largest absolute studentised deviation in each resample; designs with error 0 are left out."""
         scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
         samples, d = self.deviations.shape
         parts = (slice(None, first), slice(first, None)) if first not in (None, d) else (slice(None),)
@@ -370,7 +374,10 @@ def _largest(scores: FloatArray) -> float:
 
 
 def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
-    """Number of standard errors that the largest studentised deviation stays below with the confidence."""
+    """Number of standard errors that the largest studentised deviation stays below with the confidence.
+
+    With the tails of Student's t: resamples are divided by a known standard error, the real one is estimated.
+    """
     return with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
 
 
@@ -442,7 +449,7 @@ def infer(
     confidence: float,
     rows: IntArray | None = None,
 ) -> Inference:
-    """Compare designs."""
+    """Compare designs, the first `ranked` of them as candidates for the best; none where that is 0."""
     resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
     d = resampled.mean.size
     contenders = ranked or d
@@ -540,7 +547,7 @@ def separable(
 
 
 def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
-    """As `separable`, of scores that are resampled already."""
+    """As `separable`, of resampled scores; only the first `contenders` can be the best."""
     check_confidence(confidence)
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))

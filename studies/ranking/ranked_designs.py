@@ -26,9 +26,11 @@ from studies.results import Case, FailedDesign, StudyResults
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
-    """The search's first, unless fresh scenarios part it from a better one. Taking the smallest fresh score would
-    choose by luck again, and that score would be too small again. The first of the search was not chosen on the
-    fresh scenarios, so its fresh score is not.
+    """The first finalist in the set of best that meets the requirements; of all, where none in the set does.
+
+    Where the interval of the difference to it is below 0 for others of these, the one with the smallest mean; None
+    where none meets the requirements. To take the smallest fresh score would choose by luck again, and that score
+    would be too small again. The search's first was not chosen on the fresh scenarios, so its fresh score is not.
     """
     candidates = np.flatnonzero(meets & set_of_best)
     if not candidates.size:
@@ -90,7 +92,7 @@ def no_fresh_scores(d: int, ranked: int) -> FreshScores:
 
 @dataclasses.dataclass(frozen=True)
 class SearchScores:
-    """What the search's scenarios said, d designs by position in the ranking."""
+    """What the search's scenarios show, d designs by position in the ranking."""
 
     scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
     order: IntArray  # (d,) Where the designs of the ranking stand in it

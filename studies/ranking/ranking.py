@@ -65,8 +65,8 @@ def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference
     )
     if not spread_is_known(side):
         yield (
-            f"There is no interval and nothing is told apart: a side has one scenario only ({numbers}), which shows no "
-            "spread."
+            f"There is no interval and no designs are separated: a side has one scenario only ({numbers}), "
+            "which shows no spread."
         )
     elif side.size < FEW or counts.min() < FEW_OF_A_SIDE:
         yield (
@@ -82,7 +82,7 @@ def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference
 
 
 _OFTEN = 0.1
-"""Share of a design's interventions with a failed solve from which on a reader is told at once."""
+"""Share of a design's interventions with a failed solve from which on the reader is warned."""
 
 _NAMED = 3
 """Designs that a warning names."""

@@ -135,7 +135,7 @@ class Bar:
 
 
 def default_progress(show: bool | None) -> Progress:
-    """A bar if asked for, or, with None, where stderr is a terminal."""
+    """A bar if requested, or, with None, where stderr is a terminal."""
     return Bar() if (sys.stderr.isatty() if show is None else show) else Silent()
 
 
@@ -356,7 +356,7 @@ class Dispatcher:
                 yield fewer
 
     def _harmless(self, task: SimulationTask) -> SimulationTask:
-        """A task that drives nobody, on one scenario."""
+        """A task that drives no one, on one scenario."""
         nobody = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
         return dataclasses.replace(
             task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1

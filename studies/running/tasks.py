@@ -370,7 +370,7 @@ class Simulator:
         try:
             again = drive(design.controller(task.convention), few, threads=1)
             reason = kept_state(*room.some(i, rows), self._outcomes(again))
-            if reason:  # state, or a law that minds its neighbours? all of them once more tell
+            if reason:  # state, or a law that depends on its neighbours? all of them once more tell
                 again = drive(design.controller(task.convention), takeover, threads=1)
                 reason = kept_state(*room.some(i, np.arange(room.rows)), self._outcomes(again))
         except _NOT_OF_A_LAW:

@@ -110,7 +110,7 @@ class LawTime:
 
     @property
     def per_command(self) -> float:
-        """Mean wall time per command [s]; 0 where nobody was steered."""
+        """Mean wall time per command [s]; 0 where no one was steered."""
         return self.seconds / self.commands if self.commands else 0.0
 
     def __add__(self, other: LawTime) -> LawTime:
@@ -385,7 +385,7 @@ def _processor() -> str:
 
 
 def _command(arguments: Sequence[str]) -> str:
-    """The command line in words that can be typed again, without absolute paths."""
+    """The command line as text that can be typed again, without absolute paths."""
     return shlex.join(["ldc", *(_relative(word) for word in arguments[1:])])
 
 

@@ -88,7 +88,7 @@ def _signature(path: Path) -> tuple[int, int]:
 class StoredColumn(np.lib.mixins.NDArrayOperatorsMixin):
     """A column of d runs on n scenarios, (d, n), that is read from the parts each time it is used.
 
-    Some designs are an array, ``column[3]``, ``column[[3, 5], :10]``, and only what is asked for is read. Some
+    Some designs are an array, ``column[3]``, ``column[[3, 5], :10]``, and only what is requested is read. Some
     scenarios of all designs, ``column[:, mask]``, are a column again. Everything else that an array can do reads the
     whole column first: NumPy's functions, operators, methods.
     """
@@ -324,7 +324,7 @@ class RunTable:
         designs: Sequence[Design] | None = None,
         rows: IntArray | None = None,
     ) -> StudyResults:
-        """Everything of the designs asked for; the arrays are this table's, copies only if something is left out."""
+        """Everything of the designs requested; the arrays are this table's, copies only if something is left out."""
         wanted = list(self.designs if designs is None else designs)
         at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
         some_there = self._there[:, at] if rows is None else self._there[:, at][:, :, rows]

@@ -2,7 +2,7 @@
 
 ::
 
-    DIR/manifest.json            what was asked for, with which versions, on which machine
+    DIR/manifest.json            what was requested, with which versions, on which machine
     DIR/scenarios.parquet        the scenarios that every design was run on
     DIR/designs.parquet          the designs: identifier, law, y_s, gains
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
@@ -174,7 +174,7 @@ class Store:
         self.failures = read_failures(self.folder)
 
     def designs(self) -> tuple[Design, ...]:
-        """The designs of the study, or those that its search asked for."""
+        """The designs of the study, or those that its search requested."""
         if self._study.search is None:
             return self._study.designs
         return read_designs(self.folder / DESIGNS)

@@ -20,7 +20,7 @@ def make_executor(
     Parameters
     ----------
     name : {"serial", "processes", "dask"} or None
-        None for processes, or serial where one worker is asked for; dask where an address is given.
+        None for processes, or serial where one worker is requested; dask where an address is given.
     workers : int or None
         None for one a core.
     address : str, optional

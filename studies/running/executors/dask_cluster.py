@@ -43,7 +43,7 @@ class Connection:
         except ImportError:
             raise LdcError("a Dask cluster needs the extra cluster: install ldctoolkit[cluster]") from None
         self.killed: type[Exception] = distributed.KilledWorker
-        # what becomes of a worker is told by this program, in its own words
+        # what becomes of a worker is reported by this program itself
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.client: Any = None
         self._cluster: Any = None

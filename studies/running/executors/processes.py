@@ -106,7 +106,7 @@ class ProcessExecutor:
         ended: list[Ended] = []
         for future in futures:
             if future not in self._tasks:
-                continue  # told already, with all that a broken pool held
+                continue  # reported already, with all that a broken pool held
             try:
                 done = future.result()
             except (BrokenProcessPool, CancelledError):
@@ -115,7 +115,7 @@ class ProcessExecutor:
         return ended
 
     def _broken(self) -> list[Ended]:
-        """Everything that the pool held; tasks that a dead worker may have stumbled over are told as such."""
+        """Everything that the pool held; tasks that a dead worker may have stumbled over are reported as such."""
         ended: list[Ended] = []
         lost: list[Work] = []
         for future, task in self._tasks.items():
@@ -144,7 +144,7 @@ class ProcessExecutor:
         """Leave the workers to the next run of this process; if not `orderly`, end them now."""
         if self._pool is not None and not orderly:
             pool, self._pool = self._pool, None
-            # who gives up is told already why: a second interrupt only ends the waiting
+            # the reason is reported already: a second interrupt only ends the waiting
             with contextlib.suppress(KeyboardInterrupt):
                 attempt(lambda: pool.shutdown(wait=True, kill_workers=True), _CLOSE)
         self._tasks.clear()

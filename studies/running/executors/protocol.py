@@ -224,7 +224,7 @@ def note(text: str) -> None:
 
 
 def _leave_with(parent: int) -> None:
-    """End this process soon after its parent was killed: nobody would read what it computes."""
+    """End this process soon after its parent was killed: no one would read what it computes."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

@@ -21,7 +21,7 @@ def inference() -> Inference:
         (25, 24, "too short with so few scenarios (25 left and 24 right)"),
         (91, 9, "too short with so few scenarios (91 left and 9 right)"),
         (0, 49, "too short with so few scenarios (49 right)"),
-        (99, 1, "no interval and nothing is told apart: a side has one scenario only (99 left and 1 right)"),
+        (99, 1, "no interval and no designs are separated: a side has one scenario only (99 left and 1 right)"),
         (40, 10, ""),
         (50, 0, ""),
     ],
