@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +26,6 @@ from ldctoolkit import Controller, LdcError, controller_class
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
 from studies.design import Design
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class Part(BaseModel):

@@ -10,7 +10,7 @@ import io
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +28,6 @@ from ldctoolkit.recordings.recording import (
     source_file,
 )
 from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 

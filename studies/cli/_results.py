@@ -31,11 +31,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ldctoolkit.departures import Departures
-    from studies.ranking.ranking import Ranking
-    from studies.results import StudyResults
     from studies.robustness import Robustness
-    from studies.storage.manifest import Manifest
-    from studies.study_file import Study
 
 
 @dataclasses.dataclass(frozen=True)
