@@ -247,13 +247,7 @@ class WorkFolder:
 
 
 def parts_folder(output: str | os.PathLike[str]) -> Path:
-    """Where the finished parts of an extraction wait.
-
-    Examples
-    --------
-    >>> parts_folder("d.parquet").name
-    'd.parquet.parts'
-    """
+    """Where the finished parts of an extraction wait."""
     return Path(f"{os.fspath(output)}{SUFFIX}")
 
 
@@ -412,13 +406,7 @@ Progress = Callable[[int, int], None]
 
 
 class NothingReadError(RecordingError):
-    """No recording could be read.
-
-    Attributes
-    ----------
-    problems : tuple of Problem
-        Why.
-    """
+    """No recording could be read."""
 
     def __init__(self, problems: tuple[Problem, ...]) -> None:
         told = "; ".join(map(str, problems[:MOST_SAID])) or "the files hold no recording"

@@ -46,14 +46,7 @@ def _read(kind: type, table: dict[str, Any], prefix: str) -> Any:
 
 
 def differences(options: PlantOptions) -> tuple[str, ...]:
-    """What is not ideal about a plant, a few words each; empty for the ideal one.
-
-    Examples
-    --------
-    >>> from ldctoolkit.plant_options import Actuator
-    >>> differences(PlantOptions(speed="profile", actuator=Actuator(lag=0.1)))
-    ('the speed follows its profile', 'a steering actuator')
-    """
+    """What is not ideal about a plant, a few words each; empty for the ideal one."""
     found = []
     for field in _not_ideal(options):
         value = getattr(options, field.name)

@@ -45,29 +45,7 @@ def printable(text: str) -> str:
 
 
 def source_file(path: Path, name: str = "") -> SourceFile:
-    r"""Read a file for its digest.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str, optional
-        What to call it; its own name by default.
-
-    Raises
-    ------
-    RecordingError
-        If it is no regular file or cannot be read.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "a.csv")
-    ...     _ = path.write_bytes(b"t\n0\n")
-    ...     source_file(path).bytes
-    4
-    """
+    r"""Read a file for its digest."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would wait for ever
             raise RecordingError(f"{path.name}: is not a regular file")

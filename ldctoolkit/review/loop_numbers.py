@@ -78,21 +78,9 @@ class Margins:
 def margins(opened: System, dt: float) -> Margins:
     """Margins of a stable loop with negative feedback.
 
-    Parameters
-    ----------
-    opened : System
-        L, one input, one output.
-    dt : float [s]
-
-    Returns
-    -------
-    Margins
-
-    Notes
-    -----
-    L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers there;
-    its way through polynomials loses its digits to the double integrator and to a delay's many states. L is real at the
-    Nyquist frequency, which that routine cannot see as a crossing; it is added here.
+    L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers
+    there; its way through polynomials loses its digits to the double integrator and to a delay's many states. L is
+    real at the Nyquist frequency, which that routine cannot see as a crossing; it is added here.
     """
     import control
 
@@ -118,26 +106,7 @@ def margins(opened: System, dt: float) -> Margins:
 
 
 def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: float) -> float:
-    """Highest frequency at which the loop's gain is 1 before it is sampled [rad/s]; 0 where it is below 1 throughout.
-
-    Parameters
-    ----------
-    A : (4, 4)
-    B : (4,)
-        Continuous-time matrices of the vehicle.
-    lag : float [s]
-        Of the actuator.
-    controller : System
-        The law's side.
-    dt : float [s]
-
-    Returns
-    -------
-    float
-        Sampling folds a loop back below the Nyquist frequency, so that its own crossover cannot tell that it is
-        sampled too slowly. The gain of the vehicle in continuous time can, with the law's own at that frequency,
-        or at Nyquist's beyond it.
-    """
+    """Highest frequency [rad/s] at which the loop's gain is 1 before it is sampled; 0 where it is below 1."""
     nyquist = math.pi / dt
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), _BEYOND * nyquist, 2 * _FREQUENCIES)
     own = np.minimum(omega, nyquist)  # beyond, a sampled law only repeats itself

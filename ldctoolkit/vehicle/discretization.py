@@ -60,28 +60,7 @@ class AugmentedStep:
 
 
 def augmented(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, *, lag: float, delay: float) -> AugmentedStep:
-    """Sample n vehicles dx/dt = A x + B wheel + E r behind their actuator.
-
-    Parameters
-    ----------
-    A : (n, 4, 4)
-    B, E : (n, 4)
-    dt : float [s]
-        Sample time, > 0.
-    lag, delay : float [s]
-        Of the actuator, >= 0.
-
-    Returns
-    -------
-    AugmentedStep
-
-    Examples
-    --------
-    >>> from ldctoolkit import BicycleModel
-    >>> step = augmented(*BicycleModel().matrices([20.0, 30.0]), 0.05, lag=0.1, delay=0.12)
-    >>> step.A.shape, step.whole, step.past
-    ((2, 5, 5), 2, 3)
-    """
+    """Sample n vehicles dx/dt = A x + B wheel + E r behind their actuator."""
     if lag > 0:
         n = B.shape[0]
         inside, forced, bend = np.zeros((n, 5, 5)), np.zeros((n, 5)), np.zeros((n, 5))

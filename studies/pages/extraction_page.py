@@ -77,39 +77,7 @@ MEANINGS: Final = {
 
 
 def write_extraction_page(path: str | Path, extraction: Extraction) -> Path:
-    """Write what was found in recordings, and what was refused, as one HTML file that needs nothing else.
-
-    Parameters
-    ----------
-    path : path
-        File to write; whole or not at all.
-    extraction : Extraction
-        As `ldctoolkit.extract_departures` or ``ldc extract`` makes it.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import numpy as np
-    >>> from ldctoolkit.recordings import Recording, extract_departures
-    >>> t = np.arange(0, 10, 0.1)
-    >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
-    >>> one = np.ones(t.size)
-    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     page = write_extraction_page(f"{folder}/quality.html", extract_departures([drive]))
-    ...     page.read_text(encoding="utf-8")[:15]
-    '<!DOCTYPE html>'
-    """
+    """Write what was found in recordings, and what was refused, as one HTML file that needs nothing else."""
     write_text(Path(path), extraction_page(extraction))
     return Path(path)
 

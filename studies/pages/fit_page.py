@@ -80,32 +80,7 @@ def write_fit_page(
     drawn: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Check a model against the departures that it was fitted to, and write the page.
-
-    Parameters
-    ----------
-    target : path
-        File to write; whole or not at all.
-    model : ScenarioModel
-        The fitted model.
-    departures : Departures
-        What it was fitted to, both sides together.
-    seed : int
-        Seed of model samples and the split of the comparison.
-    weights : (n,), optional
-        Events that each departure stands for, as in the fit.
-    drawn : bool
-        Whether the departures are only some of those that the model was fitted to, drawn at random; the page says so.
-    progress : callable, optional
-        Called as ``progress("left: held-out likelihood", done, total)``.
-
-    Raises
-    ------
-    InputError
-        If a side holds too few departures inside the model's bounds.
-    StoreError
-        If a file cannot be written.
-    """
+    """Check a model against the departures that it was fitted to, and write the page."""
     found = diagnose_model(model, departures, seed=seed, weights=weights, progress=progress)
     write_text(Path(target), fit_page(model, found, seed=seed, drawn=drawn))
 

@@ -80,27 +80,7 @@ def _plant(report: ReportInput) -> str:
 
 
 def write_report(report: ReportInput, path: str | Path, *, figures: str | Path | None = None) -> Path:
-    """Write the report of a study as one HTML file that needs nothing else.
-
-    Parameters
-    ----------
-    report : ReportInput
-        Results, rankings and their circumstances.
-    path : path
-        File to write; whole or not at all.
-    figures : path, optional
-        Folder for the charts as SVG files; none are written without it.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to report on.
-    """
+    """Write the report of a study as one HTML file that needs nothing else."""
     html, charts = report_page(report)
     write_text(Path(path), html)
     if figures is not None:

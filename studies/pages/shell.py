@@ -80,24 +80,7 @@ def table(
     sortable: bool = False,
     head: int = 0,
 ) -> Markup:
-    """A table in a frame that scrolls sideways.
-
-    Parameters
-    ----------
-    caption : str
-    columns : sequence of Column
-    rows : iterable of Line
-    id : str
-        Of the table, for the script.
-    sortable : bool
-        Whether a click on a heading sorts it.
-    head : int
-        Column whose cells name their row.
-
-    Returns
-    -------
-    Markup
-    """
+    """A table in a frame that scrolls sideways."""
     out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table']
     out.append(f' id="{id}"' if id else "")
     out.append(f"{' data-sortable' if sortable else ''}><caption>{symbols(caption)}</caption><thead><tr>")

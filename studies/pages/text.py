@@ -71,13 +71,7 @@ def symbols_svg(text: str) -> Markup:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with that many decimals and a true minus sign; a dash where there is none.
-
-    Examples
-    --------
-    >>> number(-1.23456), number(float("nan"))
-    ('−1.235', '–')
-    """
+    """A number with that many decimals and a true minus sign; a dash where there is none."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else ("∞" if value > 0 else f"{MINUS}∞")
     shown = f"{value:.{digits}f}"
@@ -87,13 +81,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """A number with that many significant digits, for quantities of any size; powers of ten where they help.
-
-    Examples
-    --------
-    >>> figure(28.46), figure(-0.00031256), figure(0.0)
-    ('28.5', '−3.13e−4', '0')
-    """
+    """A number with that many significant digits, for quantities of any size; powers of ten where they help."""
     if not math.isfinite(value):
         return number(value)
     shown = f"{value:.{digits}g}"
@@ -122,13 +110,7 @@ def percent(value: float, digits: int = 1) -> str:
 
 
 def change(reduction: float) -> str:
-    r"""The change that a reduction means, with its sign.
-
-    Examples
-    --------
-    >>> change(-0.05)
-    '+5.0\xa0%'
-    """
+    r"""The change that a reduction means, with its sign."""
     return f"{signed(-100.0 * reduction, 1)}\u00a0%"
 
 

@@ -396,34 +396,7 @@ _BLOCK: Final = 64
 
 
 def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
-    """Figures as costs: those of which more is better change their sign.
-
-    Parameters
-    ----------
-    names : sequence of str
-        k figures, as `studies.ranking.requirements.metric` takes them.
-    *sources : Mapping or object
-        As for `studies.ranking.requirements.metric_values`.
-
-    Returns
-    -------
-    (d, k)
-        One row a design; smaller is better in every column.
-
-    Raises
-    ------
-    UnknownNameError
-        For an unknown figure.
-    InputError
-        If there are no names, or no source has a figure.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> pareto_costs(["S", "reduction"], {"S": np.array([2.0, 1.0]), "reduction": np.array([0.1, 0.6])})
-    array([[ 2. , -0.1],
-           [ 1. , -0.6]])
-    """
+    """Figures as costs: those of which more is better change their sign."""
     if not names:
         raise InputError("Pareto front: no figures; allowed: one or more")
     signs = {"less": 1.0, "more": -1.0}
@@ -431,28 +404,7 @@ def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
 
 
 def pareto_front(costs: npt.ArrayLike) -> BoolArray:
-    """Which rows are not dominated: no other row is at most as large in every column and smaller in one.
-
-    Parameters
-    ----------
-    costs : (d, k)
-        Smaller is better. A row with a NaN is never in the front and dominates nothing; infinite costs are allowed.
-
-    Returns
-    -------
-    (d,) bool
-        Rows with equal costs are in it all or none.
-
-    Raises
-    ------
-    InputError
-        For an array of another shape, or without columns.
-
-    Examples
-    --------
-    >>> pareto_front([[1.0, 2.0], [2.0, 1.0], [2.0, 2.0]])
-    array([ True,  True, False])
-    """
+    """Which rows are not dominated: no other row is at most as large in every column and smaller in one."""
     values = np.asarray(costs, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] < 1:
         raise InputError(f"costs: shape {values.shape}; allowed: (d, k) with k >= 1")

@@ -181,22 +181,7 @@ def fresh_scores(
 
 
 def lost(before: Resampled, after: Resampled, confidence: float, reference: int | None = None) -> Interval:
-    """Means on one sample of scenarios minus those on another, independent one, simultaneous for all designs.
-
-    Parameters
-    ----------
-    before, after : Resampled
-        Of the same k designs; two streams of resamples.
-    confidence : float
-        Between 0 and 1.
-    reference : int, optional
-        Of the paired differences to this design instead of the means.
-
-    Returns
-    -------
-    Interval
-        `after` minus `before`, with the standard errors of both.
-    """
+    """Means on one sample of scenarios minus those on another, independent one, simultaneous for all designs."""
     one, two = before.errors(reference), after.errors(reference)
     errors = np.hypot(one, two)
     deviations = after.deviations - before.deviations

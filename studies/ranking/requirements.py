@@ -26,18 +26,7 @@ _ALIASES: Final = {
 
 
 def metric(name: str) -> Metric:
-    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``.
-
-    Raises
-    ------
-    UnknownNameError
-        Naming the nearest metric.
-
-    Examples
-    --------
-    >>> metric("ay_p95").name, metric("dtle_0p3_share").better
-    ('a_y_peak_p95', 'more')
-    """
+    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``."""
     known = _ALIASES.get(name, name)
     if known not in METRICS:
         # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
@@ -211,20 +200,7 @@ def requirements_of(texts: Sequence[str], options: PlantOptions | None = None) -
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Read a requirement: a metric, an operator and a number, in this order.
-
-    Raises
-    ------
-    UnknownNameError
-        For an unknown metric; the message names the nearest.
-    InputError
-        For anything else that is no requirement; the message names the text and what is allowed.
-
-    Examples
-    --------
-    >>> parse_requirement("ay_p95 <= 3.0").text
-    'a_y_peak_p95 <= 3'
-    """
+    """Read a requirement: a metric, an operator and a number, in this order."""
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None and isinstance(text, str) and re.fullmatch(r"[a-z-]{3,}", text) and text not in _ALIASES:
         raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {nearest(text, SETS)}")

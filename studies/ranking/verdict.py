@@ -88,34 +88,7 @@ class Verdict:
 def verdict(
     ranking: RankedDesigns, results: StudyResults, setup: Setup | None = None, robustness: OtherPlants | None = None
 ) -> Verdict:
-    """Judge a ranking.
-
-    Parameters
-    ----------
-    ranking : RankedDesigns
-        The primary case.
-    results : StudyResults
-        What it ranks.
-    setup : Setup, optional
-        What the designs were driven with; an ideal plant by default.
-    robustness : Robustness, optional
-        Designs on other plants.
-
-    Returns
-    -------
-    Verdict
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from studies import Study, rank_study, run_study
-    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "none"}, {"law": "lqr"}]}
-    >>> study = Study.from_dict(content | {"ranking": {"require": ["S <= 0.001"]}})
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> verdict(rank_study(results, study)[0], results).title
-    'None of 1 design meets the limits'
-    """
+    """Judge a ranking."""
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
