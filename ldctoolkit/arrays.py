@@ -1,4 +1,4 @@
-"""Types of arrays; shapes are said where they are used."""
+"""Types of arrays; shapes are given where they are used."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ from ldctoolkit.errors import InputError
 class ExtraColumn:
     """One more column of n departures."""
 
-    name: str  # Of the column in a departures table; a number's unit at its end
-    # (n,) or Text, empty where it is not known, or numbers, NaN where they are not
+    name: str  # of the column in a departures table; a number's name ends with its unit
+    # (n,) text, empty where it is not known, or numbers, NaN where they are not
     values: npt.NDArray[np.str_] | npt.NDArray[np.float64]
 
     def take(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_] | slice) -> ExtraColumn:
@@ -32,7 +32,10 @@ class ExtraColumn:
 
 
 def joined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tuple[ExtraColumn, ...]:
-    """Extra columns of several tables, one after the other; what a table lacks is empty there."""
+    """Extra columns of several tables, one after the other; what a table lacks is empty there.
+
+    In the order in which the names first come. A column that is text anywhere is text.
+    """
     names = dict.fromkeys(column.name for columns, _ in parts for column in columns)
     joined = []
     for name in names:
@@ -359,10 +362,10 @@ def curvature(p: DepartureParameters, t: FloatArray) -> FloatArray:
 
 
 def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
-    """First time at which y(t) exceeds y_s [s]; infinite where the departure never gets that far.
+    """First time at which y(t) exceeds y_s >= 0 [m], (n,) [s]; infinite where the departure never gets that far.
 
     y(x) = y_s gives x_s = d_x/2 (1 - sqrt(1 - y_s/d_y)); x(t) = x_s is a quadratic in t, solved in the form that
-    does not cancel for small a_mean.
+    does not cancel for small a_mean. 0 for y_s = 0.
     """
     triggered = p.d_y > y_s
     ratio = np.divide(y_s, p.d_y, out=np.ones_like(p.d_y), where=triggered)

@@ -83,8 +83,8 @@ class Declaration:
     above: float | None = None
     least: float | None = None
     most: float | None = None
-    choices: tuple[str, ...] = ()  # Allowed words; empty for a number or a switch
-    usual: tuple[float, float] | None = None  # (, ) or None The narrower range that a study file allows
+    choices: tuple[str, ...] = ()  # Allowed texts; empty for a number or a switch
+    usual: tuple[float, float] | None = None  # The narrower range that a study file allows
     kind: type | None = None  # Of a table of options that is absent by default
     description: str = ""  # A short text; of a plant's option, for where it is not ideal
 
@@ -132,7 +132,7 @@ def kind_of(field: dataclasses.Field[Any]) -> type | None:
 
 
 def check_declared(owner: Any, table: str = "") -> None:
-    """Check every declared number, word and switch of a frozen value, and make the numbers floats."""
+    """Check every declared number, text and switch of a frozen value, and make the numbers floats."""
     for field in dataclasses.fields(owner):
         if _KEY in field.metadata:
             _check(owner, field, f"{table}.{field.name}" if table else field.name)
@@ -177,7 +177,7 @@ def checked_number(
 
 
 def checked_seed(seed: object) -> int:
-    """The seed as an int."""
+    """The seed as an int, 0 to 2^63 - 1."""
     whole = plain(seed)
     if isinstance(whole, bool) or not isinstance(whole, int) or not 0 <= whole <= MOST_SEED:
         raise InputError(f"seed: {seed!r}; allowed: a whole number from 0 to 2^63 - 1")

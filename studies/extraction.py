@@ -41,7 +41,7 @@ from ldctoolkit.recordings.sources import (
     part_name,
 )
 from studies.running.executors import Executor, make_executor
-from studies.running.executors.protocol import versions
+from studies.running.executors.processes import versions
 from studies.running.tasks import Faults
 from studies.storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
 

@@ -366,8 +366,9 @@ class Distribution:
 
 @dataclasses.dataclass(frozen=True)
 class Conditional(Distribution):
-    """A distribution given intervals or values of some columns; its rows have all columns. `weights` and `truncated`
-    are those of the columns that are left to draw, `transform` maps these columns.
+    """A distribution given intervals or values of some columns; its rows have all columns.
+
+    `weights` and `truncated` are those of the columns that are left to draw, `transform` maps these columns.
     """
 
     # (d,) The box and the intervals' common part, in the data's units; equal in a column with a given value

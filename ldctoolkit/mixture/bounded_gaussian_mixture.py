@@ -213,7 +213,7 @@ class FittedMixture(Parameters):
         return likelihood / n
 
     def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
-        """Share of each component in each row, (n, K)."""
+        """Share of each component in each row, (n, K); a row outside the box is an `InputError`."""
         x = check_matrix(X, self.distribution.dimension, self.names)
         inside = self.distribution.has_density(x)
         if not inside.all():
@@ -230,7 +230,31 @@ class FittedMixture(Parameters):
         return self.distribution.n_parameters
 
     def log_prob(self, X: npt.ArrayLike, given: Given | None = None) -> FloatArray:
-        """Exact log-density of each row, for reweighting, (n,)."""
+        """Exact log-density of each row, for reweighting, (n,).
+
+        Parameters
+        ----------
+        X : (n, d)
+            Rows.
+        given : mapping, optional
+            Conditions as for `sample`. The density is then that of the columns without a given value, normalised over
+            the rows that meet the conditions, and -inf for all others.
+
+        Raises
+        ------
+        InputError
+            As for `sample`.
+
+        Examples
+        --------
+        >>> from ldctoolkit.mixture import BoundedGaussianMixture
+        >>> model = BoundedGaussianMixture.from_parameters(
+        ...     [1.0], [[0.0, 0.0]], [[[1.0, 0.5], [0.5, 1.0]]], lower=0.0, names=["x", "y"]
+        ... )
+        >>> rows = model.sample(3, 0, given={"x": (1.0, None)})[0]
+        >>> bool((model.log_prob(rows, given={"x": (1.0, None)}) > model.log_prob(rows)).all())
+        True
+        """
         distribution = self._given(given)
         return distribution.log_density(check_matrix(X, distribution.dimension, self.names))
 
@@ -260,7 +284,44 @@ class FittedMixture(Parameters):
     ) -> tuple[FloatArray, IntArray]:
         """Draw events inside the box, exactly.
 
+        Parameters
+        ----------
+        n_samples : int
+            Number of events; the first m of n events do not depend on n.
+        random_state : int or Generator, optional
+            Seed; the estimator's own by default.
+        given : mapping, optional
+            Conditions: column name (if there are `names`) or number -> a value that all events have, or (lower,
+            upper) between which they lie, None or infinite where open.
+
+        Returns
+        -------
+        X : (n_samples, d)
+            Events in random order, all columns.
+        component : (n_samples,)
+            The component each came from.
+
+        Raises
+        ------
+        InputError
+            For conditions on unknown columns, reversed intervals, intervals and values outside the box, what is not
+            a number, or values for all columns.
+        ModelError
+            If a component cannot be sampled (proposals are capped).
+
+        Notes
+        -----
         Conditions are met exactly and not by filtering, however rare they are: see `Distribution.condition`.
+
+        Examples
+        --------
+        >>> from ldctoolkit.mixture import BoundedGaussianMixture
+        >>> model = BoundedGaussianMixture.from_parameters(
+        ...     [1.0], [[0.0, 0.0]], [[[1.0, 0.5], [0.5, 1.0]]], lower=0.0, names=["x", "y"]
+        ... )
+        >>> x, _ = model.sample(1000, 0, given={"x": (1.0, 1.5), "y": 0.25})
+        >>> bool(x[:, 0].min() > 1.0 and x[:, 0].max() < 1.5 and (x[:, 1] == 0.25).all())
+        True
         """
         check_number("n_samples", n_samples, 0, integer=True)
         seed = seed_of(self.random_state if random_state is None else random_state)

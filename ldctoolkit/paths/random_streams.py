@@ -26,9 +26,10 @@ class RandomStream(enum.IntEnum):
 
 
 def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
-    """Independent uniform numbers on (0, 1).
+    """Independent uniform numbers on (0, 1), (n, count), for scenarios `index` (n,); no column depends on `count`.
 
-    Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits a number; 0 and 1 themselves do not occur.
+    Column j is element j % 2 of the pair at counter j // 2. Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits each;
+    0 and 1 themselves do not occur.
     """
     from ldctoolkit.paths.philox import fill_uniforms
 
@@ -38,7 +39,7 @@ def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatA
 
 
 def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
-    """Independent standard normal numbers.
+    """Independent standard normal numbers, (n, count), for scenarios `index` (n,); no column depends on `count`.
 
     The transform of Box and Muller (Ann. Math. Statist. 29, 1958) of the uniform numbers; none is beyond 8.6.
     """

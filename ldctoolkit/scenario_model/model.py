@@ -84,7 +84,7 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
 
 
 def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
-    """Conditions that reach beyond what a model was fitted to, one sentence each."""
+    """Conditions that reach beyond what a model was fitted to, one sentence each; none where it holds no summary."""
     found: dict[str, str] = {}
     for key, side in (("left", model.provenance.left), ("right", model.provenance.right)):
         summary = None if side is None else side.source_summary

@@ -41,11 +41,11 @@ class TrueVehicles:
     l_r: float
 
     def matrices(self, v: npt.ArrayLike, convention: Convention) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Continuous-time A, B, E of Rajamani's eq. 2.45, each vehicle at its own speed."""
+        """Continuous-time A (n, 4, 4), B and E (n, 4) of Rajamani's eq. 2.45, each vehicle at its own speed [m/s]."""
         return error_dynamics_matrices(self, checked_speeds(v), convention)
 
     def steady_state(self, v: npt.ArrayLike, convention: Convention) -> SteadyState:
-        """Steering angle and heading error that hold a bend on linear tyres, as `BicycleModel.steady_state`."""
+        """Steering angle and heading error that hold a bend on linear tyres, per unit of lane yaw rate."""
         return steady_cornering(*self.matrices(v, convention))
 
     def turn(
@@ -102,7 +102,10 @@ _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")
 def true_vehicles(
     parameters: VehicleParameters, mismatch: Mismatch, tyres: Tyres, scenarios: Scenarios, seed: int
 ) -> TrueVehicles:
-    """Draw the true vehicle of every scenario: the nominal one times factors, uniform on their ranges."""
+    """Draw the true vehicle of every scenario: the nominal one times factors, uniform on their ranges.
+
+    A range (1, 1) leaves the nominal number as it is, to the bit.
+    """
     nominal = {name: getattr(parameters, name) for name in _DRAWN[:-1]} | {"mu": tyres.mu}
     if mismatch.ideal:
         checked_seed(seed)

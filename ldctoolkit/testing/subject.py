@@ -121,7 +121,7 @@ def corners(samples: int) -> Road:
 
 @dataclasses.dataclass(frozen=True)
 class Commands:
-    """What a law said over k samples to n scenarios."""
+    """Commands of a law over k samples of n scenarios."""
 
     delta: FloatArray  # (k, n) [rad]
     status: npt.NDArray[np.int8]  # (k, n)

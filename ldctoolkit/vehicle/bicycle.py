@@ -279,7 +279,7 @@ class BicycleModel:
 def error_dynamics_matrices(
     vehicle: SingleTrack, v: FloatArray, convention: Convention
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Continuous-time A, B, E of Rajamani's eq. 2.45, for one vehicle or n of them."""
+    """Continuous-time A (n, 4, 4), B and E (n, 4) of Rajamani's eq. 2.45 at speeds v (n,) [m/s], one vehicle or n."""
     p = vehicle
     stiffness = 2.0 * p.C_af + 2.0 * p.C_ar
     moment = 2.0 * p.C_af * p.l_f - 2.0 * p.C_ar * p.l_r

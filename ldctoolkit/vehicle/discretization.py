@@ -43,7 +43,10 @@ class AugmentedStep:
         return self.whole + int(self.split)
 
     def with_commands(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The same with the commands on their way as states: s = (xi, delta_(k-1), ..., delta_(k-m)), k = j + m."""
+        """The same with the commands on their way as states: s = (xi, delta_(k-1), ..., delta_(k-m)).
+
+        A (n, j + m, j + m), B, E_0 and E_1 (n, j + m): s+ = A s + B delta_k + E_0 r + E_1 r+.
+        """
         n, j = self.B.shape
         A, B, E_0, E_1 = np.zeros((n, j + self.past, j + self.past)), *np.zeros((3, n, j + self.past))
         A[:, :j, :j], E_0[:, :j], E_1[:, :j] = self.A, self.E_0, self.E_1

@@ -27,7 +27,8 @@ def filter_gain(plant: Plant, kalman: KalmanFilter, frame_samples: int) -> Float
     """Gain of the correction z <- z + M (frame - z[[0, 2]]) at every scenario's speed.
 
     Over one frame the prediction has the transition A^p and the noise sum of A^j Q A^j' for j < p, where A is one
-    sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). `scipy.linalg.solve_discrete_are` gives P.
+    sample's transition and Q = dt diag(0, q_y^2, 0, q_psi^2). M (n, 4, 2) = P C' (C P C' + R)^-1, with P
+    the covariance of the prediction, by `scipy.linalg.solve_discrete_are`.
     """
     what = f"filter gains for {kalman}, {frame_samples} samples of {plant.dt:g} s a frame"
     return scheduled(_FilterGain(plant.model, plant.dt, kalman, frame_samples), plant.v, what).reshape(-1, 4, 2)

@@ -20,7 +20,7 @@ from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.vehicle import Convention
 from studies.design import NO_CONTROL, Design
 from studies.results import FailedRun, RunKey, TaskResult
-from studies.running.executors.protocol import Ended, Executor, Fault
+from studies.running.executors.processes import Ended, Executor, Fault
 from studies.running.tasks import Done, Faults, Job, Piece, Prefixes, SimulationTask, Simulator, Task
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store

@@ -23,7 +23,7 @@ from ldctoolkit.simulation.loop import recorded_run
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import FailedRun, RunKey, TaskResult
-from studies.running.executors.protocol import Ended, Executor, Fault, Work
+from studies.running.executors.processes import Ended, Executor, Fault, Work
 
 _STRIKES: Final = 2
 """A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from ldctoolkit.errors import InputError, nearest
-from studies.running.executors.protocol import Ended, Executor, Work
+from studies.running.executors.processes import Ended, Executor, Work
 
 EXECUTORS = ("serial", "processes", "dask")
 
@@ -45,7 +45,7 @@ def make_executor(
         raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
     # each is loaded on first use: a run in this process needs neither loky nor Dask
     if name == "serial":
-        from studies.running.executors.protocol import SerialExecutor
+        from studies.running.executors.processes import SerialExecutor
 
         return SerialExecutor()
     if name == "dask":

@@ -17,7 +17,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
-from studies.running.executors.protocol import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
+from studies.running.executors.processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
 
 LOCAL: Final = "local"
 """Address that stands for a cluster started on this machine."""

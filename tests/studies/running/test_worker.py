@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ldctoolkit.errors import StoreError
-from studies.running.executors import protocol as worker
+from studies.running.executors import processes as worker
 from studies.storage.files import locked
 
 
@@ -36,7 +36,7 @@ def test_a_worker_whose_parent_was_killed_before_it_began_leaves(tmp_path: Path)
     """It would run on for ever, with nobody to read what it computes."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    code = "import time; from studies.running.executors.protocol import start_worker; "
+    code = "import time; from studies.running.executors.processes import start_worker; "
     code += f"start_worker({str(tmp_path)!r}, {gone.pid})"
     done = subprocess.run(
         [sys.executable, "-c", f"{code}; time.sleep(600)"], capture_output=True, text=True, timeout=300, check=False
