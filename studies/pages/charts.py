@@ -530,15 +530,16 @@ def scatter(
         frame.limit_x(*limit)
     if front is not None and front[0].size > 1:
         frame.parts.append(f'<path class="front" d="{frame.path(*front, steps=True)}"/>')
-    for cloud in clouds:
-        places = zip(
-            frame.px(cloud.x).tolist(), frame.py(cloud.y).tolist(), cloud.filled.tolist(), cloud.tips, strict=True
-        )
-        frame.parts += [
-            marker(cloud.style, a, b, 3.6, filled=filled, tip=tip)
-            for a, b, filled, tip in places
-            if math.isfinite(a + b)
-        ]
+    for above in (False, True):  # filled points lie above hollow ones
+        for cloud in clouds:
+            places = zip(
+                frame.px(cloud.x).tolist(), frame.py(cloud.y).tolist(), cloud.filled.tolist(), cloud.tips, strict=True
+            )
+            frame.parts += [
+                marker(cloud.style, a, b, 3.6, filled=filled, tip=tip)
+                for a, b, filled, tip in places
+                if math.isfinite(a + b) and bool(filled) == above
+            ]
     if ring is not None and math.isfinite(ring[0] + ring[1]):
         frame.parts.append(f'<circle class="ring" cx="{frame.px(ring[0]):.1f}" cy="{frame.py(ring[1]):.1f}" r="8"/>')
     return frame.chart(name, title)

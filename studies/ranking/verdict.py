@@ -160,11 +160,11 @@ def _score(ranking: RankedDesigns, i: int) -> str:
         change = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
     on = " on the study scenarios" if fresh and change else ""
     added = [
-        f"{METRICS[name].title} {METRICS[name].scale * value:.{METRICS[name].digits}f} {METRICS[name].shown_unit}"
-        for name in ("a_y_added_peak_p95", "jerk_added_peak_p95")
+        f"{METRICS[name].scale * value:.{METRICS[name].digits}f} {METRICS[name].shown_unit} of {what}"
+        for name, what in (("a_y_added_peak_p95", "lateral acceleration"), ("jerk_added_peak_p95", "jerk"))
         if math.isfinite(value := float(metric_values(name, ranking)[i]))
     ]
-    costs = f"; {', '.join(added)}" if added else ""
+    costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
     return f"Mean S {S:.3f} m s{where}{between}{change}{on}{costs}."
 
 
@@ -245,10 +245,8 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
     if others:
         return Light("Limits", "warning", f"Not required, but beyond comfort: {_list(others)}.")
-    sets = dict.fromkeys(one.set for one in ranking.requirements if one.set)
-    return Light(
-        "Limits", "good", f"Meets all that is required{f' ({_list(list(sets))})' if sets else ''}, and comfort."
-    )
+    names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
+    return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
 def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:

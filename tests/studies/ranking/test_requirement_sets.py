@@ -198,7 +198,7 @@ def test_lights_of_a_good_design() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 1.0, 1.0, 1.0])
     _, found = ranked(results, "stable", "comfort", setup=Setup())
     assert [one.state for one in found.lights] == ["good", "good", "good", "unknown"]
-    assert light(found, "Limits")[1] == "Meets all that is required (stable and comfort), and comfort."
+    assert light(found, "Limits")[1] == "Meets stable and comfort."
     assert light(found, "Other plants")[1] == "Not tested on other plants."
 
 
