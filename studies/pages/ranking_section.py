@@ -74,7 +74,7 @@ def _line(context: Context, i: int, named: bool) -> Line:
         Cell(str(ranking.rank[i]) if ranking.rank[i] else "\u2013", float(ranking.rank[i]) or math.nan),
         law_title(design),
         Cell(compact(design.y_s), design.y_s),
-        gains_text(design),
+        gains_text(design).replace(" = ", "\u00a0=\u00a0"),
         Cell(number(float(ranking.S[i]), METRICS["S"].digits), float(ranking.S[i])),
         Cell(interval(float(ranking.S_low[i]), float(ranking.S_high[i])) or "\u2013", float(ranking.S_low[i])),
     ]
