@@ -1,12 +1,9 @@
-"""The recorded path of scenarios, with or without residuals about the fitted parabola and the fitted speed.
-
-Without residuals everything is the closed form of `ldctoolkit.departures`, to the bit. Paths end at T; beyond it speed
-and curvature are held, everything else merely continues its formula, as it does before the start.
-"""
+"""The recorded path of a departure, with its residuals, and the streams of random numbers of a scenario."""
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Self
 
@@ -16,13 +13,62 @@ import numpy.typing as npt
 from ldctoolkit import departures as dep
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import DepartureParameters
+from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_seed
-from ldctoolkit.paths.random_streams import RandomStream, normals
 from ldctoolkit.plant_options import Residuals
 from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Scenarios, slowest_speed
 
 if TYPE_CHECKING:
-    from ldctoolkit.paths.residual_kernels import Path
+    from ldctoolkit.paths.kernels import Path
+
+
+class RandomStream(enum.IntEnum):
+    """Which quantity is drawn; streams are independent of each other."""
+
+    MISMATCH = 1
+    RESIDUAL_Y = 2
+    RESIDUAL_V = 3
+    CAMERA = 4
+    CURVATURE = 5
+
+
+def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
+    """Independent uniform numbers on (0, 1), (n, count), for scenarios `index` (n,); no column depends on `count`.
+
+    Column j is element j % 2 of the pair at counter j // 2. Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits each;
+    0 and 1 themselves do not occur.
+    """
+    from ldctoolkit.paths.kernels import fill_uniforms
+
+    seed, numbers, out = _checked(seed, index, count)
+    fill_uniforms(seed, numbers, int(stream), out)
+    return out
+
+
+def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
+    """Independent standard normal numbers, (n, count), for scenarios `index` (n,); no column depends on `count`.
+
+    The transform of Box and Muller (Ann. Math. Statist. 29, 1958) of the uniform numbers; none is beyond 8.6.
+    """
+    from ldctoolkit.paths.kernels import fill_normals
+
+    seed, numbers, out = _checked(seed, index, count)
+    fill_normals(seed, numbers, int(stream), out)
+    return out
+
+
+def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, npt.NDArray[np.int64], FloatArray]:
+    numbers = np.asarray(index)
+    if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+        raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
+    numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+    if np.any(numbers < 0):
+        i = int(np.argmax(numbers < 0))
+        raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
+    if count < 0:
+        raise InputError(f"count: {count!r}; allowed: >= 0")
+    return checked_seed(seed), numbers, np.empty((numbers.size, count))
+
 
 FEWEST_MODES: Final = 3
 """A residual has at least this many modes: fewer would leave no freedom beside what the parameters fix already."""
@@ -104,7 +150,7 @@ class UncorrectedPath:
         path = cls(scenarios, none, none)
         if residuals.ideal:
             return path
-        from ldctoolkit.paths.residual_kernels import shape_lateral_modes, shape_speed_modes
+        from ldctoolkit.paths.kernels import shape_lateral_modes, shape_speed_modes
 
         count = _mode_count(scenarios.T, residuals.bandwidth)
         most = int(count.max(initial=0))
@@ -167,7 +213,7 @@ class UncorrectedPath:
         """Integral of y from 0 to t [m s]: closed form, or a Gauss rule that is exact to rounding where v has eps_v."""
         if not self._disturbed:
             return dep.lateral_integral(self._shaped(t), t)
-        from ldctoolkit.paths.residual_kernels import areas
+        from ldctoolkit.paths.kernels import areas
 
         out = np.empty(_table(t).shape)
         areas(self.columns(), _table(t), out)
@@ -189,7 +235,7 @@ class UncorrectedPath:
         """
         if not self._disturbed:
             return dep.crossing_time(self.scenarios, y_s)
-        from ldctoolkit.paths.residual_kernels import crossings
+        from ldctoolkit.paths.kernels import crossings
 
         out = np.empty(self.n)
         crossings(self.columns(), float(y_s), out)
@@ -275,7 +321,7 @@ class UncorrectedPath:
 
     def columns(self) -> Path:
         """The columns for compiled functions."""
-        from ldctoolkit.paths.residual_kernels import Path
+        from ldctoolkit.paths.kernels import Path
 
         p = self.scenarios
         T, d_y, v_mean, a_mean = (np.ascontiguousarray(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
@@ -301,14 +347,14 @@ class UncorrectedPath:
     ) -> FloatArray:
         if not moved:
             return plain(self._shaped(t), t)
-        from ldctoolkit.paths import residual_kernels as kernels
+        from ldctoolkit.paths import kernels
 
         out = np.empty(_table(t).shape)
         kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
         return out.reshape(t.shape)
 
     def _highest(self, which: str, l_f: float, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
-        from ldctoolkit.paths import residual_kernels as kernels
+        from ldctoolkit.paths import kernels
 
         out = np.empty(self.n)
         kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)

@@ -15,8 +15,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
 from ldctoolkit.metrics import COMPANION_UNITS, JERK_WINDOW, Companions
 from ldctoolkit.option_checks import checked_number, checked_seed
-from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
-from ldctoolkit.paths.uncorrected import UncorrectedPath, harmless
+from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
 from ldctoolkit.plant_options import Mismatch, Tyres
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup

@@ -16,7 +16,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.paths.random_streams import RandomStream
+from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import PlantOptions
 from studies.design import Design
 from studies.ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means

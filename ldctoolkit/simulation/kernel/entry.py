@@ -24,7 +24,7 @@ from ldctoolkit import lane_functions
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.lane_functions import OPTIONS
 from ldctoolkit.metrics import SCENARIO_METRICS
-from ldctoolkit.paths import philox
+from ldctoolkit.paths import kernels
 from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
 from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET
 
@@ -32,7 +32,7 @@ from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET
 def _digest() -> int:
     """Of the text of everything that is compiled into an entry."""
     text = hashlib.sha256(",".join(SCENARIO_METRICS).encode())
-    for module in (lane_functions, data, lanes, exact_lanes, sight, rk4_lanes, philox):
+    for module in (lane_functions, data, lanes, exact_lanes, sight, rk4_lanes, kernels):
         text.update(Path(str(module.__file__)).read_bytes())
     return int.from_bytes(text.digest()[:6], "big")
 

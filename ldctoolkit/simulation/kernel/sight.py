@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from ldctoolkit.lane_functions import OPTIONS, cosine, decay, fma, moments, sine
-from ldctoolkit.paths.philox import normal_pair
+from ldctoolkit.paths.kernels import normal_pair
 from ldctoolkit.simulation.kernel import data as at
 from ldctoolkit.simulation.kernel.lanes import LARGEST, SAME, L, copy, length_of, rings
 
@@ -21,7 +21,7 @@ HEADER: Final = 9 * L
 POINT_SIZE: Final = 4 * L
 
 _CAMERA: Final = 4
-"""Stream of random numbers; see `ldctoolkit.paths.random_streams`."""
+"""Stream of random numbers; see `ldctoolkit.paths.uncorrected`."""
 
 _FRAME_ZERO: Final = 1 << 20
 """Counter of the frame at the trigger: earlier ones have numbers too."""

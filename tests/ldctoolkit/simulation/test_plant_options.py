@@ -15,8 +15,7 @@ from helpers import reference_loop as reference
 from helpers.closed_loop import METRICS, Stepped, assert_within_the_bound
 from helpers.grids import some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, Setup, simulate
-from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
-from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, normals, uniforms
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, takeover
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from helpers.grids import some
 from ldctoolkit.errors import InputError
-from ldctoolkit.paths.random_streams import RandomStream, normals, uniforms
+from ldctoolkit.paths.uncorrected import RandomStream, normals, uniforms
 
 SEED = 20240607
 INDEX = np.arange(50_000)

@@ -18,7 +18,7 @@ from rich.console import Console
 from helpers.results import CONTROL, DEPARTURE, case_of
 from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.paths.random_streams import RandomStream
+from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
 from studies.cli._tables import print_comparison

@@ -1,8 +1,4 @@
-"""Recorded paths with residuals, compiled: values at given times, integrals, extremes and crossings, row by row.
-
-The residuals are sums over modes j = 1, 2, ..., with theta = pi t/T: eps_y = sum a_j sin(j theta) and
-eps_v = sum b_j cos(j theta). The compiler takes a while to import: callers import this module where they call it.
-"""
+"""Compiled loops of paths and random numbers. The compiler takes a while to import: import this where it is called."""
 
 from __future__ import annotations
 
@@ -14,8 +10,73 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 
-# strict IEEE: a row's numbers are the same bits whichever rows stand beside it
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "cache": True, "error_model": "numpy"}
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}  # strict IEEE: the same bits in every loop
+
+# numba makes a float of uint64 with int64: every number below is unsigned
+_MULTIPLIER_0: Final = np.uint64(0xD2511F53)
+_MULTIPLIER_1: Final = np.uint64(0xCD9E8D57)
+_WEYL_0: Final = np.uint64(0x9E3779B9)
+_WEYL_1: Final = np.uint64(0xBB67AE85)
+_LOW: Final = np.uint64(0xFFFFFFFF)
+_32: Final = np.uint64(32)
+_12: Final = np.uint64(12)
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
+    """Philox4x32-10: four random words from a counter of four and a key of two, 32 bits each, held in uint64."""
+    c0, c1, c2, c3 = np.uint64(c0) & _LOW, np.uint64(c1) & _LOW, np.uint64(c2) & _LOW, np.uint64(c3) & _LOW
+    k0, k1 = np.uint64(k0) & _LOW, np.uint64(k1) & _LOW
+    for _ in range(10):
+        product_0, product_1 = _MULTIPLIER_0 * c0, _MULTIPLIER_1 * c2
+        c0, c2 = (product_1 >> _32) ^ c1 ^ k0, (product_0 >> _32) ^ c3 ^ k1
+        c1, c3 = product_1 & _LOW, product_0 & _LOW
+        k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
+    return c0, c1, c2, c3
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def uniform_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
+    """Two uniform numbers on (0, 1), odd multiples of 2^-53: neither 0 nor 1 can occur."""
+    key, number = np.uint64(seed), np.uint64(index)
+    a, b, c, d = philox(number, number >> _32, np.uint64(stream), np.uint64(counter), key, key >> _32)
+    first = np.float64(((b << _32) | a) >> _12)
+    second = np.float64(((d << _32) | c) >> _12)
+    return (first + 0.5) * 2.0**-52, (second + 0.5) * 2.0**-52
+
+
+@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+def normal_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
+    """Two independent standard normal numbers (Box and Muller, Ann. Math. Statist. 29, 1958)."""
+    first, second = uniform_pair(seed, index, stream, counter)
+    radius = math.sqrt(-2.0 * math.log(first))
+    angle = 2.0 * math.pi * second
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+def fill_uniforms(seed: int, index: IntArray, stream: int, out: FloatArray) -> None:
+    """Uniform numbers into `out` (n, count): column j is element j % 2 of the pair at counter j // 2."""
+    n, count = out.shape
+    for i in range(n):
+        for pair in range((count + 1) // 2):
+            first, second = uniform_pair(seed, index[i], stream, pair)
+            out[i, 2 * pair] = first
+            if 2 * pair + 1 < count:
+                out[i, 2 * pair + 1] = second
+
+
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+def fill_normals(seed: int, index: IntArray, stream: int, out: FloatArray) -> None:
+    """Standard normal numbers into `out` (n, count), numbered like the uniform ones."""
+    n, count = out.shape
+    for i in range(n):
+        for pair in range((count + 1) // 2):
+            first, second = normal_pair(seed, index[i], stream, pair)
+            out[i, 2 * pair] = first
+            if 2 * pair + 1 < count:
+                out[i, 2 * pair + 1] = second
+
 
 POSITION, SPEED, SPEED_RATE, LATERAL, LATERAL_RATE, LATERAL_ACCELERATION = range(6)
 EDGE, FRONT_EDGE, SLOWNESS = range(3)
@@ -39,7 +100,7 @@ class Path(NamedTuple):
     count_v: IntArray
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def along(path: Any, i: int, t: float) -> Any:
     """Motion along the lane: distance x, speed v and its rate."""
     T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
@@ -57,7 +118,7 @@ def along(path: Any, i: int, t: float) -> Any:
     return x, v_mean + a_mean * (t - 0.5 * T) + eps, a_mean + rate * omega
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def motion(path: Any, i: int, t: float) -> Any:
     """Motion along the lane as `along`, then the lateral distance y and its first two derivatives."""
     T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
@@ -89,7 +150,7 @@ def motion(path: Any, i: int, t: float) -> Any:
     return x, v, dv, y, slope * v + rate_y * omega, ddy
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
     """One quantity at times t (n, k) into `out`."""
     for i in range(t.shape[0]):
@@ -102,7 +163,7 @@ def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
                 out[i, k] = y if what == LATERAL else (dy if what == LATERAL_RATE else ddy)
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
     """Integral of y from 0 to t (n, k) into `out`: Gauss and Legendre's rule for the parabola, eps_y in closed form.
 
@@ -136,7 +197,7 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
             out[i, k] = area
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
     """A curve whose extremes are wanted, and its slope."""
     if which == SLOWNESS:
@@ -148,7 +209,7 @@ def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
     return y + l_f * math.atan2(dy, v), dy + l_f * (ddy * v - dy * dv) / (v**2 + dy**2)
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def _zero(path: Any, i: int, which: int, l_f: float, level: float, of_slope: bool, low: float, high: float) -> Any:
     """Zero of curve - level (or of -slope) between low, where it is <= 0, and high, where it is > 0.
 
@@ -186,7 +247,7 @@ def _zero(path: Any, i: int, which: int, l_f: float, level: float, of_slope: boo
     return 0.5 * (low + high)
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def _cells(path: Any, i: int, span: float) -> int:
     """Cells for a search over `span` seconds: 16 for each half wave of the highest mode, 0 for no search at all."""
     waves = span / path.T[i] * max(path.count_y[i], path.count_v[i], 2)
@@ -195,7 +256,7 @@ def _cells(path: Any, i: int, span: float) -> int:
     return int(waves * _CELLS_PER_HALF_WAVE) + 1
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def highest(path: Any, which: int, l_f: float, t_0: FloatArray, t_1: FloatArray, out: FloatArray) -> None:
     """Largest value of a curve over [t_0, t_1] (n,) into `out`; a peak inside a cell is found where its slope is 0."""
     for i in range(t_0.size):
@@ -219,7 +280,7 @@ def highest(path: Any, which: int, l_f: float, t_0: FloatArray, t_1: FloatArray,
         out[i] = best
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def crossings(path: Any, y_s: float, out: FloatArray) -> None:
     """First time in [0, T] at which y exceeds y_s, into `out` (n,); infinite where it never does."""
     for i in range(out.size):
@@ -249,7 +310,7 @@ def crossings(path: Any, y_s: float, out: FloatArray) -> None:
             rising = slope
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def shape_speed_modes(sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
     """Standard normal numbers (n, J) to modes b_j in place: orthogonal to a straight line, deviation sigma.
 
@@ -269,7 +330,7 @@ def shape_speed_modes(sigma: FloatArray, count: IntArray, modes: FloatArray) -> 
             modes[i, j] = modes[i, j] * (sigma[i] / math.sqrt(power)) if j < count[i] else 0.0
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def shape_lateral_modes(path: Any, sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
     """Standard normal numbers (n, J) to modes a_j in place: orthogonal to the path's parabola, deviation sigma.
 
