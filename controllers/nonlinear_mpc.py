@@ -84,7 +84,7 @@ class NonlinearMPC(Controller):
     q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
     q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
     q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
-    r_delta: float = gain(100.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
+    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
     rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
     a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of |a_y|, 0 for none")

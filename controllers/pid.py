@@ -68,7 +68,7 @@ class PID(Controller):
     name: ClassVar[str] = "pid"
     title: ClassVar[str] = "PID"
 
-    K_p: float = gain(-0.015, unit="rad/m", lower=-1.0, upper=0.0, description="gain on the offset at preview point")
+    K_p: float = gain(-0.006, unit="rad/m", lower=-1.0, upper=0.0, description="gain on the offset at preview point")
     K_i: float = gain(-0.001, unit="rad/(m s)", lower=-1.0, upper=0.0, description="gain on its integral")
     K_d: float = gain(-0.004, unit="rad s/m", lower=-1.0, upper=0.0, description="gain on its rate")
     T_lp: float = gain(1.5, unit="s", lower=0.0, upper=10.0, description="preview time")

@@ -61,7 +61,7 @@ class PurePursuit(Controller):
     name: ClassVar[str] = "pure_pursuit"
     title: ClassVar[str] = "Pure pursuit"
 
-    T_lp: float = gain(1.0, unit="s", lower=0.0, upper=10.0, description="lookahead time")
+    T_lp: float = gain(1.2, unit="s", lower=0.0, upper=10.0, description="lookahead time")
     l_min: float = gain(8.0, unit="m", lower=1.0, upper=100.0, description="least lookahead distance")
     delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
 

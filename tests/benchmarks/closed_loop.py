@@ -297,7 +297,7 @@ def main() -> None:
     event = Takeover.build(many, Setup(settle=0.0), y_s=0.1)
     whole = Takeover.build(many, Setup(), y_s=0.1)
     event_tables, whole_tables = numpy_tables(event), numpy_tables(whole)
-    for design in (PreviewProportional(), LQR()):
+    for design in (PreviewProportional(), LQR(r_delta=100.0)):
         check(drive(design, event).area, numpy_loop(design, event, event_tables, companions=False))
         name = f"{design.name}, {SCENARIOS:,} scenarios"
         for over in (event, whole):
@@ -326,14 +326,14 @@ def main() -> None:
     print("\nWhat other loops and plants cost: LQR, 10,000 scenarios, to T + 3 s, against the ideal plant in lanes.\n")
     print("| case | ms | times the ideal |")
     print("| --- | ---: | ---: |")
-    ideal = seconds(lambda: drive(LQR(), whole), 10)
+    ideal = seconds(lambda: drive(LQR(r_delta=100.0), whole), 10)
     print(f"| ideal plant | {1e3 * ideal:.2f} | 1.0 |")
     cost = seconds(lambda: drive(Stepped(), whole), 2)
     print(f"| ideal plant, the law called step by step | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
     for name, options in OPTIONS.items():
         real = Takeover.build(many, Setup(options=options), y_s=0.1)
-        run = drive(LQR(), real)
-        cost = seconds(lambda real=real: drive(LQR(), real), 2)
+        run = drive(LQR(r_delta=100.0), real)
+        cost = seconds(lambda real=real: drive(LQR(r_delta=100.0), real), 2)
         lost = int((run.status == EventStatus.DIVERGED).sum())
         print(
             f"| {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |" + (f" <!-- {lost} diverged -->" if lost else ""),

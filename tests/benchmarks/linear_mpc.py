@@ -23,7 +23,7 @@ from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw
 from ldctoolkit.simulation import Takeover, drive
 
 SCENARIOS, EVERY = 2_000, 10
-DESIGN = LinearMPC(horizon=20, delta_max=0.15, rate_max=0.3)
+DESIGN = LinearMPC(horizon=20, delta_max=0.15, rate_max=0.3, r_delta=100.0)
 
 
 def raw_osqp_loop(design: LinearMPC, over: Takeover) -> np.ndarray:

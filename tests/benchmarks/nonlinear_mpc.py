@@ -27,7 +27,7 @@ with warnings.catch_warnings():
 
 DT, SCENARIOS, STEPS = 0.05, 12, 40
 CASES = {
-    "friction 1.0, default weights": NonlinearMPC(),
+    "friction 1.0, default weights": NonlinearMPC(r_delta=100.0),
     "friction 0.5, harsh weights": NonlinearMPC(mu=0.5, r_delta=10.0),
 }
 

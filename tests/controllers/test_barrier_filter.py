@@ -141,10 +141,12 @@ def command(design: BarrierFilter, plant: Plant, x: np.ndarray, r: np.ndarray, p
 def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: float, delta_max: float) -> None:
     """Clarabel on the QP with both barriers and the limit written out one by one; at tolerances of 1e-12 on the square
     of the distance, whose root is the command's, and with rows scaled to one, 1e-6 rad."""
-    design = BarrierFilter(inner="lqr", gamma_1=gamma_1, gamma_2=gamma_2, delta_max=delta_max)
+    design = BarrierFilter(
+        inner="lqr", inner_gains="r_delta=100", gamma_1=gamma_1, gamma_2=gamma_2, delta_max=delta_max
+    )
     plant, x, r, prev = situations(150, seed=1, size=0.8)
     delta = command(design, plant, x, r, prev)
-    law = LQR().prepare(plant)
+    law = LQR(r_delta=100.0).prepare(plant)
     wanted = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r[:, 0]
     step, e = plant.step, design.e_y_max
     compared = moved = 0

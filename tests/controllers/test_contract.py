@@ -36,7 +36,7 @@ def test_the_contract(name: str, check: str) -> None:
 
 DESIGNS: dict[str, Controller] = {
     "stanley": controllers.Stanley(k=2.0, k_d_steer=0.3),
-    "pid": controllers.PID(K_i=-0.01, T_t=0.3, delta_max=0.05),
+    "pid": controllers.PID(K_i=-0.01, T_t=0.3, delta_max=0.05, K_p=-0.015),
     "sliding_mode": controllers.SlidingMode(lambda_=3.0, k_1=4.0, k_2=2.0, T_lp=0.0),
     "pure_pursuit": controllers.PurePursuit(T_lp=0.4, l_min=12.0, delta_max=0.05),
     "lqi": controllers.LQI(q_i=3.0, r_delta=30.0),
@@ -49,7 +49,9 @@ DESIGNS: dict[str, Controller] = {
     "linear_mpc, soft": controllers.LinearMPC(
         horizon=10, r_delta=20.0, a_y_max=2.0, jerk_max=9.0, e_y_max=1.0, blocks=4
     ),
-    "nonlinear_mpc, soft": controllers.NonlinearMPC(horizon=8, mu=0.3, a_y_max=2.0, jerk_max=20.0, e_y_max=0.5),
+    "nonlinear_mpc, soft": controllers.NonlinearMPC(
+        horizon=8, mu=0.3, a_y_max=2.0, jerk_max=20.0, e_y_max=0.5, r_delta=100.0
+    ),
     **{
         f"barrier_filter, {inner}": controllers.BarrierFilter(inner=inner, inner_gains=gains, e_y_max=0.9, gamma_1=0.3)
         for inner, gains in (("pid", "K_i=-0.01"), ("stanley", "k_d_steer=0.3"), ("sliding_mode", ""), ("lqi", ""))

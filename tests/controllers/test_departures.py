@@ -14,10 +14,10 @@ SOME = Scenarios.from_arrays(
 @pytest.mark.parametrize(
     ("design", "reduction", "left", "beyond"),
     [
-        (PID(), 0.1, 0.1, 0.25),
+        (PID(K_p=-0.015), 0.1, 0.1, 0.25),
         (Stanley(), 0.2, 0.03, 0.05),
         (SlidingMode(), 0.1, 1e-3, 0.01),
-        (PurePursuit(), 0.2, 0.15, 0.3),  # what side slip leaves in a bend
+        (PurePursuit(T_lp=1.0), 0.2, 0.15, 0.3),  # what side slip leaves in a bend
     ],
     ids=lambda value: value.name if isinstance(value, Controller) else "",
 )

@@ -36,7 +36,7 @@ def first_state(design: LinearMPC, plant: Plant, x: np.ndarray, preview: Preview
 
 
 def test_a_wheel_beyond_delta_max_comes_back_with_a_status_of_its_own() -> None:
-    design = LinearMPC(horizon=10, delta_max=0.05, rate_max=0.2)
+    design = LinearMPC(horizon=10, delta_max=0.05, rate_max=0.2, r_delta=100.0)
     plant, x, preview, prev = situations(6, 10, seed=3)
     prev = np.array([0.3, -0.3, 0.061, 0.0, -0.0601, 0.02])
     delta, _, status = first_state(design, plant, x, preview, prev)
@@ -47,7 +47,7 @@ def test_a_wheel_beyond_delta_max_comes_back_with_a_status_of_its_own() -> None:
     assert (np.abs(delta - prev) <= 0.2 * DT + 1e-6).all()
     # 0.14 rad at the trigger; the limits can be met before the end, and no command counts as a failed solve
     tight = Scenarios.from_arrays(T=[1.2, 3.0], d_y=[0.3, 0.5], v_mean=[6.0, 25.0])
-    out = simulate(LinearMPC(), tight, y_s=0.1, trajectories=True)
+    out = simulate(LinearMPC(r_delta=100.0), tight, y_s=0.1, trajectories=True)
     assert out.status.tolist() == [EventStatus.BEYOND_DELTA_MAX, EventStatus.OK]
     assert not out.failed_solves.any()
     assert np.nanmin(np.abs(out.trajectories.delta[0])) <= 0.1
@@ -132,7 +132,7 @@ def test_the_previewed_road_reaches_the_law() -> None:
     scenarios = Scenarios.from_arrays(
         T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 15.0], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3]
     )
-    design = LinearMPC(horizon=12, delta_max=1.0, rate_max=10.0)
+    design = LinearMPC(horizon=12, delta_max=1.0, rate_max=10.0, r_delta=100.0)
     out = simulate(design, scenarios, y_s=0.1, trajectories=True)
     paths = out.trajectories
     for i in range(2):
@@ -153,8 +153,8 @@ def test_skipping_the_solver_changes_nothing_that_matters() -> None:
     scenarios = Scenarios.from_arrays(
         T=rng.uniform(1, 3, 4), d_y=rng.uniform(0.3, 0.8, 4), v_mean=rng.uniform(12, 30, 4)
     )
-    skipped = simulate(LinearMPC(horizon=8), scenarios).S
-    solved = simulate(LinearMPC(horizon=8, always_solve=True), scenarios).S
+    skipped = simulate(LinearMPC(horizon=8, r_delta=100.0), scenarios).S
+    solved = simulate(LinearMPC(horizon=8, always_solve=True, r_delta=100.0), scenarios).S
     np.testing.assert_allclose(solved, skipped, rtol=2e-5)
 
 
@@ -185,4 +185,4 @@ def test_the_record_of_solver_calls(solver: str) -> None:
 def test_a_solver_that_is_not_there_is_named(word: str, message: str) -> None:
     assert word not in qpsolvers.available_solvers
     with pytest.raises(InputError, match=rf"linear_mpc\.solver: '{word}' is {message}"):
-        LinearMPC(solver=word)
+        LinearMPC(solver=word, r_delta=100.0)

@@ -346,7 +346,7 @@ class Driven:
         # before the first command the wheel holds the recorded path's acceleration
         bend = 8.0 * s.d_y[i] / (s.v_mean[i] * s.T[i]) ** 2
         slope = bend * (s.v_mean[i] * (s.T[i] / 2 - t_s) - s.a_mean[i] * (t_s**2 - s.T[i] * t_s) / 2)
-        self.case = Case(LinearMPC(), plant, 0, x[0], r, 0.0)
+        self.case = Case(LinearMPC(r_delta=100.0), plant, 0, x[0], r, 0.0)
         self.y2 = slope * s.a_mean[i] - bend * v**2
         held = (self.y2 - self.case.a(np.append(x[0], 0.0), r[0])) / plant.model.matrices([v])[1][0, 1]
         self.case.prev = self.case.start[4] = held
@@ -363,7 +363,7 @@ class Driven:
     def commands_exist(self, jerk: float) -> bool:
         """Whether a linear program finds commands that keep it, for 5 s at most."""
         N = min(self.before.size - 1, 100)
-        case = dataclasses.replace(self.case, design=LinearMPC(horizon=N))
+        case = dataclasses.replace(self.case, design=LinearMPC(horizon=N, r_delta=100.0))
         free = case.outputs(np.zeros(N))[1]
         rows = [np.column_stack([case.outputs(unit, affine=False)[1][name] for unit in np.eye(N)]) for name in _LIMITED]
         most = [jerk, case.design.rate_max * DT]
@@ -403,8 +403,8 @@ def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float,
     scenarios = load_model("reference").sample(n, n, seed=1)
     options = PlantOptions(actuator=Actuator(lag=lag, delay=delay))
     given = {"y_s": 0.1, "options": options, "start": "steady"}
-    assert simulate(LinearMPC(), scenarios, **given).count(EventStatus.DIVERGED) == 0
-    out = simulate(LinearMPC(a_y_max=3.0, jerk_max=5.0), scenarios, trajectories=True, **given)
+    assert simulate(LinearMPC(r_delta=100.0), scenarios, **given).count(EventStatus.DIVERGED) == 0
+    out = simulate(LinearMPC(a_y_max=3.0, jerk_max=5.0, r_delta=100.0), scenarios, trajectories=True, **given)
     assert not out.failed_solves.any()
     driven = [Driven(scenarios, out, i, options) for i in np.flatnonzero(out.triggered)]
     beyond = [one for one in driven if one.jerk() > 5.05]
@@ -413,7 +413,7 @@ def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float,
 
 
 def test_a_corridor_that_is_left_already_is_no_failure() -> None:
-    design = LinearMPC(e_y_max=0.1, a_y_max=0.2, jerk_max=0.5, solver="daqp")
+    design = LinearMPC(e_y_max=0.1, a_y_max=0.2, jerk_max=0.5, solver="daqp", r_delta=100.0)
     out = simulate(design, HARSH, y_s=0.2, settle=0.0)
     assert (out.status == EventStatus.OK).all()
     assert np.isfinite(out.S).all()

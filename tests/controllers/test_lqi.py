@@ -66,8 +66,9 @@ def doubled(A: np.ndarray, B: np.ndarray, Q: np.ndarray, r: float) -> np.ndarray
 @pytest.mark.parametrize(
     "design",
     [
-        pytest.param(LQI(q_i=1e-6, q_y=1e6), marks=pytest.mark.slow), LQI(q_y_rate=1e6), LQR(q_y_rate=1e6),
-        pytest.param(LQR(q_psi=1e6, q_y=1e-3), marks=pytest.mark.slow),
+        pytest.param(LQI(q_i=1e-6, q_y=1e6, r_delta=100.0), marks=pytest.mark.slow),
+        LQI(q_y_rate=1e6, r_delta=100.0), LQR(q_y_rate=1e6, r_delta=100.0),
+        pytest.param(LQR(q_psi=1e6, q_y=1e-3, r_delta=100.0), marks=pytest.mark.slow),
     ],
     ids=["q_y", "q_y_rate", "LQR q_y_rate", "LQR q_psi"],
 )  # fmt: skip
@@ -86,8 +87,8 @@ def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
 
 def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
     """The gains then differ by the order of sqrt(q_i/q_y), 1e-3 per second of the loop's time constant."""
-    plant, law = prepared(LQI(q_i=1e-6), [10.0, 20.0, 33.0])
-    plain = LQR().prepare(plant)
+    plant, law = prepared(LQI(q_i=1e-6, r_delta=100.0), [10.0, 20.0, 33.0])
+    plain = LQR(r_delta=100.0).prepare(plant)
     np.testing.assert_allclose(law.F, plain.F, rtol=5e-3)
     np.testing.assert_allclose(law.G_yaw_rate, plain.G_yaw_rate, rtol=5e-3)
     steady = plant.steady_state()
@@ -114,12 +115,12 @@ def closed_loop(plant: Plant, law: LinearLaw, r: np.ndarray, steps: int) -> np.n
 
 def test_a_bend_leaves_no_bias_even_without_feedforward() -> None:
     """2 m/s^2 for two minutes: the slowest mode decays with about K_i/K_y, 0.2 1/s."""
-    plant, law = prepared(LQI(), [8.0, 20.0, 33.0])
+    plant, law = prepared(LQI(r_delta=100.0), [8.0, 20.0, 33.0])
     blind = dataclasses.replace(law, G_yaw_rate=np.zeros((3, 1)))
     r = 2.0 / plant.v
     np.testing.assert_allclose(closed_loop(plant, law, r, 2400)[:, 0], 0.0, atol=1e-9)
     np.testing.assert_allclose(closed_loop(plant, blind, r, 2400)[:, 0], 0.0, atol=1e-9)
-    plain = dataclasses.replace(LQR().prepare(plant), G_yaw_rate=np.zeros((3, 1)))
+    plain = dataclasses.replace(LQR(r_delta=100.0).prepare(plant), G_yaw_rate=np.zeros((3, 1)))
     assert (np.abs(closed_loop(plant, plain, r, 2400)[:, 0]) > 0.1).all()
 
 
@@ -135,7 +136,7 @@ def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) 
     """In the toolkit's own loop, at the end of a long constant bend; the LQR keeps a centimetre or more."""
     scenarios = Scenarios.from_arrays(T=[4.0, 4.0], d_y=[0.6, 0.5], v_mean=[16.0, 28.0], c_0=[4e-3, 2e-3])
     left = {}
-    for design in (LQI(q_i=1.0), LQR()):
+    for design in (LQI(q_i=1.0, r_delta=100.0), LQR(r_delta=100.0)):
         out = simulate(design, scenarios, options=options, settle=50.0, trajectories=True)
         paths = out.trajectories
         last = np.isfinite(paths.t).sum(axis=1) - 1

@@ -52,7 +52,9 @@ LATE = {
 }
 
 
-@pytest.mark.parametrize("design", [LQR(), LQI(), PreviewLQR()], ids=lambda design: design.name)
+@pytest.mark.parametrize(
+    "design", [LQR(r_delta=100.0), LQI(r_delta=100.0), PreviewLQR(r_delta=100.0)], ids=lambda design: design.name
+)
 @pytest.mark.parametrize("case", some(LATE, "both"))
 @pytest.mark.parametrize("n", some([100, 1000], 100))
 def test_departures_do_not_diverge_behind_lag_and_delay(n: int, case: str, design: Controller) -> None:
@@ -67,7 +69,7 @@ def test_departures_do_not_diverge_behind_lag_and_delay(n: int, case: str, desig
 
 def test_a_bend_leaves_no_bias() -> None:
     plant = Plant.build(BicycleModel(), np.array([8.0, 20.0, 33.0]), 0.05)
-    law = LQR().prepare(plant)
+    law = LQR(r_delta=100.0).prepare(plant)
     assert isinstance(law, LinearLaw)
     r = 2.0 / plant.v  # 2 m/s^2
     x = np.tile([0.9, 0.1, 0.02, 0.0], (3, 1))
@@ -79,4 +81,4 @@ def test_a_bend_leaves_no_bias() -> None:
 
 def test_speeds_outside_the_schedule_are_named() -> None:
     with pytest.raises(InputError, match=rf"95 m/s; allowed .* {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g}"):
-        LQR().prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))
+        LQR(r_delta=100.0).prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))

@@ -138,11 +138,13 @@ def ipopt(
     "design",
     [
         pytest.param(NonlinearMPC(horizon=HORIZON, mu=0.3, r_delta=20.0), marks=pytest.mark.slow),
-        NonlinearMPC(horizon=HORIZON, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1, delta_max=0.04),
-        NonlinearMPC(horizon=HORIZON, a_y_max=2.0),
-        pytest.param(NonlinearMPC(horizon=12), marks=pytest.mark.slow),
+        NonlinearMPC(
+            horizon=HORIZON, q_y_rate=0.3, q_psi_rate=0.7, q_psi=4.0, rate_max=0.1, delta_max=0.04, r_delta=100.0
+        ),
+        NonlinearMPC(horizon=HORIZON, a_y_max=2.0, r_delta=100.0),
+        pytest.param(NonlinearMPC(horizon=12, r_delta=100.0), marks=pytest.mark.slow),
         pytest.param(NonlinearMPC(horizon=12, mu=0.3, r_delta=20.0), marks=pytest.mark.slow),
-        pytest.param(NonlinearMPC(horizon=1, delta_max=0.04, rate_max=0.5), marks=pytest.mark.slow),
+        pytest.param(NonlinearMPC(horizon=1, delta_max=0.04, rate_max=0.5, r_delta=100.0), marks=pytest.mark.slow),
     ],
     ids=["slippery", "all_weights", "soft_a_y", "default", "slippery_longer", "one_step"],
 )
@@ -183,7 +185,7 @@ def test_a_sample_follows_the_differential_equation(v: float, mu: float) -> None
     errors = []
     for dt in (0.02, 0.01):
         plant = Plant.build(BicycleModel(), [v], dt)
-        end = sampled(columns(NonlinearMPC(mu=mu), plant)[0])(x_0, delta, r_0, r_1)
+        end = sampled(columns(NonlinearMPC(mu=mu, r_delta=100.0), plant)[0])(x_0, delta, r_0, r_1)
         flow = scipy.integrate.solve_ivp(
             lambda t, x, dt=dt: np.asarray(rhs(x, delta, r_0 + (r_1 - r_0) * t / dt)).ravel(),
             (0, dt), x_0, method="Radau", rtol=1e-11, atol=1e-13,
@@ -219,8 +221,8 @@ def test_small_angles_give_the_linear_mpc() -> None:
     worst = []
     for size in (1e-2, 1e-3):
         given = x * size, Preview(preview.yaw_rate * size, preview.heading), prev * size
-        ours, _, _ = first(NonlinearMPC(horizon=HORIZON), plant, *given)
-        law = LinearMPC(horizon=HORIZON).prepare(plant)
+        ours, _, _ = first(NonlinearMPC(horizon=HORIZON, r_delta=100.0), plant, *given)
+        law = LinearMPC(horizon=HORIZON, r_delta=100.0).prepare(plant)
         theirs, _, _ = law.step(np.zeros(n), *given, law.init(n))
         worst.append(np.abs(ours - theirs).max() / size)
     assert worst[1] < 3e-6
@@ -252,8 +254,10 @@ def test_the_soft_limits_of_acceleration_and_jerk_bind() -> None:
     options = PlantOptions(tyres=Tyres(model="magic_formula", mu=1.0, shape=SHAPE))
     scenarios = Scenarios.from_arrays(T=3.0, d_y=0.6, v_mean=25.0)
     given = {"y_s": 0.1, "options": options, "settle": 0.0, "start": "steady"}
-    free = simulate(NonlinearMPC(horizon=HORIZON), scenarios, **given)
-    held = simulate(NonlinearMPC(a_y_max=3.0, jerk_max=5.0), scenarios, **given)  # it must see more than half a second
+    free = simulate(NonlinearMPC(horizon=HORIZON, r_delta=100.0), scenarios, **given)
+    held = simulate(
+        NonlinearMPC(a_y_max=3.0, jerk_max=5.0, r_delta=100.0), scenarios, **given
+    )  # it must see more than half a second
     assert (held.failed_solves == 0).all()
     assert (free.companions.a_y_peak > 3.5).all()
     assert (free.companions.jerk_peak > 8.0).all()
@@ -287,7 +291,7 @@ def test_corridor_and_jerk_bind_in_the_plan(soft: dict[str, float], size: float,
 
 
 def test_a_command_beyond_the_limits_goes_back_as_fast_as_it_may() -> None:
-    design = NonlinearMPC(horizon=HORIZON, delta_max=0.05, rate_max=0.2)
+    design = NonlinearMPC(horizon=HORIZON, delta_max=0.05, rate_max=0.2, r_delta=100.0)
     plant, x, preview, _ = situations(6, HORIZON, seed=3, size=0.3)
     prev = np.array([0.3, -0.3, 0.061, 0.0, -0.0601, 0.02])
     delta, state, status = first(design, plant, x, preview, prev)
@@ -300,7 +304,7 @@ def test_a_command_beyond_the_limits_goes_back_as_fast_as_it_may() -> None:
 
 def test_where_nothing_converges_the_lqr_steers_inside_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver_module, "MAX_ITERATIONS", 0)
-    design = NonlinearMPC(horizon=HORIZON, delta_max=0.04)
+    design = NonlinearMPC(horizon=HORIZON, delta_max=0.04, r_delta=100.0)
     plant, x, preview, prev = situations(20, HORIZON, seed=5)
     prev = np.clip(prev, -0.04, 0.04)
     delta, state, status = first(design, plant, x, preview, prev)
@@ -319,13 +323,13 @@ def test_states_that_no_vehicle_has_give_finite_commands() -> None:
     plant = Plant.build(BicycleModel(), [1.0, 20.0, 90.0, 20.0, 20.0], DT)
     x = np.array([[50, 40, 1.5, 9], [-50, 90, 1.57, -9], [1e6, 0, 0, 0], [np.nan, 0, 0, 0], [0, 1e200, 3.0, 0]])
     r = np.full((5, HORIZON + 1), 3.0)
-    delta, state, status = first(NonlinearMPC(horizon=HORIZON), plant, x, Preview(r, 0 * r), np.zeros(5))
+    delta, state, status = first(NonlinearMPC(horizon=HORIZON, r_delta=100.0), plant, x, Preview(r, 0 * r), np.zeros(5))
     assert np.isfinite(delta).all()
     assert (np.abs(delta) <= 0.01 + 1e-15).all()
     assert status[3] == EventStatus.SOLVER_FAILED
     assert np.isfinite(state.U).all()
     # and the step after is not spoilt
-    law = NonlinearMPC(horizon=HORIZON).prepare(plant)
+    law = NonlinearMPC(horizon=HORIZON, r_delta=100.0).prepare(plant)
     again, _, status = law.step(np.zeros(5), np.zeros((5, 4)), Preview(0 * r, 0 * r), np.zeros(5), state)
     np.testing.assert_allclose(again, 0.0, atol=1e-7)
     assert (status == EventStatus.OK).all()
@@ -333,7 +337,10 @@ def test_states_that_no_vehicle_has_give_finite_commands() -> None:
 
 def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     plant, x, preview, prev = situations(6, HORIZON, seed=1)
-    designs = NonlinearMPC(horizon=HORIZON), NonlinearMPC(horizon=HORIZON, a_y_max=2.0, jerk_max=20.0)
+    designs = (
+        NonlinearMPC(horizon=HORIZON, r_delta=100.0),
+        NonlinearMPC(horizon=HORIZON, a_y_max=2.0, jerk_max=20.0, r_delta=100.0),
+    )
     usual = [first(design, plant, x, preview, prev)[0] for design in designs]
     kept = solver_module._functions
     monkeypatch.setenv(compile_module.CODE, "vm")

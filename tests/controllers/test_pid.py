@@ -107,7 +107,7 @@ class _Linear(Controller):
 
 def test_without_integral_and_limit_it_is_a_linear_law() -> None:
     """The same sums in another order."""
-    design = PID(K_i=0.0, delta_max=1.0)
+    design = PID(K_i=0.0, delta_max=1.0, K_p=-0.015)
     np.testing.assert_allclose(simulate(design, SOME).S, simulate(Stepped(_Linear(design)), SOME).S, rtol=0, atol=1e-11)
 
 
@@ -115,7 +115,7 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s() -> None:
     """Eigenvalues of the sampled loop with the integral; the law's own derivatives are taken from its commands."""
     v = np.linspace(10, 40, 31)
     plant = plant_at(*v)
-    law = PID().prepare(plant)
+    law = PID(K_p=-0.015).prepare(plant)
     loop = np.zeros((v.size, 5, 5))
     small = 1e-4
     for i in range(5):
@@ -137,7 +137,7 @@ def test_a_steady_bend_needs_no_integral() -> None:
     r = 2.0 / plant.v  # 2 m/s^2
     x = np.zeros((3, 4))
     x[:, 2] = plant.steady_state().e_psi * r
-    e_y, integral = closed_loop(PID(), plant, x, r, 200)
+    e_y, integral = closed_loop(PID(K_p=-0.015), plant, x, r, 200)
     np.testing.assert_allclose(e_y, 0.0, atol=1e-12)
     np.testing.assert_allclose(integral, 0.0, atol=1e-12)
 
@@ -147,8 +147,8 @@ def test_on_another_vehicle_the_integral_takes_the_offset_out() -> None:
     known = plant_at(20.0, 33.0)
     other = plant_at(20.0, 33.0, model=BicycleModel(VehicleParameters(m=1300.0, C_af=64000.0, C_ar=90000.0)))
     r, x = 2.0 / known.v, np.zeros((2, 4))
-    with_i, _ = closed_loop(PID(), other, x, r, 4000, known)
-    without, _ = closed_loop(PID(K_i=0.0), other, x, r, 4000, known)
+    with_i, _ = closed_loop(PID(K_p=-0.015), other, x, r, 4000, known)
+    without, _ = closed_loop(PID(K_i=0.0, K_p=-0.015), other, x, r, 4000, known)
     left = -1.5 * known.v * (other.steady_state().e_psi - known.steady_state().e_psi) * r
     np.testing.assert_allclose(with_i[-1], left, atol=1e-6)
     assert (np.abs(with_i[-1]) < 0.5 * np.abs(without[-1])).all()
@@ -159,7 +159,7 @@ def test_back_calculation_bounds_the_integral() -> None:
     x = np.array([[4.0, 0.0, 0.0, 0.0]])
     ends = {}
     for T_t in (1.0, 1e3):
-        law = PID(K_i=-0.01, T_t=T_t, delta_max=0.02).prepare(plant_at(20.0))
+        law = PID(K_i=-0.01, T_t=T_t, delta_max=0.02, K_p=-0.015).prepare(plant_at(20.0))
         state = law.init(1)
         for _ in range(1200):
             delta, state = command(law, x, np.zeros(1), state)
@@ -174,7 +174,7 @@ def test_back_calculation_bounds_the_integral() -> None:
 def test_without_back_calculation_the_path_overshoots() -> None:
     plant = plant_at(15.0)
     x = np.array([[3.0, 0.0, 0.0, 0.0]])
-    design = PID(K_i=-0.008, delta_max=0.01)
+    design = PID(K_i=-0.008, delta_max=0.01, K_p=-0.015)
     guarded, _ = closed_loop(design, plant, x, np.zeros(1), 600)
     wound_up, _ = closed_loop(dataclasses.replace(design, T_t=1e3), plant, x, np.zeros(1), 600)
     assert guarded.min() > -0.05

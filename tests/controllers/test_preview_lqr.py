@@ -15,8 +15,8 @@ from ldctoolkit import BicycleModel, LinearLaw, Plant, Preview, Scenarios, Vehic
 
 DT = 0.05
 DESIGNS = [
-    PreviewLQR(),
-    PreviewLQR(horizon=1),
+    PreviewLQR(r_delta=100.0),
+    PreviewLQR(horizon=1, r_delta=100.0),
     PreviewLQR(horizon=7, q_y=0.1, q_y_rate=0.5, q_psi=40.0, q_psi_rate=3.0, r_delta=3000.0),
     PreviewLQR(horizon=12, q_y=30.0, q_psi=0.0, r_delta=5.0),
 ]
@@ -96,7 +96,7 @@ def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR, lag: fl
 
 def test_a_camera_that_is_late_leaves_out_the_lane_before_now() -> None:
     plant = Plant.build(BicycleModel(), [25.0], DT, lag=0.1, delay=0.2)
-    seen_now, late = (PreviewLQR().prepare(dataclasses.replace(plant, age=age)) for age in (0.0, 0.1))
+    seen_now, late = (PreviewLQR(r_delta=100.0).prepare(dataclasses.replace(plant, age=age)) for age in (0.0, 0.1))
     np.testing.assert_allclose(late.preview_times, seen_now.preview_times[2:] - 0.1, atol=1e-15)
     np.testing.assert_array_equal(late.G_yaw_rate[:, 1:], seen_now.G_yaw_rate[:, 3:])
     np.testing.assert_allclose(late.G_yaw_rate[:, 0], seen_now.G_yaw_rate[:, :3].sum(axis=1), rtol=1e-12)
@@ -119,7 +119,7 @@ def test_it_is_the_linear_mpc_far_from_its_limits(horizon: int) -> None:
 
 def test_feedback_and_constant_bends_are_those_of_the_lqr() -> None:
     plant = Plant.build(BicycleModel(), [8.0, 20.0, 33.0], DT)
-    law, plain = PreviewLQR(horizon=50).prepare(plant), LQR().prepare(plant)
+    law, plain = PreviewLQR(horizon=50, r_delta=100.0).prepare(plant), LQR(r_delta=100.0).prepare(plant)
     # gain alone and gain with cost have the same bits
     np.testing.assert_array_equal(law.F, plain.F)
     np.testing.assert_allclose(law.G_yaw_rate.sum(axis=1), plain.G_yaw_rate[:, 0], rtol=1e-12)
@@ -147,8 +147,10 @@ def test_the_further_it_sees_the_less_a_bend_costs() -> None:
     """
     plant = Plant.build(BicycleModel(), [12.0, 30.0], DT)
     r = np.where(np.arange(401) < 60, 0.0, 0.08)
-    costs = [cost(plant, d, d.prepare(plant), r) for d in (PreviewLQR(horizon=N) for N in (1, 3, 10, 30, 60))]
-    plain = cost(plant, PreviewLQR(), LQR().prepare(plant), r)
+    costs = [
+        cost(plant, d, d.prepare(plant), r) for d in (PreviewLQR(horizon=N, r_delta=100.0) for N in (1, 3, 10, 30, 60))
+    ]
+    plain = cost(plant, PreviewLQR(r_delta=100.0), LQR(r_delta=100.0).prepare(plant), r)
     for shorter, longer in zip([plain, *costs], costs, strict=False):
         assert (longer < shorter).all()
     assert (costs[-1] < 0.5 * plain).all()
@@ -157,7 +159,7 @@ def test_the_further_it_sees_the_less_a_bend_costs() -> None:
 def test_in_the_closed_loop_it_is_the_mpc_without_limits() -> None:
     """Sums in another order over some hundred samples."""
     scenarios = Scenarios.from_arrays(T=[2.0, 4.0, 3.0], d_y=[0.4, 0.6, 0.5], v_mean=[14.0, 30.0, 22.0], c_0=1e-3)
-    wide = LinearMPC(horizon=8, delta_max=1.0, rate_max=10.0)
-    linear, general = simulate(Stepped(PreviewLQR(horizon=8)), scenarios), simulate(wide, scenarios)
+    wide = LinearMPC(horizon=8, delta_max=1.0, rate_max=10.0, r_delta=100.0)
+    linear, general = simulate(Stepped(PreviewLQR(horizon=8, r_delta=100.0)), scenarios), simulate(wide, scenarios)
     assert general.failed_solves.sum() == 0
     np.testing.assert_allclose(linear.S, general.S, rtol=1e-10)

@@ -88,7 +88,7 @@ def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
     scenarios = Scenarios.from_arrays(
         T=[2.5, 6.0], d_y=[0.4, 0.6], v_mean=[22.0, 5.5], c_0=[1e-3, -2e-3], dc=[3e-3, 1e-3]
     )
-    out = simulate(PurePursuit(delta_max=1.0), scenarios, y_s=0.1, trajectories=True)
+    out = simulate(PurePursuit(delta_max=1.0, T_lp=1.0), scenarios, y_s=0.1, trajectories=True)
     paths = out.trajectories
     for i in range(2):
         v, T = scenarios.v_mean[i], scenarios.T[i]
@@ -111,7 +111,7 @@ def test_in_the_closed_loop_the_goal_is_where_the_lane_is() -> None:
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     v = np.linspace(10, 40, 31)
     plant = plant_at(*v, dt=dt)
-    law = PurePursuit().prepare(plant)
+    law = PurePursuit(T_lp=1.0).prepare(plant)
     straight = clothoid(law, np.zeros(v.size), np.zeros(v.size))
     loop = closed_loop_matrices(plant, lambda x: command(law, x, straight))
     s = np.log(np.linalg.eigvals(loop).astype(complex)) / dt
@@ -122,4 +122,4 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
 def test_a_goal_behind_the_centre_of_gravity_is_named() -> None:
     long = BicycleModel(VehicleParameters(l_r=3.0))
     with pytest.raises(InputError, match=r"pure_pursuit\.l_min: 2 m; allowed: more than l_r = 3 m"):
-        PurePursuit(l_min=2.0).prepare(plant_at(20.0, model=long))
+        PurePursuit(l_min=2.0, T_lp=1.0).prepare(plant_at(20.0, model=long))

@@ -136,7 +136,10 @@ class Made:
             "hostile": lambda folder: self._study(folder, HOSTILE),
             "thousand": self._thousand,
             "zero-triggered": lambda folder: self._designs(
-                folder, Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0), Design.of(NoControl(), 5.0)
+                folder,
+                Design.of(PreviewProportional(), 5.0),
+                Design.of(LQR(r_delta=100.0), 6.0),
+                Design.of(NoControl(), 5.0),
             ),
             "one-design": lambda folder: self._designs(folder, Design.of(PreviewProportional(), 0.2)),
             "only-no-control": lambda folder: self._designs(folder, Design.of(NoControl(), 0.2)),

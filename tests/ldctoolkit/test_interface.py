@@ -194,7 +194,7 @@ def test_plain_fields_run_but_have_no_place_in_studies() -> None:
         (LQR, r"controller: the class LQR; allowed: a controller instance, e\.g\. LQR\(\)"),
         ("lqr", r"controller: 'lqr'; allowed: a controller instance, e\.g\. controller_class\('lqr'\)\(\)"),
         (None, r"controller: None; allowed: a controller instance, e\.g\. LQR\(\)"),
-        ([LQR()], r"controller: an object of type list; allowed: .*"),
+        ([LQR(r_delta=100.0)], r"controller: an object of type list; allowed: .*"),
         (int, r"controller: the class int; allowed: .*"),
     ],
 )
@@ -204,7 +204,7 @@ def test_what_is_no_design(given: object, message: str) -> None:
 
 
 def test_a_design_comes_back() -> None:
-    design = LQR()
+    design = LQR(r_delta=100.0)
     assert check_controller(design) is design
 
 

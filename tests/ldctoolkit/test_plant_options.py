@@ -106,10 +106,13 @@ def test_every_option_takes_the_ideal_away() -> None:
 def test_wrong_arguments_of_simulate_are_named(given: dict[str, Any], message: str) -> None:
     scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
     with pytest.raises(InputError, match=re.escape(message)):
-        simulate(LQR(), scenarios, **given)
+        simulate(LQR(r_delta=100.0), scenarios, **given)
 
 
 def test_numpy_arguments_of_simulate_are_numbers() -> None:
     scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
-    plain = simulate(LQR(), scenarios, y_s=0.0, dt=0.1, settle=1.0)
-    assert simulate(LQR(), scenarios, y_s=np.int64(0), dt=np.float64(0.1), settle=np.int64(1)).S[0] == plain.S[0]
+    plain = simulate(LQR(r_delta=100.0), scenarios, y_s=0.0, dt=0.1, settle=1.0)
+    assert (
+        simulate(LQR(r_delta=100.0), scenarios, y_s=np.int64(0), dt=np.float64(0.1), settle=np.int64(1)).S[0]
+        == plain.S[0]
+    )

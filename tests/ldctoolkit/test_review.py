@@ -47,7 +47,7 @@ def names(found: Review) -> set[str]:
 
 @pytest.mark.slow
 def test_a_sound_design_has_nothing_to_object_to() -> None:
-    found = review(LQR())
+    found = review(LQR(r_delta=100.0))
     assert found.findings == ()
     assert found.loop.stable.all()
     assert (found.loop.gain_margin > 6).all()
@@ -68,20 +68,20 @@ def test_planted_an_unstable_gain() -> None:
 
 def test_planted_an_initial_angle_beyond_the_limits() -> None:
     """At 10 m/s a bend of 2 m/s^2 takes delta = 2.9 m/(50 m) + ..., far beyond 0.02 + 0.1 0.05 rad."""
-    found = review(LinearMPC(delta_max=0.02, rate_max=0.1), speeds=[10.0, 20.0])
+    found = review(LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=100.0), speeds=[10.0, 20.0])
     fault = named(found, "initial_angle")
     needed = float(BicycleModel().steady_state([10.0]).delta[0]) * 0.2
     assert (fault.severity, fault.value) == ("fault", pytest.approx(needed, rel=1e-12))
     assert f"for {math.ceil((needed - 0.02) / 0.005)} samples (its horizon is 20 samples)" in fault.sentence
     assert named(found, "angle_in_bend").severity == "fault"
-    assert not names(review(LinearMPC(), speeds=[10.0, 20.0]))
+    assert not names(review(LinearMPC(r_delta=100.0), speeds=[10.0, 20.0]))
 
 
 def test_an_initial_angle_that_is_given() -> None:
     """|delta_prev| = 0.11 and delta_max = 0.1: within reach of one sample at 0.2 rad/s, not at 0.19."""
-    design = LinearMPC(rate_max=0.2)
+    design = LinearMPC(rate_max=0.2, r_delta=100.0)
     assert not names(review(design, delta_prev=(0.11, 22.0), speeds=[20.0]))
-    found = review(LinearMPC(rate_max=0.19), delta_prev=(0.11, 22.0), speeds=[20.0])
+    found = review(LinearMPC(rate_max=0.19, r_delta=100.0), delta_prev=(0.11, 22.0), speeds=[20.0])
     assert named(found, "initial_angle").v == 22.0
     # one departure of 200 is rare, two are not
     angles = np.zeros(200)
@@ -129,7 +129,7 @@ def test_planted_a_bias_in_a_bend() -> None:
     F, steady = NoFeedforward().prepare(plant).F[0], plant.steady_state()
     by_hand = (steady.delta[0] - F[2] * steady.e_psi[0]) / F[0] * 2.0 / v
     assert found.loop.e_y_bend[0] == pytest.approx(by_hand, rel=1e-9)
-    assert review(LQR(), speeds=[v]).findings == ()
+    assert review(LQR(r_delta=100.0), speeds=[v]).findings == ()
     fault = named(review(NoFeedforward(r_delta=1000.0), speeds=[10.0]), "bend")
     assert fault.severity == "fault"
     assert fault.value > 0.3
@@ -139,14 +139,14 @@ def test_planted_a_bias_in_a_bend() -> None:
 def test_delay_and_lag_are_in_the_loop() -> None:
     """A whole delay costs its own time of the delay margin, and enough of it makes the loop unstable, unless known."""
     given: dict[str, Any] = {"speeds": [30.0], "plant_knowledge": "ideal"}
-    bare = review(LQR(), **given).loop
-    late = review(LQR(), options=PlantOptions(actuator=Actuator(delay=0.05)), **given).loop
-    frames = review(LQR(), options=PlantOptions(sensors=Sensors(delay=0.2)), **given)
+    bare = review(LQR(r_delta=100.0), **given).loop
+    late = review(LQR(r_delta=100.0), options=PlantOptions(actuator=Actuator(delay=0.05)), **given).loop
+    frames = review(LQR(r_delta=100.0), options=PlantOptions(sensors=Sensors(delay=0.2)), **given)
     assert late.delay_margin[0] == pytest.approx(bare.delay_margin[0] - 0.05, abs=1e-4)
     assert late.gain_margin[0] < bare.gain_margin[0]
     too_late = PlantOptions(actuator=Actuator(delay=float(bare.delay_margin[0]) + 0.01))
-    assert named(review(LQR(), options=too_late, **given), "stability").severity == "fault"
-    assert review(LQR(), speeds=[30.0], options=too_late).faults == ()
+    assert named(review(LQR(r_delta=100.0), options=too_late, **given), "stability").severity == "fault"
+    assert review(LQR(r_delta=100.0), speeds=[30.0], options=too_late).faults == ()
     assert frames.faults
     assert "left_out" not in {finding.name for finding in frames.findings}
 
@@ -165,25 +165,29 @@ def test_what_the_loop_holds_of_a_camera_is_not_told_as_left_out(given: dict[str
 
 def test_margins_below_their_thresholds() -> None:
     """The same number is a warning or a fault as the thresholds say, and the sentence names value and bound."""
-    value = float(review(LQR(), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
-    warned = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
+    value = float(review(LQR(r_delta=100.0), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
+    warned = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
     finding = named(warned, "gain_margin")
     assert (finding.severity, finding.value) == ("warning", pytest.approx(value))
     assert f"a gain margin of {value:.3g} dB; allowed: at least {value + 1:.3g} dB" in finding.sentence
     assert "Raise r_delta" in finding.sentence
-    faulty = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
+    faulty = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
     assert named(faulty, "gain_margin").severity == "fault"
     # the threshold itself is still allowed
-    edge = review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value)))
+    edge = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value)))
     assert named(edge, "gain_margin").severity == "warning"
-    assert "gain_margin" not in names(review(LQR(), speeds=[40.0], thresholds=Thresholds(gain_margin=(value, value))))
+    assert "gain_margin" not in names(
+        review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value, value)))
+    )
 
 
 def test_limits_against_the_actuator_and_the_corridor() -> None:
-    found = review(LinearMPC(), options=PlantOptions(actuator=Actuator(delta_max=0.08, rate_max=0.1)), speeds=[25.0])
+    found = review(
+        LinearMPC(r_delta=100.0), options=PlantOptions(actuator=Actuator(delta_max=0.08, rate_max=0.1)), speeds=[25.0]
+    )
     assert {"actuator_angle", "actuator_rate"} <= names(found)
     same = PlantOptions(actuator=Actuator(delta_max=0.1, rate_max=0.2))
-    assert not names(review(LinearMPC(), options=same, speeds=[25.0]))
+    assert not names(review(LinearMPC(r_delta=100.0), options=same, speeds=[25.0]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,7 +236,7 @@ def test_a_hessian_that_is_too_stiff() -> None:
     found = review(LinearMPC(horizon=100, r_delta=1e-3, q_y=1e6), speeds=[40.0])
     assert named(found, "hessian").value > 1e6
     assert found.loop is not None
-    assert np.isnan(review(LQR(), speeds=[40.0]).loop.hessian_condition).all()  # type: ignore[union-attr]
+    assert np.isnan(review(LQR(r_delta=100.0), speeds=[40.0]).loop.hessian_condition).all()  # type: ignore[union-attr]
 
 
 def test_the_mpc_is_its_lqr_near_straight_driving() -> None:
@@ -409,7 +413,7 @@ def test_a_delay_of_too_many_samples_is_refused() -> None:
         ("sensors", PlantOptions(sensors=Sensors(delay=0.05))),
     ):
         with pytest.raises(InputError, match=rf"{name}\.delay: 0\.05 s with dt = 1e-06 s is 50000 samples; allowed"):
-            review(LQR(), dt=1e-6, options=options)
+            review(LQR(r_delta=100.0), dt=1e-6, options=options)
 
 
 def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
@@ -434,7 +438,7 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        review(LQR(), **wrong)
+        review(LQR(r_delta=100.0), **wrong)
     with pytest.raises(InputError, match="controller: the class LQR"):
         review(LQR)  # type: ignore[arg-type]
 

@@ -110,7 +110,7 @@ def test_outcome() -> None:
         T=[3.0, 2.0, 2.0, 2.0], d_y=[0.6, 0.4, 0.02, 0.3], v_mean=25.0, side=[1, -1, -1, 1]
     )
     scenarios = dataclasses.replace(scenarios, v_mean=np.array([25.0, 25.0, 25.0, 95.0]))
-    outcome = simulate(LQR(), scenarios, y_s=0.1)
+    outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1)
     lines = {row[0]: row[1] for row in rows_of(outcome._repr_html_())}
     driven = outcome.status != EventStatus.INVALID
     S, S_0 = np.mean(outcome.S[driven]), np.mean(outcome.S_uncorrected[driven])

@@ -149,7 +149,7 @@ def test_departure(ax: matplotlib.axes.Axes) -> None:
     from controllers import LQR, NoControl
 
     scenarios = Scenarios.from_arrays(T=[3.0, 2.0], d_y=[0.6, 0.02], v_mean=25.0, side=[1, -1])
-    outcome = simulate(LQR(), scenarios, y_s=0.1, trajectories=True)
+    outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=True)
     plot_departure(outcome, 0, ax, scenarios=scenarios)
     line, recorded, driven = ax.lines
     assert line.get_ydata() == [0.0, 0.0]
@@ -163,7 +163,7 @@ def test_departure(ax: matplotlib.axes.Axes) -> None:
     with pytest.raises(InputError, match="trajectories=True"):
         plot_departure(simulate(NoControl(), scenarios), 0)
     with pytest.raises(InputError, match="i: 1 has no path in this outcome; allowed: 0"):
-        plot_departure(simulate(LQR(), scenarios, y_s=0.1, trajectories=[0]), 1)
+        plot_departure(simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=[0]), 1)
 
 
 def test_laws_look_as_in_the_report(ranking: Ranking, results: StudyResults, ax: matplotlib.axes.Axes) -> None:

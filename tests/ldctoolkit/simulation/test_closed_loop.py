@@ -92,7 +92,12 @@ def test_a_departure_shorter_than_the_step() -> None:
     assert out.S[0] == pytest.approx(reference.drive(path, law, y_s=0.2, dt=2.0).S, abs=1e-9)
 
 
-ALL_LAWS: list[Controller] = [NoControl(), PreviewProportional(), LQR(), LinearMPC(horizon=4)]
+ALL_LAWS: list[Controller] = [
+    NoControl(),
+    PreviewProportional(),
+    LQR(r_delta=100.0),
+    LinearMPC(horizon=4, r_delta=100.0),
+]
 
 
 @pytest.mark.parametrize("window", ["departure", "control"])
@@ -106,7 +111,7 @@ def test_no_control_reduces_by_exactly_nothing(window: str, y_s: float) -> None:
 
 def test_windows_differ_by_what_was_before_the_trigger() -> None:
     scenarios = make_scenarios(50)
-    departure, control = (simulate(LQR(), scenarios, window=w) for w in ("departure", "control"))
+    departure, control = (simulate(LQR(r_delta=100.0), scenarios, window=w) for w in ("departure", "control"))
     np.testing.assert_allclose(departure.S_uncorrected - departure.S, control.S_uncorrected - control.S, atol=1e-12)
     untriggered = ~control.triggered
     assert untriggered.any()
@@ -166,16 +171,20 @@ def test_an_unstable_law_is_scored_at_the_bound_and_counted(settle: float) -> No
 def test_the_score_before_a_divergence_is_kept(size: float) -> None:
     """One absurd command at sample 20: S up to there is that of the sane law."""
     scenarios = Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0)
-    sane = simulate(LQR(), Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), y_s=0.1, trajectories=True)
+    sane = simulate(LQR(r_delta=100.0), Scenarios.from_arrays(T=4.0, d_y=0.5, v_mean=20.0), y_s=0.1, trajectories=True)
     for sign in (1.0, -1.0):
         kick = sign * size
-        out = simulate(Stepped(LQR(), lambda delta, k, kick=kick: np.where(k == 20, kick, delta)), scenarios, y_s=0.1)
+        out = simulate(
+            Stepped(LQR(r_delta=100.0), lambda delta, k, kick=kick: np.where(k == 20, kick, delta)), scenarios, y_s=0.1
+        )
         assert out.count(EventStatus.DIVERGED) == 1
         path, t = sane.trajectories.x[0, :21, 0], sane.trajectories.t[0, :21]
         rate = sane.trajectories.x[0, :21, 1]
         area = np.trapezoid(path, t) + np.sum(np.diff(t) ** 2 * (rate[:-1] - rate[1:]) / 12)  # Hermite, path > 0
         assert (path > 0).all()
-        before = sane.S_uncorrected[0] - simulate(LQR(), scenarios, y_s=0.1, window="control").S_uncorrected[0]
+        before = (
+            sane.S_uncorrected[0] - simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, window="control").S_uncorrected[0]
+        )
         assert out.S[0] == pytest.approx(before + area + BOUND * (4.0 - t[-1]), rel=1e-6)
         # the edge is deepest where it left, or where it was before leaving inwards
         deepest = BOUND - 0.85 if sign > 0 else highest(t, path, rate) - 0.85
@@ -283,14 +292,14 @@ def test_either_matrix_starts_on_the_path(convention: str) -> None:
 
 
 def test_mean_reduction_is_that_of_the_means() -> None:
-    out = simulate(LQR(), make_scenarios(30))
+    out = simulate(LQR(r_delta=100.0), make_scenarios(30))
     assert out.mean_reduction == pytest.approx(1.0 - out.S.mean() / out.S_uncorrected.mean(), rel=1e-12)
 
 
 def test_shapes_and_arguments_are_checked() -> None:
     scenarios = make_scenarios(5)
     with pytest.raises(LdcError, match="'stepped': step returned shapes"):
-        simulate(Stepped(LQR(), lambda delta, k: delta[:-1]), scenarios, y_s=0.0)
+        simulate(Stepped(LQR(r_delta=100.0), lambda delta, k: delta[:-1]), scenarios, y_s=0.0)
 
     @dataclasses.dataclass(frozen=True)
     class Wrong(Controller):
@@ -305,16 +314,19 @@ def test_shapes_and_arguments_are_checked() -> None:
     bad_values = {"y_s": (-0.1, np.nan), "dt": (0.0, 50.0), "settle": (-0.1, 61.0, np.nan)}
     for name, value in ((name, value) for name, values in bad_values.items() for value in values):
         with pytest.raises(InputError, match=rf"^{name}: {value}; allowed"):
-            simulate(LQR(), scenarios, **{name: value})  # type: ignore[arg-type]
+            simulate(LQR(r_delta=100.0), scenarios, **{name: value})  # type: ignore[arg-type]
     for given, message in (
-        ((scenarios, LQR()), r"^controller, scenarios: swapped; allowed: simulate\(controller, scenarios\)$"),
-        ((LQR(), {"T": 1.0}), r"^scenarios: an object of type dict; allowed: Scenarios.from_arrays"),
+        (
+            (scenarios, LQR(r_delta=100.0)),
+            r"^controller, scenarios: swapped; allowed: simulate\(controller, scenarios\)$",
+        ),
+        ((LQR(r_delta=100.0), {"T": 1.0}), r"^scenarios: an object of type dict; allowed: Scenarios.from_arrays"),
     ):
         with pytest.raises(InputError, match=message):
             simulate(*given)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"^setup: an object of type dict; allowed: Setup\(...\), or None"):
-        simulate(LQR(), scenarios, setup={"dt": 0.1})  # type: ignore[arg-type]
+        simulate(LQR(r_delta=100.0), scenarios, setup={"dt": 0.1})  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"window: 'departures'; did you mean 'departure'"):
-        simulate(LQR(), scenarios, window="departures")  # type: ignore[arg-type]
+        simulate(LQR(r_delta=100.0), scenarios, window="departures")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):
-        simulate(LQR(), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]
+        simulate(LQR(r_delta=100.0), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]

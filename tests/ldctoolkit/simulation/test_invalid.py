@@ -44,7 +44,7 @@ OPTIONS = {
 SOUND = with_residuals(make_scenarios(N, seed=31))
 DESIGNS: dict[str, Controller] = {
     "linear": PreviewProportional(), "general": Stepped(PreviewProportional(), drops=True),
-    "solver": LinearMPC(horizon=4), "none": NoControl(),
+    "solver": LinearMPC(horizon=4, r_delta=100.0), "none": NoControl(),
 }  # fmt: skip
 BAD_VALUES = [
     {"T": 0.0}, {"T": -1.0}, {"T": np.nan}, {"T": np.inf}, {"T": -np.inf}, {"v_mean": -20.0}, {"v_mean": 0.0},
@@ -133,7 +133,7 @@ def test_a_speed_without_a_gain_is_invalid_for_every_law() -> None:
     fast = dataclasses.replace(sound, v_mean=np.array([20.0, 95.0, 85.0]), a_mean=np.array([0.0, 0.0, 6.0]))
     wrong = dataclasses.replace(fast, v_mean=np.full(3, 20.0), a_mean=np.zeros(3), d_y=np.array([0.3, -0.3, 0.3]))
     wrong = dataclasses.replace(wrong, sigma_y=np.array([0.0, 0.0, -0.1]))
-    for law in (LQR(), PreviewProportional()):
+    for law in (LQR(r_delta=100.0), PreviewProportional()):
         for scenarios in (fast, wrong):
             assert_counted(run(law, scenarios, PlantOptions()), np.array([False, True, True]))
 
@@ -222,9 +222,9 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
 
         return fault
 
-    usual = run(Stepped(LQR()), scenarios, PlantOptions(), y_s=0.05)
+    usual = run(Stepped(LQR(r_delta=100.0)), scenarios, PlantOptions(), y_s=0.05)
     for value in (np.nan, np.inf, -np.inf):
-        out = run(Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05)
+        out = run(Stepped(LQR(r_delta=100.0), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05)
         assert_counted(out, np.zeros(30, dtype=bool))
         assert (out.failed_solves.sum(), out.count(EventStatus.SOLVER_FAILED)) == (1, 1)
         (row,) = np.flatnonzero(out.failed_solves)
@@ -233,7 +233,7 @@ def test_a_law_that_fails_now_and_then_holds_its_last_command() -> None:
         for name, value_then in values(usual).items():
             np.testing.assert_array_equal(kept[name][others], value_then[others], err_msg=name)
         paths = run(
-            Stepped(LQR(), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05, trajectories=[row]
+            Stepped(LQR(r_delta=100.0), at(value, 0, 2)), scenarios, PlantOptions(), y_s=0.05, trajectories=[row]
         ).trajectories
         assert paths.delta[0, 2] == paths.delta[0, 1] != paths.delta[0, 3]
 
@@ -242,9 +242,9 @@ def test_the_last_command_of_all_counts_too() -> None:
     """And none is asked for where T, or the end of the settling horizon, is a whole number of samples."""
     for T, settle, last in ((1.03, 0.0, 20), (1.03, 0.3, 26), (1.0, 0.0, 19), (1.0, 0.1, 21), (1.0, 0.12, 22)):
         scenarios = Scenarios.from_arrays(T=T, d_y=0.3, v_mean=20.0)
-        usual = run(Stepped(LQR()), scenarios, PlantOptions(), y_s=0.0, settle=settle)
+        usual = run(Stepped(LQR(r_delta=100.0)), scenarios, PlantOptions(), y_s=0.0, settle=settle)
         for sample, failures in ((last, 1), (last + 1, 0)):
-            law = Stepped(LQR(), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
+            law = Stepped(LQR(r_delta=100.0), lambda delta, k, sample=sample: np.where(k == sample, np.nan, delta))
             out = run(law, scenarios, PlantOptions(), y_s=0.0, settle=settle)
             assert out.failed_solves[0] == failures
             assert out.status[0] == (EventStatus.SOLVER_FAILED if failures else EventStatus.OK)
@@ -268,12 +268,12 @@ def test_what_a_law_raises_arrives_unchanged_and_harms_no_later_run() -> None:
         return delta
 
     over = takeover(SOUND)
-    before = list(drive_many([LQR(), Stepped(LQR())], over))
-    runs = drive_many([LQR(), Stepped(LQR(), fault), LQR()], over)
+    before = list(drive_many([LQR(r_delta=100.0), Stepped(LQR(r_delta=100.0))], over))
+    runs = drive_many([LQR(r_delta=100.0), Stepped(LQR(r_delta=100.0), fault), LQR(r_delta=100.0)], over)
     assert_same_rows(next(runs), before[0])
     with pytest.raises(OwnError, match="the law's own words"):
         next(runs)
-    for ours, theirs in zip(drive_many([LQR(), Stepped(LQR())], over), before, strict=True):
+    for ours, theirs in zip(drive_many([LQR(r_delta=100.0), Stepped(LQR(r_delta=100.0))], over), before, strict=True):
         assert_same_rows(ours, theirs)
     assert not issubclass(OwnError, LdcError)
 

@@ -26,7 +26,8 @@ ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
 """The ideal plant in effect, driven by the Runge-Kutta loop."""
 
 CLOSED = {
-    "preview": PreviewProportional(), "LQR": LQR(), "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
+    "preview": PreviewProportional(), "LQR": LQR(r_delta=100.0),
+    "swings": PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0),
     "swings far": PreviewProportional(K_y=-0.12, K_psi=-0.02, T_lp=0.3),
     "late": PreviewProportional(K_y=-0.002, K_psi=-0.02), "memory": Constant((-0.02, -0.01, -0.3, 0.0), 0.4),
     "integral": Constant((-0.02, -0.03, -0.4, 0.0), 0.2, -0.01), "unstable": Constant((0.5, 0.0, 2.0, 0.0)),
@@ -151,9 +152,9 @@ def test_few_scenarios(options: str, n: int) -> None:
 @pytest.mark.parametrize("options", ["ideal", pytest.param("mismatch", marks=pytest.mark.slow), "camera", "all"])
 def test_many_designs_have_the_bits_of_each(options: str) -> None:
     designs: list[Controller] = [
-        LQR(), PreviewProportional(), NoControl(), CLOSED["unstable"], CLOSED["memory"],
+        LQR(r_delta=100.0), PreviewProportional(), NoControl(), CLOSED["unstable"], CLOSED["memory"],
         PreviewProportional(K_y=-0.01, T_lp=0.4), DESIGNS["general"], PreviewProportional(K_y=-0.04),
-        LinearMPC(horizon=4),
+        LinearMPC(horizon=4, r_delta=100.0),
     ]  # fmt: skip
     for y_s in (0.02, 9.0):
         over = takeover(with_residuals(make_scenarios(19, seed=6)), OPTIONS[options], y_s=y_s, settle=0.2)
@@ -304,10 +305,12 @@ def test_threads_must_be_a_number_of_threads() -> None:
     over = takeover(make_scenarios(20), PlantOptions())
     for threads in (0, 2.5, "2", True):
         with pytest.raises(InputError, match=r"threads: .*allowed: a whole number >= 1"):
-            drive(LQR(), over, threads=threads)  # type: ignore[arg-type]
+            drive(LQR(r_delta=100.0), over, threads=threads)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("controller", [PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR())])
+@pytest.mark.parametrize(
+    "controller", [PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR(r_delta=100.0))]
+)
 def test_S_alone_is_the_same_S(controller: Controller) -> None:
     """The step that T cuts is a piece of a quartic; companions that were not worked out are NaN."""
     over = closed_loop.takeover(make_scenarios(90, seed=21))

@@ -219,7 +219,7 @@ def test_random_departures_equal_the_reference(case: str, n: int, known: bool) -
     scenarios = various(options, n)
     knowledge: Any = "nominal" if known else "ideal"
     over = Takeover.build(scenarios, Setup(options=options, seed=SEED, plant_knowledge=knowledge), y_s=Y_S)
-    for parity, design in enumerate((LQR(), PreviewProportional())):
+    for parity, design in enumerate((LQR(r_delta=100.0), PreviewProportional())):
         law, out = design.prepare(over.plant), run(design, options, scenarios, settle=settle, plant_knowledge=knowledge)
         for j in np.flatnonzero(over.rows % 2 == parity):
             i = int(over.rows[j])
@@ -237,7 +237,7 @@ def test_half_the_substep_has_a_sixteenth_of_the_error(case: str, monkeypatch: p
 
     def states(reach: float) -> np.ndarray:
         monkeypatch.setattr(takeover, "_REACH", reach)
-        paths = run(LQR(), CASES[case], slow, dt=0.2).trajectories
+        paths = run(LQR(r_delta=100.0), CASES[case], slow, dt=0.2).trajectories
         return paths.x
 
     finest = states(1 / 64)

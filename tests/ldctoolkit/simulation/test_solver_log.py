@@ -77,7 +77,9 @@ def test_calls_come_by_scenario_and_sample() -> None:
 
 
 def test_a_solver_that_is_always_called_is_in_the_log_at_every_sample() -> None:
-    always = simulate(LinearMPC(horizon=5, always_solve=True, solver="daqp"), SCENARIOS, y_s=0.1, settle=0.2)
+    always = simulate(
+        LinearMPC(horizon=5, always_solve=True, solver="daqp", r_delta=100.0), SCENARIOS, y_s=0.1, settle=0.2
+    )
     log = always.solver_log
     assert set(log.row.tolist()) == set(np.flatnonzero(always.triggered).tolist())
     assert (log.status == 1).all()
@@ -92,7 +94,7 @@ def test_a_solver_that_is_always_called_is_in_the_log_at_every_sample() -> None:
 
 def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
     order = np.array([3, 0, 4, 2, 1])
-    law = LinearMPC(horizon=5, always_solve=True, rate_max=0.05)
+    law = LinearMPC(horizon=5, always_solve=True, rate_max=0.05, r_delta=100.0)
     one = simulate(law, SCENARIOS, y_s=0.1).solver_log
     other = simulate(law, SCENARIOS.take(order), y_s=0.1).solver_log.renamed(order)
     for field in dataclasses.fields(one):
@@ -100,7 +102,7 @@ def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
 
 
 def test_a_law_without_a_solver_has_an_empty_log() -> None:
-    log = simulate(LQR(), SCENARIOS).solver_log
+    log = simulate(LQR(r_delta=100.0), SCENARIOS).solver_log
     assert all(getattr(log, field.name).size == 0 for field in dataclasses.fields(log))
 
 

@@ -232,4 +232,4 @@ def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
     assert "none: No control, recorded path, no gains" in out
     row = next(line for line in out.splitlines() if "r_delta" in line)
     cells = [cell.strip() for cell in re.split("[│┃]", row)][1:-1]
-    assert cells == ["r_delta", "1/rad^2", "100.0", "0.001 .. 1e+06", "log", "weight on delta^2"]
+    assert cells == ["r_delta", "1/rad^2", "20000.0", "0.001 .. 1e+06", "log", "weight on delta^2"]

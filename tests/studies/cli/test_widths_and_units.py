@@ -83,7 +83,7 @@ def test_conditions_beyond_the_data_warn_with_the_range(folder: Path) -> None:
         (lambda: VehicleParameters(w_l=360.0), "vehicle.w_l: 360 m; likely centimetres were meant: 3.6 m"),
         (lambda: Actuator(rate_max=20.0), "actuator.rate_max: 20 rad/s; likely degrees per second were meant: "
             "0.3491 rad/s"),
-        (lambda: Design.of(LQR(), 10.0), "y_s: 10 m; likely centimetres were meant: 0.1 m"),
+        (lambda: Design.of(LQR(r_delta=100.0), 10.0), "y_s: 10 m; likely centimetres were meant: 0.1 m"),
         (lambda: conditions({"v_mean": 120.0}), "given v_mean: 120 m/s; likely km/h were meant: 33.33 m/s"),
     ],
 )  # fmt: skip

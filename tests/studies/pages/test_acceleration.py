@@ -40,7 +40,7 @@ def driven(controller: Controller, options: PlantOptions, convention: str = "con
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-@pytest.mark.parametrize("controller", [LQR(), LinearMPC()], ids=["linear", "steps"])
+@pytest.mark.parametrize("controller", [LQR(r_delta=100.0), LinearMPC(r_delta=100.0)], ids=["linear", "steps"])
 def test_the_largest_is_the_stored_peak(plant: str, controller: Controller) -> None:
     over, run, (t, _, _), a_y = driven(controller, PLANTS[plant])
     assert over.m > 8

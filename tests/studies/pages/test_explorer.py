@@ -145,7 +145,7 @@ def test_distributions_hold_every_value(report: ReportInput) -> None:
 
 def test_the_worst_part_of_S() -> None:
     scenarios = invented_scenarios(40, 40)
-    given = only(Design.of(LQR(), 0.1), scenarios=scenarios)
+    given = only(Design.of(LQR(r_delta=100.0), 0.1), scenarios=scenarios)
     context = Context.of(given)
     S = np.sort(context.S(0))[::-1]
     share = 100 * S[:4].sum() / S.sum()

@@ -122,7 +122,7 @@ def test_the_best_that_meets_the_limits_is_filled_and_ringed(results: StudyResul
 def test_a_large_increase_is_a_multiple() -> None:
     """S rises twelvefold, and not by 1059.1 % of its S."""
     S = np.random.default_rng(0).gamma(2.0, 0.3, 40)
-    words = page_of(report_input(scored([11.59 * S], S, [Design.of(LQR(), 0.1)]))).words("verdict")
+    words = page_of(report_input(scored([11.59 * S], S, [Design.of(LQR(r_delta=100.0), 0.1)]))).words("verdict")
     assert "11.6 times that without control" in words
     assert "%" not in words.split("times that")[1].split(";")[0]
 
@@ -254,7 +254,7 @@ def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None
 
 
 def test_a_law_without_a_sweep_has_no_landscape() -> None:
-    words = said_in(landscape_section.section, only(Design.of(LQR(), 0.1), Design.of(NoControl(), 0.1)))
+    words = said_in(landscape_section.section, only(Design.of(LQR(r_delta=100.0), 0.1), Design.of(NoControl(), 0.1)))
     assert "there is no landscape to show" in words
 
 
@@ -268,7 +268,7 @@ def test_confidence_tells_the_second_and_what_intervals_leave_out(report: Report
 def test_two_equal_designs_are_not_separated() -> None:
     S = np.random.default_rng(0).gamma(2.0, 0.3, 40)
     noise = 0.05 * np.random.default_rng(1).normal(size=40)
-    designs = [Design.of(LQR(), 0.1), Design.of(LQR(), 0.2)]
+    designs = [Design.of(LQR(r_delta=100.0), 0.1), Design.of(LQR(r_delta=100.0), 0.2)]
     words = said_in(confidence_section.section, report_input(scored([S, S + noise], 2 * S, designs)))
     assert "the scenarios do not separate the two" in words
     assert "scenarios separate them with even chances" in words
@@ -296,7 +296,7 @@ def test_other_cases_stand_below_the_ranking(page: Page) -> None:
 ODD = {
     "one design": lambda: only(Design.of(PreviewProportional(), 0.2)),
     "only no control": lambda: only(Design.of(NoControl(), 0.2)),
-    "nothing triggered": lambda: only(Design.of(PreviewProportional(), 5.0), Design.of(LQR(), 6.0)),
+    "nothing triggered": lambda: only(Design.of(PreviewProportional(), 5.0), Design.of(LQR(r_delta=100.0), 6.0)),
     "left only": lambda: only(*grid()[:6], scenarios=invented_scenarios(14, 0)),
     "right only": lambda: only(*grid()[:6], scenarios=invented_scenarios(0, 14)),
     "one scenario": lambda: only(*grid()[:4], scenarios=invented_scenarios(1, 0)),

@@ -8,7 +8,7 @@ from ldctoolkit import load_model, simulate
 from studies.ranking.inference import infer
 
 DESIGNS = (
-    NoControl(), LQR(), LQR(q_psi=5.0, r_delta=116.0), PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),
+    NoControl(), LQR(r_delta=100.0), LQR(q_psi=5.0, r_delta=116.0), PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),
     LQI(q_y=1.14, q_i=0.031, r_delta=34.0), LQI(q_y=0.33, q_i=0.075, r_delta=221.0),
     LQI(q_y=0.17, q_i=0.068, r_delta=63.0), LQI(q_y=1.09, q_i=0.047, r_delta=118.0), Stanley(),
     PurePursuit(T_lp=1.33, l_min=3.0), PurePursuit(T_lp=1.0, l_min=13.5), PurePursuit(T_lp=0.39, l_min=4.7),

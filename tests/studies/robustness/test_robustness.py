@@ -309,7 +309,11 @@ def test_designs_are_chosen_by_their_places() -> None:
 
 
 def test_slow_and_unsafe_laws_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    designs = (Design.of(LinearMPC(), 0.05), Design.of(LQR(), 0.05), Design.of(NoControl(), 0.2))
+    designs = (
+        Design.of(LinearMPC(r_delta=100.0), 0.05),
+        Design.of(LQR(r_delta=100.0), 0.05),
+        Design.of(NoControl(), 0.2),
+    )
     results = results_of(designs, departures(8))
     case = results.cases[0]
     status = case.status.copy()
