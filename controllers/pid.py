@@ -62,7 +62,7 @@ class PID(Controller):
     Examples
     --------
     >>> PID(K_i=0.0).K_p
-    -0.015
+    -0.006
     """
 
     name: ClassVar[str] = "pid"

@@ -19,7 +19,7 @@ from studies.design import Design
 from studies.pages.compare_page import compare_page, write_compare_page
 from studies.results import Case, FailedDesign
 
-DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=100.0), y_s) for y_s in (0.05, 0.1, 0.2)))
+DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
     S_old=np.array([2.0, 1.0, 0.5, 4.0]),
     S_new=np.array([2.0, 1.25, 0.4, 4.0002]),
@@ -36,7 +36,7 @@ CASE = CaseComparison(Case("departure", "consistent"), DESIGNS, S, (3, 1, 0, 2),
 SHARED = SharedScenarios(np.arange(5), np.array([10, 11, 12, 13, 14]), np.array([1, 1, 1, -1, -1]), 3)
 COMPARISON = Comparison(
     "out/old", "out/new", "before", "after", ("plant.actuator.lag: 0.0 -> 0.2",), SHARED, (CASE,),
-    (Design.of(PreviewProportional(), 0.2),), (Design.of(LQR(r_delta=100.0), 0.3),), (), (), (), (), 200, 0.95,
+    (Design.of(PreviewProportional(), 0.2),), (Design.of(LQR(), 0.3),), (), (), (), (), 200, 0.95,
 )  # fmt: skip
 NOTHING = np.zeros(0)
 NONE = PairedDifferences(
