@@ -18,14 +18,12 @@ from ldctoolkit import Plant
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")
-"""Kinds of soft limits, in the order of their rows."""
+SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")  # kinds of soft limits, in the order of their rows
 
 SHARES = np.array([1.0, 30.0, 1.0])
 """Of the weight of slacks, of each kind: where a takeover leaves no way to keep all, the jerk comes first."""
 
-WINDOW = 0.5
-"""Time [s] over which ISO 11270 averages jerk."""
+WINDOW = 0.5  # time [s] over which ISO 11270 averages jerk
 
 
 class Condensed(NamedTuple):

@@ -43,8 +43,7 @@ IntArray = npt.NDArray[np.int64]
 # strict IEEE: a scenario's numbers are the same bits whichever stand beside it
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
-ROUNDING: Final = 1e-12
-"""The plan without limits counts as inside them up to this [rad, or share of a soft limit]."""
+ROUNDING: Final = 1e-12  # the plan without limits counts as inside them up to this [rad, or share of a soft limit]
 
 
 @numba.njit(**OPTIONS)
@@ -223,12 +222,10 @@ def _respond(response: FloatArray, scale: float, G: FloatArray, out: FloatArray)
                 out[j, k] += weight * G[m, k]
 
 
-_PROVED: Final = 1e-10
-"""Largest violation of a condition by a guess that counts as the solution."""
+_PROVED: Final = 1e-10  # largest violation of a condition by a guess that counts as the solution
 _ROUNDING: Final = 1e-14
 """Where multipliers are large, as those of a soft limit that cannot be met, this share of the largest term counts."""
-_MORE_MENDINGS: Final = 4
-"""A guess is mended three times as often as there are moves, and this much more."""
+_MORE_MENDINGS: Final = 4  # a guess is mended three times as often as there are moves, and this much more
 
 
 @numba.njit(**OPTIONS)

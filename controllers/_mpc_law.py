@@ -23,8 +23,7 @@ from ldctoolkit.errors import InputError, nearest
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-EPS: Final = 1e-6
-"""Tolerance of OSQP, absolute and relative."""
+EPS: Final = 1e-6  # tolerance of OSQP, absolute and relative
 
 KNOWN: Final = (
     "osqp", "daqp", "clarabel", "copt", "cvxopt", "ecos", "gurobi", "highs", "hpipm", "jaxopt_osqp", "kvxopt", "mosek",
@@ -293,8 +292,7 @@ class Rung(enum.IntEnum):
     """Nothing solved the QP: towards the saturated unconstrained command at the rate limit; counted as failed."""
 
 
-_STATUS = np.zeros(len(Rung), dtype=np.int8)
-"""`EventStatus` of each rung."""
+_STATUS = np.zeros(len(Rung), dtype=np.int8)  # `EventStatus` of each rung
 _STATUS[Rung.RELAXED], _STATUS[Rung.SATURATED] = EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED
 
 

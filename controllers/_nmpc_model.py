@@ -24,8 +24,7 @@ from ldctoolkit import Plant
 
 FloatArray = npt.NDArray[np.float64]
 
-SHAPE: Final = 1.3
-"""Pacejka's C of the tyres that the law believes in."""
+SHAPE: Final = 1.3  # Pacejka's C of the tyres that the law believes in
 
 GRAVITY: Final = 9.81
 _SATURATED: Final = 0.95  # steady cornering is held up to this share of the tyres' peak force

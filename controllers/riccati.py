@@ -140,8 +140,7 @@ class _Riccati:
         return K if self.q_i is not None else np.concatenate([K, P.reshape(m, -1)], axis=1)
 
 
-_DOUBLINGS = 50
-"""A loop with a time constant of 10^14 samples is steady after so many."""
+_DOUBLINGS = 50  # a loop with a time constant of 10^14 samples is steady after so many
 
 
 def _doubled(A: FloatArray, B: FloatArray, q: FloatArray, r: float) -> FloatArray:

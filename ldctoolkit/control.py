@@ -253,8 +253,7 @@ class RecordedPath:
 Law = LinearLaw | SteeringLaw | RecordedPath
 
 
-_checked: weakref.WeakSet[type] = weakref.WeakSet()
-"""Classes that follow `Controller`."""
+_checked: weakref.WeakSet[type] = weakref.WeakSet()  # classes that follow `Controller`
 
 
 class Controller(abc.ABC):

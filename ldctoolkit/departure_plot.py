@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _DASHES: Final = ("-", (0, (6.0, 2.0)), (0, (2.0, 1.5)), (0, (7.0, 2.0, 1.5, 2.0)), (0, (4.0, 1.5, 4.0, 4.0)))
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
-_PATH: Final = "path-with-control"
-"""Identifier of the lines of paths, by which they are counted."""
+_PATH: Final = "path-with-control"  # identifier of the lines of paths, by which they are counted
 
 
 def plot_departure(

@@ -23,8 +23,7 @@ from ldctoolkit.arrays import FloatArray
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
 _MOST_PASSES: Final = 40
-_NEAR: Final = 1e-6
-"""Error of a zero, in parts of the piece; what it costs an integral is its square."""
+_NEAR: Final = 1e-6  # error of a zero, in parts of the piece; what it costs an integral is its square
 
 
 def _instruction(build, *names):

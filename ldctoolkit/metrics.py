@@ -34,8 +34,7 @@ A_Y_LIMIT: Final = 3.0
 JERK_LIMIT: Final = 5.0
 """Largest lateral jerk [m/s^3] that a lane keeping action may induce, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
 
-JERK_WINDOW: Final = 0.5
-"""Moving average [s] of the lateral jerk (ISO 11270)."""
+JERK_WINDOW: Final = 0.5  # moving average [s] of the lateral jerk (ISO 11270)
 
 
 # ------------------------------------------------------------------------------------------------ of a scenario
@@ -121,8 +120,7 @@ SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
 }
 """Every metric of a scenario beside S by its name."""
 
-COMPANION_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}
-"""Metric of a scenario -> its unit."""
+COMPANION_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
 
 COMPANION_COLUMNS: Final = {name: _column(name, one.unit) for name, one in SCENARIO_METRICS.items()}
 """Metric of a scenario -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
@@ -329,8 +327,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
 )
 """What a release requires beside S, by its name, in the order of ``ranking.csv``."""
 
-METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}
-"""Every metric of a design by its name."""
+METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every metric of a design by its name
 
 
 # ------------------------------------------------------------------------------------------------ reduction and shares

@@ -17,11 +17,8 @@ from ldctoolkit.option_checks import check_declared, checked_number, declaration
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
 
-_SHORTEST_LAG: Final = 1e-4
-"""Shortest lag [s] that is a lag and not a slip of the pen."""
-
-_SHORTEST_PERIOD: Final = 1e-3
-"""Shortest period [s] of a camera: each frame that is on its way at the trigger is kept."""
+_SHORTEST_LAG: Final = 1e-4  # shortest lag [s] that is a lag and not a slip of the pen
+_SHORTEST_PERIOD: Final = 1e-3  # shortest period [s] of a camera: each frame that is on its way at the trigger is kept
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

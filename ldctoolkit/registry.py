@@ -17,11 +17,8 @@ GROUP = "ldctoolkit.controllers"
 
 _registered: dict[str, type[Controller]] = {}
 
-_loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}
-"""Installed classes that were requested before."""
-
-_sound: weakref.WeakSet[type] = weakref.WeakSet()
-"""Classes that can be used by name."""
+_loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}  # installed classes that were requested before
+_sound: weakref.WeakSet[type] = weakref.WeakSet()  # classes that can be used by name
 
 
 def register(controller: type[Controller]) -> type[Controller]:

@@ -12,8 +12,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, nearest
 
-SPEED_FLOOR = 1.0
-"""Lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed."""
+SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
 
 SPEED_CEILING: Final = 90.0  # gains are scheduled up to it (`vehicle.speed_schedule.SPEED_RANGE`)
 _MOST_CURVATURE: Final = 0.2

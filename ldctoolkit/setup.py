@@ -17,8 +17,7 @@ InitialYawRate = Literal["path", "zero"]
 Start = Literal["steady", "printed"]
 PlantKnowledge = Literal["nominal", "ideal"]
 
-SETTLE: Final = 3.0
-"""How long [s] the loop goes on after the departure by default, to see whether it settles."""
+SETTLE: Final = 3.0  # how long [s] the loop goes on after the departure by default, to see whether it settles
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

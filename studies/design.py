@@ -14,11 +14,8 @@ from ldctoolkit.gains import GainValue
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.vehicle import Convention
 
-PAPER_LAW: Final = "preview_proportional"
-"""Registry name of the paper's law."""
-
-_PAPER_DESIGN: Final = {"y_s": 0.2, "K_y": -0.005, "K_psi": -0.2, "T_lp": 2.0}
-"""Table I of the paper."""
+PAPER_LAW: Final = "preview_proportional"  # registry name of the paper's law
+_PAPER_DESIGN: Final = {"y_s": 0.2, "K_y": -0.005, "K_psi": -0.2, "T_lp": 2.0}  # Table I of the paper
 
 
 def is_paper_design(design: Design) -> bool:
@@ -30,11 +27,8 @@ def is_paper_design(design: Design) -> bool:
 CONVENTION_GAIN: Final = "convention"
 """Name of the option through which a law declares that it knows the two readings of the paper."""
 
-NO_CONTROL: Final = "none"
-"""Registry name of the law that never intervenes."""
-
-FOLLOWS_CASE: Final = "case"
-"""Value of that option in a design that leaves the reading to the study's case."""
+NO_CONTROL: Final = "none"  # registry name of the law that never intervenes
+FOLLOWS_CASE: Final = "case"  # value of that option in a design that leaves the reading to the study's case
 
 
 @dataclasses.dataclass(frozen=True)

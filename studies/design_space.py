@@ -39,12 +39,10 @@ def fail(path: str, message: str) -> PydanticCustomError:
     return PydanticCustomError("study", "{message}", {"path": path, "message": message})
 
 
-THRESHOLD: Final = "y_s"
-"""Name of the trigger threshold among the dimensions."""
+THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
-MOST_VALUES: Final = 10_000
-"""Largest number of values of one entry; more is a slip of the pen."""
+MOST_VALUES: Final = 10_000  # largest number of values of one entry; more is a slip of the pen
 
 
 @dataclasses.dataclass(frozen=True)

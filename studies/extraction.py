@@ -45,8 +45,7 @@ from studies.running.executors.processes import versions
 from studies.running.tasks import Faults
 from studies.storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
 
-PACKAGES: Final = ("numpy", "polars", "numba")
-"""Packages that read files or decide numbers."""
+PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,8 +102,7 @@ _SAID: Final = {
 }
 """What it means where a digest differs."""
 
-Plan = dict[str, Any]
-"""Content of a work folder's manifest, as JSON reads it back."""
+Plan = dict[str, Any]  # content of a work folder's manifest, as JSON reads it back
 
 
 def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
@@ -181,8 +179,7 @@ def _shown(value: Any) -> str:
 
 _log = logging.getLogger("studies")
 
-SUFFIX: Final = ".parts"
-"""Of the folder's name, after the name of the output."""
+SUFFIX: Final = ".parts"  # of the folder's name, after the name of the output
 
 _MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
@@ -346,8 +343,7 @@ _CLASSES: Final[dict[str, Any]] = {
 }  # fmt: skip
 """Everything that a result is made of."""
 
-_TREE: Final = "tree"
-"""Entry that holds the JSON."""
+_TREE: Final = "tree"  # entry that holds the JSON
 
 
 def part_bytes(result: PartResult) -> bytes:
@@ -396,11 +392,8 @@ def _unpacked(value: Any, arrays: Any) -> Any:
     return _CLASSES[value["class"]](**{name: _unpacked(item, arrays) for name, item in value["fields"].items()})
 
 
-SMALL: Final = 16 << 20
-"""Bytes that this process has read before others would have started."""
-
-MOST_SAID: Final = 3
-"""Problems that a `NothingReadError` puts into its message."""
+SMALL: Final = 16 << 20  # bytes that this process has read before others would have started
+MOST_SAID: Final = 3  # problems that a `NothingReadError` puts into its message
 
 Progress = Callable[[int, int], None]
 
@@ -599,8 +592,7 @@ def _in_order(
             yield store.read(work.number)
 
 
-_AHEAD: Final = 2
-"""Parts a worker that are under way or wait in the executor."""
+_AHEAD: Final = 2  # parts a worker that are under way or wait in the executor
 
 _ENDED = "ended its worker process each time it was read (out of memory?); it is left out"
 

@@ -72,8 +72,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
     return [design for design in study.designs if design.id in left], race
 
 
-_SPARE = 0.1
-"""Part of every limit that the design compared with keeps in reserve: more scenarios may cost it."""
+_SPARE = 0.1  # part of every limit that the design compared with keeps in reserve: more scenarios may cost it
 
 
 def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
@@ -104,11 +103,8 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     return np.flatnonzero(mean >= mean[best]) if clear.size else np.array([best])
 
 
-LEAST: Final = 50
-"""A round with fewer scenarios that could be driven gives up nothing."""
-
-LEAST_A_SIDE: Final = 10
-"""Nor does one with fewer than this of a side that it has scenarios of."""
+LEAST: Final = 50  # a round with fewer scenarios that could be driven gives up nothing
+LEAST_A_SIDE: Final = 10  # nor does one with fewer than this of a side that it has scenarios of
 
 _LEADERS = 16
 """Designs that each one is compared with: one much like it, but better, shows soonest that it is not the best."""

@@ -28,8 +28,7 @@ FAILED_STATUSES: Final = (
 )
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
 
-RunKey = tuple[str, str]
-"""Identifier of a design and a convention: what one simulation is called."""
+RunKey = tuple[str, str]  # identifier of a design and a convention: what one simulation is called
 
 
 @dataclasses.dataclass(frozen=True)

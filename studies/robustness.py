@@ -50,11 +50,8 @@ REAL: Final = PlantOptions(
 )
 """The plant of the catalog's study `reality`, where the reason for each value stands."""
 
-ANGLE: Final = 0.1
-"""Limit of the steering angle [rad]: about 90 deg at a steering wheel with a ratio of 16."""
-
-LIGHT: Final = 0.85
-"""Factor on mass and yaw inertia of a vehicle that is lighter than the laws know it."""
+ANGLE: Final = 0.1  # limit of the steering angle [rad]: about 90 deg at a steering wheel with a ratio of 16
+LIGHT: Final = 0.85  # factor on mass and yaw inertia of a vehicle that is lighter than the laws know it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,11 +176,8 @@ def _departure(options: PlantOptions) -> Iterator[OtherPlant]:
         yield _with(options, "residuals", "No residuals", "path and speed are the fitted curves", residuals=Residuals())
 
 
-MOST: Final = 10
-"""Designs that steer; no control comes on top, it costs nothing."""
-
-SLOW_BATCH: Final = 100
-"""A law whose batches are smaller takes too long to be driven a dozen times more."""
+MOST: Final = 10  # designs that steer; no control comes on top, it costs nothing
+SLOW_BATCH: Final = 100  # a law whose batches are smaller takes too long to be driven a dozen times more
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,8 +227,7 @@ def _places(ranking: Ranking) -> list[int]:
     return [best, *baseline, *paper, *sorted(first_of_law.values())]
 
 
-SAME = 1e-6
-"""Scores [m s] that differ by less are the same."""
+SAME = 1e-6  # scores [m s] that differ by less are the same
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,8 +253,7 @@ def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: f
     return PairedMeans(difference, difference - half, difference + half)
 
 
-_FORMAT: Final = 2
-"""To be raised with whatever changes the numbers or the file."""
+_FORMAT: Final = 2  # to be raised with whatever changes the numbers or the file
 
 
 def content_key(
@@ -286,11 +278,8 @@ def content_key(
 PER_SIDE: Final = 50
 """Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
 
-POINTS: Final = 7
-"""Speeds of the margins."""
-
-CONFIDENCE: Final = 0.95
-"""Of every interval by itself."""
+POINTS: Final = 7  # speeds of the margins
+CONFIDENCE: Final = 0.95  # of every interval by itself
 
 
 @dataclasses.dataclass(frozen=True)
@@ -500,8 +489,7 @@ def _paired(
 
 NAME: Final = "robustness.json"
 
-_WORDS: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-"""Numbers that JSON does not know."""
+_WORDS: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}  # numbers that JSON does not know
 
 _KINDS: Final = {
     "rank": np.int64, "failures": np.int64, "diverged": np.int64, "rival": np.int64,

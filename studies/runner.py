@@ -32,14 +32,9 @@ from studies.study_file import Study
 
 _log = logging.getLogger("studies")
 
-TIME_LIMIT = 600.0
-"""Seconds that a task may take: a thousand times what it is made for."""
-
-_LIMITS = (0.1, 1e7)
-"""Seconds that a limit may be."""
-
-_STREAM: Final = 0x66696E61
-"""Keeps the finalists' scenarios apart from those that they were chosen on."""
+TIME_LIMIT = 600.0  # seconds that a task may take: a thousand times what it is made for
+_LIMITS = (0.1, 1e7)  # seconds that a limit may be
+_STREAM: Final = 0x66696E61  # keeps the finalists' scenarios apart from those that they were chosen on
 
 _LEAST: Final = 3
 """Finalists, where there are so many designs: a single one would show its own optimism, and nothing of its rivals."""

@@ -21,11 +21,8 @@ from studies.ranking.requirements import metric, metric_values, requirements_of
 from studies.running.campaign import Campaign
 from studies.study_file import SearchSettings, Study
 
-_STREAM: Final = 0x73656172
-"""Of the random numbers of a search."""
-
-_MOST_REPEATS: Final = 100
-"""So many known designs in a row: the sampler has nothing new to propose."""
+_STREAM: Final = 0x73656172  # of the random numbers of a search
+_MOST_REPEATS: Final = 100  # so many known designs in a row: the sampler has nothing new to propose
 
 
 class LawSearch:
@@ -199,8 +196,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
     return search.asked
 
 
-_RESAMPLES = 100
-"""Of an interval that no one reads: figures do not depend on it."""
+_RESAMPLES = 100  # of an interval that no one reads: figures do not depend on it
 
 
 def _values_and_margins(

@@ -216,8 +216,7 @@ def _is_model(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
-MOST_DESIGNS = 100_000
-"""Largest grid of one study; more is a slip of the pen."""
+MOST_DESIGNS = 100_000  # largest grid of one study; more is a slip of the pen
 
 
 def _one_or_many(entry: Any) -> Any:

@@ -257,21 +257,13 @@ class ModelDiagnostics:
     right: SideDiagnostics
 
 
-LEAST_PROBABILITY: Final = 1e-6
-"""P of a component in the box."""
-
-FAR_OUTSIDE: Final = 5.0
-"""Standard deviations of a component's mean outside the box."""
-
-ILL_CONDITIONED: Final = 1e4
-"""Condition number of a component's correlation matrix."""
+LEAST_PROBABILITY: Final = 1e-6  # P of a component in the box
+FAR_OUTSIDE: Final = 5.0  # standard deviations of a component's mean outside the box
+ILL_CONDITIONED: Final = 1e4  # condition number of a component's correlation matrix
 
 STRIP_ERROR: Final = 0.2
-STRIP_STANDARD_ERRORS: Final = 4.0
-"""Both must be exceeded by the error of the mass next to a bound."""
-
-COMPARISON_STANDARD_ERRORS: Final = 2.0
-"""By which one of two mixtures is better on held-out events."""
+STRIP_STANDARD_ERRORS: Final = 4.0  # both must be exceeded by the error of the mass next to a bound
+COMPARISON_STANDARD_ERRORS: Final = 2.0  # by which one of two mixtures is better on held-out events
 
 
 def strip_is_off(strip: Strip) -> bool:
@@ -282,8 +274,7 @@ def strip_is_off(strip: Strip) -> bool:
 KNOTS: Final = 8
 """Stretches of equal share between which a distribution function is integrated; inside each the sample has its say."""
 
-_POINTS: Final = 1021
-"""Lattice points of a knot: its share to about 1e-5, well below any band."""
+_POINTS: Final = 1021  # lattice points of a knot: its share to about 1e-5, well below any band
 
 BINS: Final = 40
 _TAIL: Final = 0.003

@@ -161,11 +161,8 @@ def comparison_or_reason(
 
 Progress = Callable[[str, int, int], None]
 
-N_MODEL: Final = 200_000
-"""Events drawn from the model."""
-
-_STEPS: Final = 4
-"""What one side reports to `progress`: margins, bounds, comparison, done."""
+N_MODEL: Final = 200_000  # events drawn from the model
+_STEPS: Final = 4  # what one side reports to `progress`: margins, bounds, comparison, done
 
 
 def diagnose(
@@ -408,11 +405,8 @@ def components(
     )
 
 
-QUANTILE: Final = 0.05
-"""A strip reaches from the bound to this quantile of the events."""
-
-NEAR: Final = 0.5
-"""A bound counts where its strip is narrower than this part of the middle 90 % of the events."""
+QUANTILE: Final = 0.05  # a strip reaches from the bound to this quantile of the events
+NEAR: Final = 0.5  # a bound counts where its strip is narrower than this part of the middle 90 % of the events
 
 _ENDS: Final[tuple[Literal["lower", "upper"], ...]] = ("lower", "upper")
 

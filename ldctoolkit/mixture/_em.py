@@ -87,17 +87,14 @@ def start_from_clusters(
 
 
 _MERGER_STEPS: Final = 4
-_LEAST_SHARE: Final = 1e-3
-"""Events of which a component has less than this share tell nothing of its shape."""
+_LEAST_SHARE: Final = 1e-3  # events of which a component has less than this share tell nothing of its shape
 
 _JITTER: Final = 1e-9
 _WITHIN: Final = (0.4, 1.6)
-_PAIRS: Final = 3
-"""Mergers that are looked at, times K: those of the most overlapping pairs."""
+_PAIRS: Final = 3  # mergers that are looked at, times K: those of the most overlapping pairs
 
 _REPEATS: Final = 2
-_SPLITS: Final = 12
-"""Components that are tried to be split: those with most events, where a misfit counts most."""
+_SPLITS: Final = 12  # components that are tried to be split: those with most events, where a misfit counts most
 
 
 Run = Callable[[FloatArray, FloatArray, Components], tuple[Components, float]]
@@ -225,8 +222,7 @@ def _x_log_x(x: FloatArray) -> FloatArray:
 
 
 _SHORT_POINTS: Final = 1021
-_FEW_DIMENSIONS: Final = 3
-"""Up to so many bounded dimensions 1,021 points are enough for a whole fit (ln P to 1e-8)."""
+_FEW_DIMENSIONS: Final = 3  # up to so many bounded dimensions 1,021 points are enough for a whole fit (ln P to 1e-8)
 
 _WINDOW: Final = 5
 _LEAST_WEIGHT: Final = 1e-12
@@ -250,8 +246,7 @@ _STATIONARY: Final = 1e-6
 """A component that finds no step is at its optimum if its mean could add less than this per event [nats]: about 1e-3
 standard deviations. The lattice's moments are its likelihood's gradient no better than to about 1e-4."""
 
-_FALL: Final = 1e-8
-"""A relative fall of the objective beyond this is no rounding: the E-step has lost its digits."""
+_FALL: Final = 1e-8  # a relative fall of the objective beyond this is no rounding: the E-step has lost its digits
 
 StopReason = Literal["converged", "max_iter", "stuck", "collapsed"]
 Progress = Callable[[str], None]
@@ -488,8 +483,7 @@ def _components(at: Point) -> Components:
 
 
 _SHORTEST: Final = 1.01
-_LEAST_PRECISION: Final = 0.1
-"""A leap keeps this share of every precision, in units of the middle point's."""
+_LEAST_PRECISION: Final = 0.1  # a leap keeps this share of every precision, in units of the middle point's
 
 
 @dataclasses.dataclass(frozen=True)

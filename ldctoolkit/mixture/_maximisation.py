@@ -26,8 +26,7 @@ from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
 Step = Literal["newton", "lee_scott"]
 
-_TRIALS: Final = 8
-"""Lengths tried of the chosen step; only those that keep Sigma positive definite are counted."""
+_TRIALS: Final = 8  # lengths tried of the chosen step; only those that keep Sigma positive definite are counted
 
 _OTHER_TRIALS: Final = 4
 _SHORTER: Final = 0.25

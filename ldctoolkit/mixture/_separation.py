@@ -16,17 +16,13 @@ _LOG_ROOT_2PI: Final = 0.5 * float(np.log(2.0 * np.pi))
 _NARROW: Final = 1e-2
 """Below this width (times 1 + distance from zero) differences of CDFs and densities cancel: quadrature instead."""
 
-_FAR: Final = 20.0
-"""So far from zero the moments cancel too."""
-
-_DEEP: Final = 36.0
-"""So far from zero the CDF nears the smallest double: quantiles are taken from logarithms."""
+_FAR: Final = 20.0  # so far from zero the moments cancel too
+_DEEP: Final = 36.0  # so far from zero the CDF nears the smallest double: quantiles are taken from logarithms
 
 _THREAD: Final = 1e-3
 """On intervals narrower than this the density is an exponential to seven digits: its quantile is explicit."""
 
-_DEPTH: Final = 45.0
-"""A far interval is integrated to where its density has fallen to exp(-45) of its largest."""
+_DEPTH: Final = 45.0  # a far interval is integrated to where its density has fallen to exp(-45) of its largest
 
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(32)
 
@@ -146,13 +142,11 @@ def _special_quantile(
 
 _STEPS: Final = 60
 _TOLERANCE: Final = 1e-9
-_ACCEPTED: Final = 1e-6
-"""Gradient, relative to the terms it is the sum of, above which the tilt counts as not found."""
+_ACCEPTED: Final = 1e-6  # gradient, relative to the terms it is the sum of, above which the tilt counts as not found
 
 _INNER_STEPS: Final = 80
 _CAREFUL_STEPS: Final = 100
-_LEAST_GAIN: Final = 1e-11
-"""What a further step may still add to psi, relative to it."""
+_LEAST_GAIN: Final = 1e-11  # what a further step may still add to psi, relative to it
 
 
 def _tilt_terms(

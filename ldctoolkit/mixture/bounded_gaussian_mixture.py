@@ -40,8 +40,7 @@ _LEAST_LOG_P: Final = -20.0
 """Below this ln P the box lies some 6 standard deviations off: only the density inside still says something."""
 
 _FAR_OUTSIDE: Final = 6.0
-_SAME: Final = 0.9999
-"""Correlation of two columns of which one could be left out."""
+_SAME: Final = 0.9999  # correlation of two columns of which one could be left out
 
 _THIN: Final = 5e-3
 """Standard deviation of a component, in the data's, below which it describes single values rather than a spread."""
@@ -51,8 +50,7 @@ _LOST_DIGITS: Final = 1e-8
 
 _OUTLYING: Final = 5.0
 _SHARE_OF_ONE: Final = 0.5
-_MOST: Final = 6
-"""Components named in a sentence."""
+_MOST: Final = 6  # components named in a sentence
 
 
 def correlation_of(events: Events, profile: Profile) -> FloatArray:

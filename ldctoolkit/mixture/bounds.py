@@ -11,8 +11,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.mixture.checks import as_matrix, check_matrix
 
-LEAST_ROWS: Final = 50
-"""With fewer rows no end is looked for; only zero is."""
+LEAST_ROWS: Final = 50  # with fewer rows no end is looked for; only zero is
 
 _TAIL_SHARE: Final = 0.1
 _TAIL_ROWS: Final = (20, 500)
@@ -21,8 +20,7 @@ _DOUBT: Final = 1.2
 _ZERO_INDEX: Final = -0.15
 _ZERO_DOUBT: Final = 0.2
 _JUMP_INDEX: Final = -0.7
-_TOO_FAR: Final = 7.0
-"""ln of 1/0.001: the least value lies further from zero than it would once in a thousand samples."""
+_TOO_FAR: Final = 7.0  # ln of 1/0.001: the least value lies further from zero than it would once in a thousand samples
 
 
 def auto_bounds(x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

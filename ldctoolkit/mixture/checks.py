@@ -17,11 +17,8 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 
 Part = TypeVar("Part")
-Work = Callable[[FloatArray, FloatArray | None], Part]
-"""From the rows (m, d) of a block and their weights (m,), if any."""
-
-BLOCK: Final = 8192
-"""Rows of a block; the last one may be shorter."""
+Work = Callable[[FloatArray, FloatArray | None], Part]  # from the rows (m, d) of a block and their weights (m,), if any
+BLOCK: Final = 8192  # rows of a block; the last one may be shorter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -301,11 +298,8 @@ def seed_of(random_state: RandomState) -> int:
     return int(random_state)
 
 
-_FLAT: Final = 1e-12
-"""A column whose range is this small beside its values is constant."""
-
-_STEP: Final = 1e-3
-"""A value on a bound moves inside by at most this part of the column's spread."""
+_FLAT: Final = 1e-12  # a column whose range is this small beside its values is constant
+_STEP: Final = 1e-3  # a value on a bound moves inside by at most this part of the column's spread
 
 
 @dataclasses.dataclass(frozen=True)

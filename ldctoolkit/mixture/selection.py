@@ -207,11 +207,8 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 StartMethod = Literal["fork", "spawn", "forkserver"]
 
-_LISTEN_EVERY: Final = 0.2
-"""Seconds after which an interrupt is noticed at the latest."""
-
-_LOOK_FOR_PARENT_EVERY: Final = 2.0
-"""Seconds after which a worker notices that no one waits for it."""
+_LISTEN_EVERY: Final = 0.2  # seconds after which an interrupt is noticed at the latest
+_LOOK_FOR_PARENT_EVERY: Final = 2.0  # seconds after which a worker notices that no one waits for it
 
 
 def in_processes(
@@ -319,8 +316,7 @@ def _run_job(job: Any) -> Any:
 
 Progress = Callable[[str, int, int], None]
 
-_SMALL: Final = 100_000
-"""Up to so many numbers times components to fit, other processes are not worth their start."""
+_SMALL: Final = 100_000  # up to so many numbers times components to fit, other processes are not worth their start
 
 
 @dataclasses.dataclass(frozen=True)

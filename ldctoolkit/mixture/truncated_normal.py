@@ -13,8 +13,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, integrate, separate
 
-_PLAIN_REJECTION: Final = 0.25
-"""Above this probability of the box plain rejection is the cheaper exact sampler."""
+_PLAIN_REJECTION: Final = 0.25  # above this probability of the box plain rejection is the cheaper exact sampler
 
 _MAX_PROPOSALS: Final = 2000
 """Proposals per wanted event before sampling is given up (far more than either route takes where it works)."""
@@ -137,11 +136,8 @@ class Sampler:
 Array = npt.NDArray[Any]
 Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
-MOMENT_POINTS: Final = 4093
-"""Lattice points for up to six bounded dimensions."""
-
-_MANY_POINTS: Final = 16381
-"""Lattice points for more of them."""
+MOMENT_POINTS: Final = 4093  # lattice points for up to six bounded dimensions
+_MANY_POINTS: Final = 16381  # lattice points for more of them
 
 
 def moment_points(bounded: int) -> int:

@@ -25,17 +25,13 @@ from ldctoolkit.recordings.quality import (
 from ldctoolkit.recordings.recording import Problem, Recording, RecordingTable, SourceFile
 from ldctoolkit.recordings.sources import OpenedRecordings, RecordingPart, part_name
 
-BATCH: Final = 500_000
-"""Samples that are searched together; no number depends on it."""
-
-SOURCE: Final = "source"
-"""Column of the departures table that tells the source where there are several."""
+BATCH: Final = 500_000  # samples that are searched together; no number depends on it
+SOURCE: Final = "source"  # column of the departures table that tells the source where there are several
 
 SCALE: Final = "lane_scale"
 """Column of the departures table that tells the factor of offset and width where recordings were scaled."""
 
-GAP_STEPS: Final = 1.5
-"""Resampled recordings leave out samples in gaps: a longer step than this many is one."""
+GAP_STEPS: Final = 1.5  # resampled recordings leave out samples in gaps: a longer step than this many is one
 
 TAKEN: Final = frozenset(
     {"recording", "side", "start_time_s", "samples", SOURCE, SCALE, *PARAMETER_NAMES, *PARAMETER_COLUMNS.values()}
@@ -174,8 +170,7 @@ def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording
     return tuple(columns)
 
 
-VEHICLE_WIDTH = 1.9
-"""Width [m] of a vehicle that nothing is known of."""
+VEHICLE_WIDTH = 1.9  # width [m] of a vehicle that nothing is known of
 
 
 def extract_departures(
@@ -315,8 +310,7 @@ def merge_results(
     return Extraction(departures, provenance, whole.accounts, whole.drawn, whole.problems)
 
 
-FEWEST_TURNS: Final = 100
-"""Windows that it takes to compare yaw rate and heading."""
+FEWEST_TURNS: Final = 100  # Windows that it takes to compare yaw rate and heading
 
 LEAST_TURNING: Final = 0.02 * TURN_WINDOW
 """Root mean square of the turns by heading [rad in a window] above which they must agree: smaller ones may be noise."""
@@ -329,14 +323,12 @@ TWINS_NAMED: Final = 5
 PLAUSIBLE_WIDTHS: Final = (2.8, 4.3)
 """Median lane widths [m] that roads are built with, country road and motorway, and a little more."""
 
-METRES: Final = (1.5, 6.0)
-"""Median lane widths that may be in metres at all."""
+METRES: Final = (1.5, 6.0)  # median lane widths that may be in metres at all
 
 UNEVEN: Final = 1.25
 """A larger ratio of the recordings' median lane widths is one of scale, not of roads, if some are odd in themselves."""
 
-EDGE: Final = 0.05
-"""Share of the recordings at either end that may have odd lane widths."""
+EDGE: Final = 0.05  # share of the recordings at either end that may have odd lane widths
 
 
 def warnings_in_words(

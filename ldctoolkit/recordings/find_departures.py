@@ -371,8 +371,7 @@ HALF_WINDOW: Final = 0.2
 """Half the smoothing window [s]. A longer one takes in the road before and after a departure, which flattens dc where
 the curvature does not go on; c_0 and dc are fitted over all of a departure anyway, which averages the noise."""
 
-SPEED_FLOOR: Final = 2.0
-"""Below about this speed [m/s] the estimate fades to zero instead of dividing by a small speed."""
+SPEED_FLOOR: Final = 2.0  # below about this speed [m/s] the estimate fades to zero instead of dividing by a small speed
 
 
 def curvature_from_yaw_rate(

@@ -14,8 +14,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings.recording import LARGEST, Recording, usable_samples
 
-ROUNDING: Final = 1e-6
-"""Times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5."""
+ROUNDING: Final = 1e-6  # times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5
 
 MOST_NEIGHBOURS: Final = 50
 """A slope takes at most so many samples to either side; it bounds the work for absurd clocks."""
@@ -137,14 +136,9 @@ class WindowMedians:
         return result
 
 
-MAX_GAP: Final = 0.25
-"""Longest time [s] between two usable samples that is bridged."""
-
-_SLACK: Final = 1e-6
-"""Of a step: a sample on the edge of a window is in it, however its time was rounded."""
-
-_MOST_STEPS: Final = 2**52
-"""Multiples of the step up to here are distinguished by floating point numbers."""
+MAX_GAP: Final = 0.25  # longest time [s] between two usable samples that is bridged
+_SLACK: Final = 1e-6  # of a step: a sample on the edge of a window is in it, however its time was rounded
+_MOST_STEPS: Final = 2**52  # multiples of the step up to here are distinguished by floating point numbers
 
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
 _NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
@@ -272,8 +266,7 @@ def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
     return inside
 
 
-LONGEST_GAP = 10.0
-"""Longest time [s] that may be bridged; bounds the memory, too."""
+LONGEST_GAP = 10.0  # longest time [s] that may be bridged; bounds the memory, too
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,14 +337,9 @@ def scaled(recording: Recording, nominal: float) -> Recording:
         )
 
 
-HALF_WINDOW: Final = 1.0
-"""Half the window of the slope [s]: a heading is coarse."""
-
-LONGEST: Final = 1.5
-"""Longest time [s] between headings that is bridged; GPS receivers give one a second at least."""
-
-WORTH_TELLING: Final = 0.01
-"""Share of the valid samples above which it is reported."""
+HALF_WINDOW: Final = 1.0  # half the window of the slope [s]: a heading is coarse
+LONGEST: Final = 1.5  # longest time [s] between headings that is bridged; GPS receivers give one a second at least
+WORTH_TELLING: Final = 0.01  # share of the valid samples above which it is reported
 
 FILLED: Final = "the yaw rate is missing in places, and comes from the GPS heading there"
 NONE: Final = "no yaw rate: the lane counts as straight"

@@ -16,17 +16,13 @@ from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
 from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
 from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable
 
-WIDTH_STEP: Final = 0.1
-"""Width of a bin of the lane-width histogram [m]."""
-
-WIDTH_BINS: Final = 80
-"""Bins from 0 to 8 m; the last also holds what is wider."""
+WIDTH_STEP: Final = 0.1  # width of a bin of the lane-width histogram [m]
+WIDTH_BINS: Final = 80  # bins from 0 to 8 m; the last also holds what is wider
 
 LONGEST: Final = 1e8
 """Time [s] of a recording that is counted at most, three years: the sums stay whole numbers of 64 bits."""
 
-SIDES: Final = 2
-"""Left first, then right."""
+SIDES: Final = 2  # left first, then right
 
 
 @dataclasses.dataclass(frozen=True)
@@ -248,11 +244,8 @@ def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
     return found
 
 
-FLAT: Final = 1e-6
-"""A lane that bends less [1/m] counts as straight."""
-
-SHORTEST_TWIN: Final = 100
-"""Recordings with fewer usable samples are not compared with others."""
+FLAT: Final = 1e-6  # a lane that bends less [1/m] counts as straight
+SHORTEST_TWIN: Final = 100  # recordings with fewer usable samples are not compared with others
 
 TURN_WINDOW: Final = 2.0
 """Time [s] over which turns by yaw rate and by heading are compared: long enough for a bend to stand out of noise."""
@@ -263,8 +256,7 @@ GRAIN: Final = 2.0**-20
 SMALLEST_TURN: Final = 0.02
 """Turns [rad] up to this are not compared: on a straight road, where most is driven, both are noise."""
 
-TURN_SPEED: Final = 8.0
-"""Below this speed [m/s] the course over ground is noise."""
+TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -383,8 +375,7 @@ def joined_evidence(parts: Iterable[Evidence]) -> Evidence:
 
 T = TypeVar("T")
 
-KEPT: Final = 12
-"""Departures of each kind that are kept of each source and side."""
+KEPT: Final = 12  # departures of each kind that are kept of each source and side
 
 
 @dataclasses.dataclass(frozen=True)

@@ -243,8 +243,7 @@ class Recording:
         return dataclasses.replace(self, **taken)
 
 
-LARGEST: Final = 1e9
-"""A number of this size or more is not a measurement in any unit; its sample is invalid."""
+LARGEST: Final = 1e9  # a number of this size or more is not a measurement in any unit; its sample is invalid
 
 
 def measured(values: FloatArray) -> FloatArray:

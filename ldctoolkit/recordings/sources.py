@@ -17,8 +17,7 @@ from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError, nearest
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
-GROUP: Final = "ldctoolkit.recordings"
-"""Entry-point group of readers."""
+GROUP: Final = "ldctoolkit.recordings"  # entry-point group of readers
 
 AUTO: Final = "auto"
 
@@ -212,8 +211,7 @@ def shown(paths: Sequence[Path]) -> str:
     return ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
 
 
-DEPTH: Final = 2
-"""Folders inside a folder are looked into this many levels down."""
+DEPTH: Final = 2  # folders inside a folder are looked into this many levels down
 
 _TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re.IGNORECASE)
 

@@ -38,8 +38,7 @@ TOLERANCE: Final = 5.0
 """Half a step of 10 Hz [centiseconds]: the largest distance in time between rows that belong together."""
 
 USABLE_QUALITY: Final = (2.0, 3.0)
-PLACEHOLDER: Final = (-1.875, 1.875)
-"""Distances to the left and right that stand for "no lane"."""
+PLACEHOLDER: Final = (-1.875, 1.875)  # distances to the left and right that stand for "no lane"
 
 ALONE: Final = "no rows in DataWsu, so that speed and yaw rate are not known"
 
@@ -167,8 +166,7 @@ def nearest_rows(
     return np.where(np.minimum(to_before, to_after) <= tolerance, rows[chosen], -1)
 
 
-PART_BYTES: Final = 24 << 20
-"""Text of both tables that is read in one go."""
+PART_BYTES: Final = 24 << 20  # text of both tables that is read in one go
 
 KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}

@@ -112,11 +112,8 @@ def _has_key(line: bytes) -> bool:
     return True
 
 
-PART_BYTES: Final = 32 << 20
-"""Text that is read in one go."""
-
-USABLE_PROBABILITY: Final = 500.0
-"""Both markers must exist with at least this probability, of 1000."""
+PART_BYTES: Final = 32 << 20  # text that is read in one go
+USABLE_PROBABILITY: Final = 500.0  # both markers must exist with at least this probability, of 1000
 
 WIDTH_TOLERANCE: Final = 0.5
 """The markers must be as far apart as the tracker's lane width says, within this [m]: else one of them is not the

@@ -34,8 +34,7 @@ NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_r
 ROW: Final = "(row)"
 """Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
 
-FAULT: Final = "(fault)"
-"""Column that is true for a sample that is at fault, or next to a line that could not be used."""
+FAULT: Final = "(fault)"  # column that is true for a sample that is at fault, or next to a line that could not be used
 
 _VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 _SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
@@ -408,14 +407,9 @@ def _not_parquet(error: BaseException) -> TableFault:
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
 
-BLOCK_BYTES: Final = 16 << 20
-"""About how much text is parsed at once."""
-
-HEADER_BYTES: Final = 1 << 16
-"""A header is looked for in so many first bytes."""
-
-MOST_REPEATED: Final = 20
-"""So many recordings that two files hold are reported one by one."""
+BLOCK_BYTES: Final = 16 << 20  # about how much text is parsed at once
+HEADER_BYTES: Final = 1 << 16  # a header is looked for in so many first bytes
+MOST_REPEATED: Final = 20  # so many recordings that two files hold are reported one by one
 
 
 def header_names(path: Path) -> tuple[str, ...]:
@@ -493,11 +487,8 @@ def _names(path: Path) -> dict[str, int]:
     return found
 
 
-KNOWN_BY: Final = 3
-"""A file with so many of the five columns that are needed is meant as a recording table."""
-
-MOST_TOLD: Final = 20
-"""So many problems of one file are reported one by one; the others are counted."""
+KNOWN_BY: Final = 3  # a file with so many of the five columns that are needed is meant as a recording table
+MOST_TOLD: Final = 20  # so many problems of one file are reported one by one; the others are counted
 
 LARGEST_TIME: Final = 1e20
 """A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-TEXT_COMPILED_FROM: Final = 1 << 20
-"""Loading a compiler's library is not worth it for less."""
+TEXT_COMPILED_FROM: Final = 1 << 20  # loading a compiler's library is not worth it for less
 
 _PIECE: Final = 1 << 17
 _LINE_END: Final = 10
@@ -183,18 +182,12 @@ def _numbers(
 
 
 BLOCK_BYTES: Final = 1 << 20
-LONGEST_LINE: Final = 1 << 20
-"""A longer line [bytes] is not a row of a table."""
-
-COMPILED_FROM: Final = 32 << 20
-"""Loading a compiler's library is not worth it for a smaller file [bytes]."""
-
-MOST_STRETCHES: Final = 1_000_000
-"""More stretches than these mean that the rows are not sorted by trip at all."""
+LONGEST_LINE: Final = 1 << 20  # a longer line [bytes] is not a row of a table
+COMPILED_FROM: Final = 32 << 20  # loading a compiler's library is not worth it for a smaller file [bytes]
+MOST_STRETCHES: Final = 1_000_000  # more stretches than these mean that the rows are not sorted by trip at all
 
 _KEY: Final = re.compile(rb'[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,')
-_KEY_BYTES: Final = 128
-"""A key is looked for in this many first bytes of a line."""
+_KEY_BYTES: Final = 128  # a key is looked for in this many first bytes of a line
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -101,11 +101,8 @@ def is_plain(columns: Sequence[str]) -> bool:
 Key = tuple[int, int]
 T = TypeVar("T")
 
-MOST_PROBLEMS: Final = 20
-"""Problems of one kind that are reported one by one; the others are counted."""
-
-LARGEST_TIME: Final = 1e11
-"""A time of this size or more, in the table's own unit, is none."""
+MOST_PROBLEMS: Final = 20  # problems of one kind that are reported one by one; the others are counted
+LARGEST_TIME: Final = 1e11  # a time of this size or more, in the table's own unit, is none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -334,8 +331,7 @@ def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[i
     return keep, back
 
 
-AT_ONCE: Final = 4
-"""Tables that are read side by side; two keep two cores busy, more than these only make a disk jump."""
+AT_ONCE: Final = 4  # tables that are read side by side; two keep two cores busy, more than these only make a disk jump
 
 
 @dataclasses.dataclass(frozen=True)

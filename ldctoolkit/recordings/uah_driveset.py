@@ -17,14 +17,9 @@ from ldctoolkit.recordings.preparation import local_slope, merge_repeated, risin
 from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, source_file
 from ldctoolkit.recordings.sources import FoundParts
 
-DETECTED: Final = 2.0
-"""State of the lane estimator in which offset and width can be used."""
-
-STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)
-"""Detected, undetected, initialising, calibrating, missing."""
-
-MOSTLY: Final = 0.9
-"""Share of lines that must look as the file's name promises."""
+DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
+STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initialising, calibrating, missing
+MOSTLY: Final = 0.9  # share of lines that must look as the file's name promises
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,8 +106,7 @@ ACCELEROMETERS: Final = TableKind(
 LARGEST_FILE: Final = 64 << 20
 """A file of one trip is not larger [bytes]: it would be hours of driving, some megabytes are usual."""
 
-TOLD: Final = 5
-"""So many faulty lines of one file are named one by one, the others are counted."""
+TOLD: Final = 5  # so many faulty lines of one file are named one by one, the others are counted
 
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 
@@ -225,8 +219,7 @@ def _backwards(t: FloatArray, kept: BoolArray) -> str:
     return f"the time runs backwards: {float(here)!r} s {told}; {left} left out"
 
 
-DEPTH: Final = 3
-"""Trips are looked for so many folders below a given one; the dataset's root has them at 2."""
+DEPTH: Final = 3  # trips are looked for so many folders below a given one; the dataset's root has them at 2
 
 _TRIP: Final = re.compile(
     r"\d+-[^-]+-(?P<driver>D\d+)-(?P<behaviour>NORMAL|DROWSY|AGGRESSIVE)[^-]*-(?P<road>MOTORWAY|SECONDARY)[^-]*",
@@ -399,20 +392,11 @@ def _count(number: int, word: str) -> str:
 SPEED_STEP: Final = 2.5
 """Longest step [s] between two positions that speed and course are interpolated over; 1 s is usual."""
 
-SPEED_HELD: Final = 0.5
-"""So long [s] a speed or a course holds where there is no next one."""
-
-YAW_STEP: Final = 0.5
-"""Longest step [s] of the yaw angle that is no gap; 0.1 s is usual."""
-
-YAW_HALF: Final = 0.25
-"""Half the window [s] of a yaw rate from yaw angles."""
-
-COURSE_HALF: Final = 1.5
-"""Half the window [s] of a yaw rate from courses."""
-
-ENOUGH: Final = 0.95
-"""A signal that covers less than this share of the samples with a lane is reported."""
+SPEED_HELD: Final = 0.5  # so long [s] a speed or a course holds where there is no next one
+YAW_STEP: Final = 0.5  # longest step [s] of the yaw angle that is no gap; 0.1 s is usual
+YAW_HALF: Final = 0.25  # half the window [s] of a yaw rate from yaw angles
+COURSE_HALF: Final = 1.5  # half the window [s] of a yaw rate from courses
+ENOUGH: Final = 0.95  # a signal that covers less than this share of the samples with a lane is reported
 
 
 @dataclasses.dataclass(frozen=True)

@@ -191,14 +191,9 @@ def _softer(controller: Controller) -> str:
     return f"Lower {', '.join(gains)} in size" if gains else "Make the law softer"
 
 
-_NONLINEAR = 0.05
-"""Relative difference of the answers to small and larger pulses from which it is reported."""
-
-_IN_THE_LOOP = ("period", "delay", "kalman")
-"""What of the camera the loop holds."""
-
-_UNEXPLAINED = 0.02
-"""Part of a pulse response that the model of the memory may leave out untold."""
+_NONLINEAR = 0.05  # relative difference of the answers to small and larger pulses from which it is reported
+_IN_THE_LOOP = ("period", "delay", "kalman")  # what of the camera the loop holds
+_UNEXPLAINED = 0.02  # part of a pulse response that the model of the memory may leave out untold
 
 
 def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
@@ -341,14 +336,9 @@ def positive(name: str, value: object, unit: str) -> float:
     return float(given)
 
 
-SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))
-"""Speeds [m/s] that are looked at by default."""
-
-BEND = 2.0
-"""Lateral acceleration [m/s^2] of the steady bend."""
-
-TIGHTEST = 50.0
-"""Radius [m] of the tightest bend: below 10 m/s it is this one, with less lateral acceleration."""
+SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))  # speeds [m/s] that are looked at by default
+BEND = 2.0  # lateral acceleration [m/s^2] of the steady bend
+TIGHTEST = 50.0  # radius [m] of the tightest bend: below 10 m/s it is this one, with less lateral acceleration
 
 
 @dataclasses.dataclass(frozen=True)

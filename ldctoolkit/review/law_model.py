@@ -31,8 +31,7 @@ from ldctoolkit.vehicle.discretization import AugmentedStep, augmented
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_ENTRIES = 4_000_000
-"""Numbers of a block of matrices: a long delay makes large ones."""
+_ENTRIES = 4_000_000  # numbers of a block of matrices: a long delay makes large ones
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,17 +170,10 @@ def guarded(name: str, call: str) -> Iterator[None]:
 PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""
 
-LARGER: Final = 30.0
-"""The answers to pulses so many times larger tell whether the law is linear there."""
-
-_SAMPLES = 17
-"""Samples of a pulse response."""
-
-_MEMORY = 1e-4
-"""Part of the first answer below which a later one is no memory but rounding."""
-
-_ORDER = 1e-3
-"""Part of the largest singular value below which another one is no state."""
+LARGER: Final = 30.0  # the answers to pulses so many times larger tell whether the law is linear there
+_SAMPLES = 17  # samples of a pulse response
+_MEMORY = 1e-4  # part of the first answer below which a later one is no memory but rounding
+_ORDER = 1e-3  # part of the largest singular value below which another one is no state
 
 
 @dataclasses.dataclass(frozen=True)

@@ -130,11 +130,8 @@ class Thresholds:
                 raise InputError(f"thresholds.{field.name}: {pair!r}; allowed: (warning, fault), fault {word} warning")
 
 
-_NO_HORIZON = 1.0
-"""Time [s] within which a law without a horizon should have its limits back."""
-
-_RARE = 0.01
-"""Share of departures below which wheels that stand beyond the limits are a warning."""
+_NO_HORIZON = 1.0  # time [s] within which a law without a horizon should have its limits back
+_RARE = 0.01  # share of departures below which wheels that stand beyond the limits are a warning
 
 _OFF_AT_0 = ("a_y_max", "jerk_max", "e_y_max")
 

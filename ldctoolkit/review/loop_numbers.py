@@ -31,8 +31,7 @@ from ldctoolkit.vehicle import BicycleModel, Plant
 _STABLE: Final = 1.0 - 1e-6
 """Largest |z| of a pole that counts as stable: the vehicle's two integrators come out as 1 only to 1e-8."""
 
-_RINGING: Final = 0.5
-"""Smallest |z| of a pole whose damping is looked at: faster ones are gone within two samples."""
+_RINGING: Final = 0.5  # smallest |z| of a pole whose damping is looked at: faster ones are gone within two samples
 
 _FREQUENCIES: Final = 1000
 _LOWEST: Final = 1e-3  # [rad/s]
@@ -124,8 +123,7 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
     return float(omega[i] * (omega[i + 1] / omega[i]) ** (low / (low - high)))
 
 
-_GRID: Final = 300
-"""Frequencies of `quick_margins`: its margins are those of `margins` to one per cent."""
+_GRID: Final = 300  # frequencies of `quick_margins`: its margins are those of `margins` to one per cent
 
 
 def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatArray]:
@@ -200,11 +198,8 @@ def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: i
     return float(np.linalg.cond(0.5 * (H + H.T)))
 
 
-BEND_ERROR = 0.05
-"""Part of a command in a bend that the linearisation may miss."""
-
-MISMATCH = 0.2
-"""Relative error of the cornering stiffness of each axle, up and down."""
+BEND_ERROR = 0.05  # part of a command in a bend that the linearisation may miss
+MISMATCH = 0.2  # relative error of the cornering stiffness of each axle, up and down
 
 
 @dataclasses.dataclass(frozen=True)

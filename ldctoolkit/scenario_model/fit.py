@@ -221,8 +221,7 @@ def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatAr
             )
 
 
-LEAST_EVENTS: Final = 30
-"""Departures a side needs."""
+LEAST_EVENTS: Final = 30  # departures a side needs
 
 _SEED_END: Final = 10**18
 

@@ -28,8 +28,7 @@ from ldctoolkit.scenario_model.provenance import (
     check_usable,
 )
 
-_WHOLE_DIGITS: Final = 18
-"""Longest whole number of a file: it must fit a float and 64 bits."""
+_WHOLE_DIGITS: Final = 18  # longest whole number of a file: it must fit a float and 64 bits
 
 
 class Reader:
@@ -149,8 +148,7 @@ def read_text(path: Path) -> str:
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
 
-_HASHED_VERSION: Final = 1
-"""Stands in the hashed content and never changes: studies resume by the hash."""
+_HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
 
 _SIDE_KEYS: Final = ("parameters", "constants", "transform", "lower", "upper", "weights", "means", "covariances")
 

@@ -80,16 +80,12 @@ def check_usable(mixture: BoundedGaussianMixture) -> None:
         raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
 
 
-TOGETHER: Final = 10
-"""Departures behind every quantile at least: each is a mean over so many."""
-
-LEAST_IN_CELL: Final = 5
-"""Departures behind every share of a cell; cells with fewer are reported as empty."""
+TOGETHER: Final = 10  # departures behind every quantile at least: each is a mean over so many
+LEAST_IN_CELL: Final = 5  # departures behind every share of a cell; cells with fewer are reported as empty
 
 QUANTILES: Final = 40
 CELLS: Final = 12
-UNIT: Final = 10_000
-"""Shares of cells are whole numbers of 1/UNIT."""
+UNIT: Final = 10_000  # shares of cells are whole numbers of 1/UNIT
 
 _FEWEST_CELLS: Final = 4
 _EVENTS_PER_CELL: Final = 20

@@ -40,14 +40,12 @@ from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 Chosen = bool | npt.ArrayLike
 
-_SCENARIOS_A_TASK = 1024
-"""Scenarios that a thread takes at a time."""
+_SCENARIOS_A_TASK = 1024  # scenarios that a thread takes at a time
 
 _TOGETHER = 2**21
 """Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""
 
-_DROP_BELOW = 0.9
-"""Share of a batch still running below which the others are dropped from it."""
+_DROP_BELOW = 0.9  # share of a batch still running below which the others are dropped from it
 
 
 def simulate(

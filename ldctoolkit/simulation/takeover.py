@@ -94,8 +94,7 @@ class TrueVehicles:
 # fixed-point steps from the small angles to the large ones of saturating tyres
 _ITERATIONS = 8
 
-_DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")
-"""Quantities with a factor, in the order of the random numbers."""
+_DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # quantities with a factor, in the order of the random numbers
 
 
 def true_vehicles(

@@ -267,8 +267,7 @@ class Subject:
         return None if law is None else commands(law, road, self.settings.dt, self.name)
 
 
-Check = Callable[[Subject], Iterator[str]]
-"""Yields one sentence for each fault."""
+Check = Callable[[Subject], Iterator[str]]  # yields one sentence for each fault
 
 
 def difference(one: Commands | None, other: Commands | None, what: str) -> Iterator[str]:

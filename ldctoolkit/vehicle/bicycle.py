@@ -85,8 +85,7 @@ class Plant:
         return self.model.steady_state(self.v)
 
 
-GRAVITY: Final = 9.81
-"""Gravitational acceleration [m/s^2]."""
+GRAVITY: Final = 9.81  # gravitational acceleration [m/s^2]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -79,8 +79,7 @@ class _FilterGain:
         return A_p, 0.5 * (Q_p + Q_p.T)
 
 
-SPEED_RANGE: Final = (1.0, 90.0)
-"""Speeds [m/s] for which gains are scheduled."""
+SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled
 
 _TAIL = 1e-9  # largest share that the last coefficients may have: above it the interpolant has not converged
 

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from ldctoolkit.gains import GainValue
 
 
-_WIDTH = 160
-"""Columns where stdout is no terminal: a file or a log has no width of its own."""
+_WIDTH = 160  # columns where stdout is no terminal: a file or a log has no width of its own
 
 
 class Subparsers(Protocol):
@@ -135,8 +134,7 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None] | None]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-Interval = tuple[float | None, float | None]
-"""Lower and upper end; None is open."""
+Interval = tuple[float | None, float | None]  # lower and upper end; None is open
 
 
 def named(text: str) -> tuple[str, str]:

@@ -6,8 +6,7 @@ import argparse
 
 from studies.cli._console import Subparsers, console, output_file, positive_number
 
-SOME_WORSE = 3
-"""Exit code where a design is worse and the caller wants to know."""
+SOME_WORSE = 3  # exit code where a design is worse and the caller wants to know
 
 
 def add_parser(commands: Subparsers) -> None:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from ldctoolkit.recordings.sources import OpenedRecordings
 
 
-SOME_LEFT_OUT = 3
-"""Exit code where departures were written, but not all of the input could be used."""
+SOME_LEFT_OUT = 3  # exit code where departures were written, but not all of the input could be used
 
 
 def add_parser(commands: Subparsers) -> None:

@@ -240,8 +240,7 @@ def _print_curve(summary: SideSummary, taken: int) -> None:
     console().print(table)
 
 
-_MOST = 10_000_000
-"""Departures to one side that fit in memory; the same bound as in a study file."""
+_MOST = 10_000_000  # departures to one side that fit in memory; the same bound as in a study file
 
 
 def _add_sample(commands: Subparsers) -> None:

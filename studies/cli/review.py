@@ -301,8 +301,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-FAULT = 3
-"""Exit code where a fault was found."""
+FAULT = 3  # exit code where a fault was found
 
 Reviewed = list[tuple[str, tuple[str, ...], "Review"]]
 

@@ -58,8 +58,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-SOME_FAILED = 3
-"""Exit code where the study has results, but not of every design."""
+SOME_FAILED = 3  # exit code where the study has results, but not of every design
 
 
 def run(chosen: argparse.Namespace) -> int:

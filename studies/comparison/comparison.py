@@ -41,8 +41,7 @@ PHRASES: Final = {
 }
 """Verdict -> how a sentence says it."""
 
-TOP: Final = 20
-"""Rows, of the primary case."""
+TOP: Final = 20  # rows, of the primary case
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,8 +182,7 @@ def _row(case: CaseComparison, i: int) -> str:
     return f"<tr>{''.join(shown)}</tr>"
 
 
-_FEW = 200
-"""Shared scenarios below which intervals are rough."""
+_FEW = 200  # shared scenarios below which intervals are rough
 
 CasePairs = list[tuple[CaseResults, CaseResults]]
 

@@ -120,14 +120,9 @@ def _occurrence(group: IntArray) -> IntArray:
     return count
 
 
-_STREAM: Final = 0x636D70
-"""Keeps these resamples apart from those of the rankings."""
-
-_FLAT: Final = 1e-9
-"""A row whose scenarios changed equally, up to this [m s]: what is left is rounding, and no spread."""
-
-_ROWS: Final = 500
-"""Rows resampled at once; a constant, so that no number depends on anything else."""
+_STREAM: Final = 0x636D70  # keeps these resamples apart from those of the rankings
+_FLAT: Final = 1e-9  # a row whose scenarios changed equally, up to this [m s]: what is left is rounding, and no spread
+_ROWS: Final = 500  # rows resampled at once; a constant, so that no number depends on anything else
 
 
 class Verdict(enum.StrEnum):
@@ -314,8 +309,7 @@ def _text(value: Any) -> str:
     return "not set" if value is None else str(value)
 
 
-_RIVALS: Final = 30
-"""Designs of each study that could have won: all their pairs share the confidence."""
+_RIVALS: Final = 30  # designs of each study that could have won: all their pairs share the confidence
 
 _MOST_ENTRIES: Final = 20_000_000
 """Differences of pairs held at once (160 MB); fewer rivals where there are more scenarios."""

@@ -19,8 +19,7 @@ from ldctoolkit.arrays import FloatArray
 from studies.design import NO_CONTROL
 from studies.pages.text import compact, printable, shorten, symbols_svg
 
-WIDTH: Final = 420.0
-"""Units of a chart's width: text of 12 units is 10 px high on the narrowest phone."""
+WIDTH: Final = 420.0  # units of a chart's width: text of 12 units is 10 px high on the narrowest phone
 
 COLORS: Final = ("#0072b2", "#d55e00", "#009e73", "#b5548f", "#b07900", "#3b8fc2")
 """Okabe and Ito's colours, the light ones darkened until they stand out from white."""
@@ -28,8 +27,7 @@ COLORS: Final = ("#0072b2", "#d55e00", "#009e73", "#b5548f", "#b07900", "#3b8fc2
 _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3", "5 2 5 6")
 _MARKERS: Final = "osdvx^"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 10.0, 10.0, 44.0
-_CHARACTER: Final = 6.4
-"""Width of a character of the labels [units]."""
+_CHARACTER: Final = 6.4  # width of a character of the labels [units]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +44,7 @@ class Style:
         return "recorded" if self.color < 0 else f"c{self.color}"
 
 
-RECORDED: Final = Style(-1, "2 2.5", "|")
-"""The departure as it was recorded, without control."""
+RECORDED: Final = Style(-1, "2 2.5", "|")  # the departure as it was recorded, without control
 
 
 def law_styles(laws: Iterable[str]) -> dict[str, Style]:

@@ -31,8 +31,7 @@ from studies.pages.shell import (
 from studies.pages.text import difference_text, number, percent, plural, signed, symbols
 from studies.storage.files import write_text
 
-THRESHOLD: Final = 0.01
-"""Differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s."""
+THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
 
 FIRST_ROWS: Final = 20
 MOST_ROWS: Final = 1000

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from studies.robustness import Robustness
     from studies.sensitivity.sensitivity import BlockSensitivity
 
-MOST_CURVES = 5
-"""Designs in one chart of curves."""
+MOST_CURVES = 5  # designs in one chart of curves
 
 SIDE_NAMES = {LEFT: "left", -LEFT: "right"}
 

@@ -23,8 +23,7 @@ from studies.results import status_among
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
 """Steps of the embedded positions [m], steering angles [deg] and accelerations [m/s^2]."""
 
-SHORTEST_STEP: Final = 0.05
-"""Between embedded samples [s], where the controller's clock is faster."""
+SHORTEST_STEP: Final = 0.05  # between embedded samples [s], where the controller's clock is faster
 
 _SPANS: Final = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 

@@ -43,14 +43,9 @@ if TYPE_CHECKING:
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 FIT: Final = Style(-1, "", "|")
 
-FEW: Final = 30
-"""Departures of a side that a fit needs."""
-
-MODEL: Final = 150
-"""Departures of a side from which on a fitted model agrees with its recordings."""
-
-RARE: Final = 1000
-"""Departures of a side from which on rare ones are known, too."""
+FEW: Final = 30  # departures of a side that a fit needs
+MODEL: Final = 150  # departures of a side from which on a fitted model agrees with its recordings
+RARE: Final = 1000  # departures of a side from which on rare ones are known, too
 
 MOST_ROWS: Final = 60
 MOST_PROBLEMS: Final = 300

@@ -40,14 +40,9 @@ Progress = Callable[[str, int, int], None]
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 MODEL: Final = Style(-1, "", "|")
 
-FEW: Final = 150
-"""Departures of a side below which a fitted model can contradict its recordings."""
-
-ENOUGH: Final = 1000
-"""Departures of a side from which on rare ones are known, too."""
-
-CLEAR: Final = 0.05
-"""Kolmogorov distance from which on a misfit matters whatever the number of events."""
+FEW: Final = 150  # departures of a side below which a fitted model can contradict its recordings
+ENOUGH: Final = 1000  # departures of a side from which on rare ones are known, too
+CLEAR: Final = 0.05  # Kolmogorov distance from which on a misfit matters whatever the number of events
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,12 +21,10 @@ from studies.pages.shell import Cell, Column, Line, Section, bullets, details, p
 from studies.pages.text import PARAMETER_UNIT_TEXT as UNITS
 from studies.pages.text import compact, figure, number, percent, plural
 
-LEAST: Final = 30
-"""Source departures that a comparison needs, as a fit does."""
+LEAST: Final = 30  # source departures that a comparison needs, as a fit does
 
 _DRAWN: Final = 40_000
-_KNOTS: Final = 4
-"""Of a marginal distribution: its error of 0.0008 is far below what chance makes in any study."""
+_KNOTS: Final = 4  # of a marginal distribution: its error of 0.0008 is far below what chance makes in any study
 
 
 @dataclasses.dataclass(frozen=True)

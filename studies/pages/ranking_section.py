@@ -15,11 +15,8 @@ from studies.pages.shell import Cell, Column, Line, Section, bullets, render, ta
 from studies.pages.text import compact, number, percent, plural
 from studies.ranking.verdict import judged
 
-MOST_ROWS: Final = 1000
-"""Designs of the table; all of them are in ranking.csv."""
-
-FIRST_ROWS: Final = 20
-"""Rows that are shown before all are requested, and those that are printed."""
+MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
+FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and those that are printed
 
 METRIC_COLUMNS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
 

@@ -20,8 +20,7 @@ from studies.pages.context import Context
 from studies.results import FAILED_STATUSES
 
 MOST_DESIGNS: Final = 8
-COUNT: Final = 60
-"""Departures in the explorer beside those requested."""
+COUNT: Final = 60  # departures in the explorer beside those requested
 
 STATUS_TEXT: Final = {
     EventStatus.OK: "driven to the end",

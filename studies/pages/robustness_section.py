@@ -15,8 +15,7 @@ from studies.pages.shell import Cell, Column, Line, Section, bullets, details, f
 from studies.pages.text import number, percent, plural, signed
 from studies.robustness import Robustness
 
-MOST_LAWS: Final = 4
-"""Designs in the table; their margins too."""
+MOST_LAWS: Final = 4  # designs in the table; their margins too
 
 
 def section(context: Context) -> Section:

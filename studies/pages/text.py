@@ -26,8 +26,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|[\
 
 MINUS = "−"
 
-_SMALL = 1e-3
-"""A difference below this [m s] is shown with two digits of its own, not with decimals."""
+_SMALL = 1e-3  # a difference below this [m s] is shown with two digits of its own, not with decimals
 
 
 def printable(text: str) -> str:

@@ -25,8 +25,7 @@ from studies.ranking.requirements import friction, metric, metric_values
 from studies.results import CaseResults, StudyResults, status_among
 from studies.storage.run_table import StoredColumn
 
-_FEW = 8
-"""Places up to which what stands there is found without a full sort."""
+_FEW = 8  # places up to which what stands there is found without a full sort
 
 
 def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
@@ -69,8 +68,7 @@ def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> Float
 
 Values = dict[str, FloatArray]
 
-_BLOCK_ENTRIES: Final = 500_000
-"""Runs that are looked at at once (4 MB for each metric); no number depends on it."""
+_BLOCK_ENTRIES: Final = 500_000  # runs that are looked at at once (4 MB for each metric); no number depends on it
 
 _STORED_ENTRIES: Final = 50_000_000
 """Numbers that are read from a study's folder at once (400 MB): all at once where possible, as every file holds many
@@ -184,8 +182,7 @@ def _values(column: FloatArray | StoredColumn, rows: slice, room: FloatArray) ->
     return column[rows] if isinstance(column, np.ndarray) else column.read(rows, room)
 
 
-_FEWEST_DIGITS = 6
-"""Of an identifier, so that no law's name is taken for one."""
+_FEWEST_DIGITS = 6  # of an identifier, so that no law's name is taken for one
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
@@ -391,8 +388,7 @@ def mean_reduction(S: FloatArray, before: FloatArray) -> FloatArray:
     return 1.0 - np.divide(S, before, out=1.0 - out, where=before > 0)
 
 
-_BLOCK: Final = 64
-"""Rows that are compared with the front at once."""
+_BLOCK: Final = 64  # rows that are compared with the front at once
 
 
 def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:

@@ -14,8 +14,7 @@ from ldctoolkit.errors import InputError
 
 T = TypeVar("T", bound=np.generic)
 
-_ROW_ENTRIES = 250_000
-"""Numbers in a block (2 MB)."""
+_ROW_ENTRIES = 250_000  # numbers in a block (2 MB)
 
 
 def row_blocks(
@@ -40,8 +39,7 @@ def row_means(values: FloatArray, rows: IntArray | None = None) -> FloatArray:
 _STREAM = 0x626F6F74
 """Keeps the bootstrap's random numbers apart from those of the scenarios, which come from the same seed."""
 
-_WEIGHT_ENTRIES = 2_000_000
-"""Weights held at once (16 MB)."""
+_WEIGHT_ENTRIES = 2_000_000  # weights held at once (16 MB)
 
 _GRID_ENTRIES = 2_500_000
 """Scores that are resampled at once (20 MB, and as much again for what is worked out on the way)."""
@@ -49,8 +47,7 @@ _GRID_ENTRIES = 2_500_000
 _KEPT_WEIGHTS = 10_000_000
 """Weights of a block that was kept (80 MB): in products of small matrices threads wait for each other."""
 
-_MANTISSA = 53
-"""Bits of a double precision number."""
+_MANTISSA = 53  # bits of a double precision number
 
 
 def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0) -> FloatArray:
@@ -145,11 +142,8 @@ def check_confidence(confidence: float) -> None:
         raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
 
 
-_SPREAD_ENTRIES = 64_000
-"""Differences held at once; they stay in the cache."""
-
-_ROUNDING = 1e-12
-"""An error below this share of the scores is rounding."""
+_SPREAD_ENTRIES = 64_000  # differences held at once; they stay in the cache
+_ROUNDING = 1e-12  # an error below this share of the scores is rounding
 
 
 def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
@@ -237,11 +231,8 @@ def with_tails_of_t(critical: float, df: int) -> float:
     return float(-stdtrit(df, ndtr(-critical)))
 
 
-_RESAMPLED_ENTRIES = 32_000
-"""Resampled differences held at once; they stay in the cache."""
-
-_KEPT_RESAMPLED = 20_000_000
-"""Error parts that are kept (160 MB). More are made again for each of the few references."""
+_RESAMPLED_ENTRIES = 32_000  # resampled differences held at once; they stay in the cache
+_KEPT_RESAMPLED = 20_000_000  # error parts that are kept (160 MB). More are made again for each of the few references
 
 
 @dataclasses.dataclass(frozen=True)
@@ -406,8 +397,7 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     return Interval(centre, errors, centre - below, centre + above, critical)
 
 
-_REFERENCE_ENTRIES = 500_000
-"""Resampled means looked at at once (4 MB)."""
+_REFERENCE_ENTRIES = 500_000  # resampled means looked at at once (4 MB)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -489,14 +479,9 @@ def best_frequency(resampled: Resampled, contenders: int) -> FloatArray:
     return frequency / len(deviations)
 
 
-SAME = 1e-6
-"""Differences of mean S [m s] up to this are a solver's tolerance, not design."""
-
-_MOST_TERMS = 300_000_000
-"""Resampled differences that are looked at: references x designs x resamples."""
-
-_MOST_SCORES = 100_000_000
-"""Paired scores that are looked at: references x designs x scenarios."""
+SAME = 1e-6  # differences of mean S [m s] up to this are a solver's tolerance, not design
+_MOST_TERMS = 300_000_000  # resampled differences that are looked at: references x designs x resamples
+_MOST_SCORES = 100_000_000  # paired scores that are looked at: references x designs x scenarios
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,11 +28,8 @@ VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
 }
 """Named vehicles: what the quantities of the study's vehicle are multiplied with; the others are as nominal."""
 
-DEPARTURES: Final = 50
-"""Of each side, that every design is driven on with every named vehicle."""
-
-Worst = Mapping[str, tuple[float, float]]
-"""Design -> its S_worst [m s] and comfortable_worst."""
+DEPARTURES: Final = 50  # of each side, that every design is driven on with every named vehicle
+Worst = Mapping[str, tuple[float, float]]  # design -> its S_worst [m s] and comfortable_worst
 
 
 def worst_of_vehicles(

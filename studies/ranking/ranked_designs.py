@@ -43,8 +43,7 @@ def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray
     return int(better[np.argmin(resampled.mean[better])]) if better.size else first
 
 
-_STREAM = 1
-"""Of the resamples; the search has stream 0."""
+_STREAM = 1  # of the resamples; the search has stream 0
 
 
 @dataclasses.dataclass(frozen=True)

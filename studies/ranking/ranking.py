@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     from ldctoolkit import Setup
 
 
-FEW = 50
-"""Scenarios below which intervals are too short by a figure that matters, see docs/ranking.md."""
+FEW = 50  # scenarios below which intervals are too short by a figure that matters, see docs/ranking.md
 
 FEW_OF_A_SIDE = 10
 
@@ -81,11 +80,8 @@ def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference
         )
 
 
-_OFTEN = 0.1
-"""Share of a design's interventions with a failed solve from which on the reader is warned."""
-
-_NAMED = 3
-"""Designs that a warning names."""
+_OFTEN = 0.1  # share of a design's interventions with a failed solve from which on the reader is warned
+_NAMED = 3  # designs that a warning names
 
 
 def warnings_of(case: CaseResults, designs: Sequence[Design]) -> Iterator[str]:
@@ -129,8 +125,7 @@ def has_solver(design: Design, convention: Convention) -> bool:
     return issubclass(kind, SteeringLaw) and kind.solver_calls is not SteeringLaw.solver_calls
 
 
-MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))
-"""Speeds [m/s] that the margins of a design are the smallest of."""
+MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins of a design are the smallest of
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

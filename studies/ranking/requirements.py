@@ -96,8 +96,7 @@ SETS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Named sets of requirements. ``physical`` depends on the plant: `requirements_of` makes it."""
 
-G: Final = 9.81
-"""Acceleration of free fall [m/s^2]."""
+G: Final = 9.81  # acceleration of free fall [m/s^2]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,8 +136,7 @@ class Requirement:
         return f"{self.metric.name} {self.operator} {self.limit!r}".removesuffix(".0")
 
 
-_MISSED: Final = 1e-9
-"""Least excess of a requirement that is missed: ``"S < 0.5"`` at exactly 0.5."""
+_MISSED: Final = 1e-9  # least excess of a requirement that is missed: `"S < 0.5"` at exactly 0.5
 
 
 @dataclasses.dataclass(frozen=True)

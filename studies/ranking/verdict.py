@@ -334,11 +334,8 @@ def markdown_table(headings: Sequence[str], right: Sequence[bool], rows: Iterabl
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
 
 
-TOP: Final = 20
-"""Rows of a notebook; the winner and the baseline follow where they are further down."""
-
-MOST_ROWS: Final = 50
-"""Designs of a Markdown file; those that are named follow."""
+TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
+MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 
 _DIGITS: Final = {"reduction": 1, "a_y_added_peak_p95": 2, "jerk_added_peak_p95": 2, "needless": 0}
 """Metrics of the table, and their decimals in the unit of a page."""

@@ -26,8 +26,7 @@ from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file import Study
 
-_LINE_EVERY = 1.0
-"""Seconds between lines."""
+_LINE_EVERY = 1.0  # seconds between lines
 
 
 class Progress(Protocol):
@@ -200,14 +199,9 @@ class Merge:
 SECONDS_A_TASK: Final = 0.5
 """Enough to hide the cost of sending a task, little enough to spread slow designs and to lose little with a worker."""
 
-_FIRST_RUNS: Final = 2000
-"""Scenario runs in the first task of a law, before its pace is known."""
-
-_MOST_RUNS: Final = 400_000
-"""Scenario runs in a task at most: results are in memory on both sides."""
-
-_AHEAD: Final = 2
-"""Tasks a worker that are under way or wait in the executor."""
+_FIRST_RUNS: Final = 2000  # scenario runs in the first task of a law, before its pace is known
+_MOST_RUNS: Final = 400_000  # scenario runs in a task at most: results are in memory on both sides
+_AHEAD: Final = 2  # tasks a worker that are under way or wait in the executor
 
 STATUS_OF: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
 """What becomes of the scenario at fault."""
@@ -414,8 +408,7 @@ def laws_of_this_process() -> bytes:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-_STORE_EVERY = 5.0
-"""Seconds between parts: what a kill can cost at most."""
+_STORE_EVERY = 5.0  # seconds between parts: what a kill can cost at most
 
 _ROWS_A_PART = 250_000
 """Rows after which a part is stored before its time: results that wait are in memory twice, and the last is written

@@ -28,8 +28,7 @@ from studies.running.executors.processes import Ended, Executor, Fault, Work
 _STRIKES: Final = 2
 """A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""
 
-_MOST_SCENARIOS: Final = 3
-"""Scenarios of a design that may end or stop a worker; with one more the design has failed."""
+_MOST_SCENARIOS: Final = 3  # scenarios of a design that may end or stop a worker; with one more the design has failed
 
 _MOST_LOST: Final = 25
 """Times in a row that tasks are lost which are not to blame, before it is plain that workers cannot live here."""
@@ -230,11 +229,8 @@ class Done:
 
 _DEPARTURES = 6
 
-_SAME = 1e-9
-"""Of S: sums in another order, in a batch of another size, are no state."""
-
-_SAME_COMPANION = 1e-6
-"""Of the companions: peaks and rates magnify what S averages."""
+_SAME = 1e-9  # of S: sums in another order, in a batch of another size, are no state
+_SAME_COMPANION = 1e-6  # of the companions: peaks and rates magnify what S averages
 
 
 def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
@@ -271,14 +267,12 @@ _TAKEOVERS_KEPT = 8
 
 _JOBS_KEPT = 2
 
-_WARM_LAWS = ("preview_proportional", "pid")
-"""A law of each kind of loop: linear, and step by step."""
+_WARM_LAWS = ("preview_proportional", "pid")  # a law of each kind of loop: linear, and step by step
 
 _lock = threading.Lock()
 _warm: set[str] = set()
 
-_NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)
-"""What ends a study even where it comes out of a law."""
+_NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
 
 Key = tuple[float, Convention, bytes]
 

@@ -21,17 +21,13 @@ from studies.study_file import RankingSettings, Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 
-_SAME = 1e-6
-"""Differences of mean S [m s] below this are solver tolerance: there is no variance to share out."""
-
-_MOST_MEANS = 20_000_000
-"""Resampled means held at once (160 MB)."""
+_SAME = 1e-6  # differences of mean S [m s] below this are solver tolerance: there is no variance to share out
+_MOST_MEANS = 20_000_000  # resampled means held at once (160 MB)
 
 _MOST_PRODUCTS = 20_000_000_000
 """Scores times resamples of one grid: some seconds. 5,000 designs on 10,000 scenarios get 400 resamples."""
 
-_SALIB_SAMPLES = 200
-"""Resamples behind an interval of a sample's index: it is a standard error, which needs no more."""
+_SALIB_SAMPLES = 200  # resamples behind an interval of a sample's index: it is a standard error, which needs no more
 
 
 @dataclasses.dataclass(frozen=True)

@@ -99,11 +99,8 @@ def _field(value: Any) -> str:
     return "" if value != value else str(value)
 
 
-POINTS = 9
-"""Values of a numeric dimension that a profile has at least."""
-
-_SAME = 1e-6
-"""Differences of mean S [m s] below this are solver tolerance."""
+POINTS = 9  # values of a numeric dimension that a profile has at least
+_SAME = 1e-6  # differences of mean S [m s] below this are solver tolerance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -348,8 +345,7 @@ def moved(winner: Design, name: str, value: GainValue) -> Design:
     return dataclasses.replace(winner, gains=gains)
 
 
-_AS_STORED = 1e-6
-"""Scores [m s] that are driven anew differ from the stored ones by less: solver tolerance."""
+_AS_STORED = 1e-6  # scores [m s] that are driven anew differ from the stored ones by less: solver tolerance
 
 
 def drive_designs(

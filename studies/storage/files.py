@@ -178,11 +178,8 @@ def ahead(
 
 PATTERN = "part-*.parquet"
 
-_ENDLESS = "t_back"
-"""The companion that may be infinite: the edge is not back inside by the end."""
-
-_FORMER = {COMPANION_COLUMNS["opposite_crossing"]: "overshoot_m"}
-"""Column of a part -> what earlier versions called it."""
+_ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back inside by the end
+_FORMER = {COMPANION_COLUMNS["opposite_crossing"]: "overshoot_m"}  # column of a part -> what earlier versions called it
 
 _ADDED = (COMPANION_COLUMNS["a_y_added_peak"], COMPANION_COLUMNS["jerk_added_peak"])
 """Columns that earlier versions did not record: NaN throughout."""

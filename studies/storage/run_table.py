@@ -22,8 +22,7 @@ from studies.storage.files import ahead, read_column
 from studies.storage.manifest import LawTime
 from studies.study_file import Study
 
-_THREADS: Final = 2
-"""That read parts; more would wait for the one that takes in what they read."""
+_THREADS: Final = 2  # that read parts; more would wait for the one that takes in what they read
 
 
 @dataclasses.dataclass(frozen=True)

@@ -63,8 +63,7 @@ _log = logging.getLogger("studies")
 
 FINALISTS = "finalists"
 
-_MOST_IN_MEMORY = 5_000_000
-"""Runs whose companions are kept in memory when a study is read (480 MB)."""
+_MOST_IN_MEMORY = 5_000_000  # runs whose companions are kept in memory when a study is read (480 MB)
 
 
 def make_folder(folder: Path) -> None:

@@ -53,8 +53,7 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
 _LONGEST = 400
 
 
-WARNING = "warning: "
-"""How a note that is a warning begins."""
+WARNING = "warning: "  # how a note that is a warning begins
 
 
 def model_notes(

@@ -29,8 +29,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers import das1
 
-ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100
-"""Rows of a trip on average (10 minutes); trips that are made at a time."""
+ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100  # rows of a trip on average (10 minutes); trips that are made at a time
 
 MIB = 1 << 20
 

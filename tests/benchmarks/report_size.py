@@ -18,8 +18,7 @@ from closed_loop import machine
 from studies import Study, run_study
 from studies.storage.manifest import read_manifest
 
-COLUMNS = 12
-"""Numbers a run of a study with one window."""
+COLUMNS = 12  # numbers a run of a study with one window
 
 POLARS = "import sys, polars; polars.read_parquet(sys.argv[1] + '/results/part-*.parquet')"
 READ = "import sys; from studies import read_results; read_results(sys.argv[1])"

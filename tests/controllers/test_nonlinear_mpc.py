@@ -30,8 +30,7 @@ from ldctoolkit.plant_options import PlantOptions, Tyres
 DT = 0.05
 VEHICLE = VehicleParameters()
 DYNAMICS = tool("nonlinear_plant").nonlinear_dynamics()
-HORIZON = 8
-"""Of nearly all plans here: each horizon is compiled, with soft limits once more."""
+HORIZON = 8  # of nearly all plans here: each horizon is compiled, with soft limits once more
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -58,11 +58,8 @@ y_s = [0.05, 0.1, 0.3]
 r_delta = [10.0, 100.0, 1000.0]
 """
 
-EVIL = "<script>alert(1)</script>"
-"""A name that must stay text."""
-
-HEBREW = "\u05d0\u05d1\u05d2"
-"""Text that is read from the right to the left."""
+EVIL = "<script>alert(1)</script>"  # a name that must stay text
+HEBREW = "\u05d0\u05d1\u05d2"  # text that is read from the right to the left
 
 HOSTILE = f"""
 name = "hostile"

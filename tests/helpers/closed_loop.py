@@ -15,8 +15,7 @@ from ldctoolkit.metrics import COMPANION_UNITS
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Run, Takeover
 
-METRICS = tuple(COMPANION_UNITS)
-"""Names of what a run measures for each scenario beside S."""
+METRICS = tuple(COMPANION_UNITS)  # names of what a run measures for each scenario beside S
 
 
 def takeover(
@@ -85,8 +84,7 @@ class Constant(Controller):
         return LinearLaw(F, np.zeros(0), none, none, f_u[:, 0], f_i[:, 0] if self.f_i else None)
 
 
-Fault = Callable[[np.ndarray, int], np.ndarray]
-"""(commands (n,), number of the sample) -> commands (n,)."""
+Fault = Callable[[np.ndarray, int], np.ndarray]  # (commands (n,), number of the sample) -> commands (n,)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,8 +13,7 @@ import polars as pl
 
 VEHICLE_WIDTH = 1.82
 LANE_WIDTH = 3.6
-BEND_PERIOD = 120.0
-"""The planted road turns left for half of this time [s], then right."""
+BEND_PERIOD = 120.0  # the planted road turns left for half of this time [s], then right
 
 LANE_COLUMNS = (
     "Device", "Trip", "Time", "LaneDistanceLeft", "LaneDistanceRight", "LaneHeading", "LaneQualityRight",

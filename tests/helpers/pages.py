@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
-EVIL = "<script>alert(1)</script> \"q\" 'x' & \u202e"
-"""Text of a user that must stay text."""
+EVIL = "<script>alert(1)</script> \"q\" 'x' & \u202e"  # text of a user that must stay text
 
 
 @dataclasses.dataclass

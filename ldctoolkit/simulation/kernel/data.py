@@ -17,11 +17,8 @@ from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import Plant
 
-LANES: Final = 8
-"""Scenarios side by side, in the vector registers of the processor."""
-
-PIECE: Final = 4
-"""Substeps after which scores are taken: about one of the fastest time constants."""
+LANES: Final = 8  # scenarios side by side, in the vector registers of the processor
+PIECE: Final = 4  # substeps after which scores are taken: about one of the fastest time constants
 
 STIFF: Final = 8
 """Substeps a sample above which even the ideal plant takes them: about two of the fastest time constants."""
@@ -48,8 +45,7 @@ C_AF, C_AR, L_F, L_R, MASS, I_Z, MU, PRINTED = range(22, 30)
 CURVATURE_BIAS: Final = 30  # [1/m] outward
 SUBSTEPS: Final = 31  # of the Runge-Kutta method in a segment
 BEND: Final = 32  # 3 columns: y'' of the recorded path without residuals as a polynomial in t
-SCENE: Final = 35
-"""Then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter."""
+SCENE: Final = 35  # then, in this order: amplitudes of the speed residual, frames before the trigger, the Kalman filter
 
 # the filter's own columns: gain (4 x 2), A (4 x 4); 4 each: weights of the younger of two commands, of the lane's yaw
 # rate at both ends, of the older command, of the wheel angle; first estimate

@@ -23,11 +23,8 @@ from ldctoolkit.simulation.kernel.lanes import LARGEST, L, copy, length_of
 
 _B, _E_0, _E_1, _AREA_X = (at.STEP + n * L for n in (at.EX_B, at.EX_E_0, at.EX_E_1, at.EX_X))
 
-_CHANGED: Final = at.LIMITS // L
-"""Rows that a run changes, but for those of the law."""
-
-_WRONG: Final = 2.0
-"""Flag of a command that is not finite."""
+_CHANGED: Final = at.LIMITS // L  # rows that a run changes, but for those of the law
+_WRONG: Final = 2.0  # flag of a command that is not finite
 
 
 @numba.njit(**OPTIONS)

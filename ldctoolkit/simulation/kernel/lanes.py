@@ -19,8 +19,7 @@ L: Final = at.LANES
 
 # ------------------------------------------------------------------------------------------------ the table of a block
 
-SAME: Final = 1e-9
-"""Parts of a sample that are rounding."""
+SAME: Final = 1e-9  # parts of a sample that are rounding
 
 LARGEST: Final = 1.7e308
 """Command [rad] that still counts as a finite number: a comparison with infinity itself is not compiled for lanes."""

@@ -20,11 +20,8 @@ from ldctoolkit.simulation.kernel.lanes import LARGEST, SAME, L, copy, length_of
 HEADER: Final = 9 * L
 POINT_SIZE: Final = 4 * L
 
-_CAMERA: Final = 4
-"""Stream of random numbers; see `ldctoolkit.paths.uncorrected`."""
-
-_FRAME_ZERO: Final = 1 << 20
-"""Counter of the frame at the trigger: earlier ones have numbers too."""
+_CAMERA: Final = 4  # stream of random numbers; see `ldctoolkit.paths.uncorrected`
+_FRAME_ZERO: Final = 1 << 20  # counter of the frame at the trigger: earlier ones have numbers too
 
 
 @numba.njit(**OPTIONS)

@@ -19,8 +19,7 @@ from typing import Any, Final
 from ldctoolkit.errors import ClusterError, LdcError
 from studies.running.executors.processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
 
-LOCAL: Final = "local"
-"""Address that stands for a cluster started on this machine."""
+LOCAL: Final = "local"  # address that stands for a cluster started on this machine
 
 _CONNECT = "15s"
 
@@ -29,8 +28,7 @@ _NOT_THERE: Final = (ModuleNotFoundError, ImportError, AttributeError)
 _ONE_THREAD: Final = {"POLARS_MAX_THREADS": "1"}
 """For workers that are started here; Dask itself keeps the other libraries to one thread."""
 
-_CLOSE = 30.0
-"""Seconds that leaving a cluster may take."""
+_CLOSE = 30.0  # seconds that leaving a cluster may take
 
 
 class Connection:
@@ -137,14 +135,9 @@ def unable(who: str, error: object) -> ClusterError:
 
 _LISTEN_EVERY = 0.2
 
-_COUNT_EVERY = 3.0
-"""Seconds after which workers are counted again; the scheduler has other things to do."""
-
-_ANSWER = 10.0
-"""Seconds that the scheduler has to answer a question, or to hand over a result."""
-
-_GRACE = 60.0
-"""Seconds that a run goes on without any worker: one that is restarted comes back within them."""
+_COUNT_EVERY = 3.0  # seconds after which workers are counted again; the scheduler has other things to do
+_ANSWER = 10.0  # seconds that the scheduler has to answer a question, or to hand over a result
+_GRACE = 60.0  # seconds that a run goes on without any worker: one that is restarted comes back within them
 
 _log = logging.getLogger("studies")
 

@@ -155,8 +155,7 @@ def attempt(action: Callable[[], object], seconds: float) -> None:
 SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")
 """Packages whose versions decide a number's last bits: they must be the same here and on every worker."""
 
-Versions = tuple[tuple[str, str], ...]
-"""Names of packages and their versions; ``"not installed"`` where there is none."""
+Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
 
 
 @functools.cache
@@ -189,8 +188,7 @@ def run_checked(sender: Versions, task: bytes) -> Any:
     return run_task(pickle.loads(task))
 
 
-_LONGEST = 4e6
-"""Seconds, 46 days, that every platform can watch for; a longer limit counts as this one."""
+_LONGEST = 4e6  # seconds, 46 days, that every platform can watch for; a longer limit counts as this one
 
 _local = threading.local()
 _notes: IO[str] | None = None
@@ -266,17 +264,13 @@ def _watch(thread: int, deadline: float | None) -> None:
                 faulthandler.dump_traceback_later(left, exit=True)
 
 
-_LISTEN_EVERY = 0.2
-"""Seconds after which an interrupt is noticed at the latest."""
-
-_IDLE = 30.0
-"""Seconds after which workers without work end; until then the next run of this process finds them ready."""
+_LISTEN_EVERY = 0.2  # seconds after which an interrupt is noticed at the latest
+_IDLE = 30.0  # seconds after which workers without work end; until then the next run of this process finds them ready
 
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
 """The workers are what runs in parallel."""
 
-_CLOSE = 30.0
-"""Seconds that ending the workers may take."""
+_CLOSE = 30.0  # seconds that ending the workers may take
 
 _NOTE = re.compile(r"^(?:task (\d+)|(done|Timeout)\b.*)$", re.MULTILINE)
 """A line of a worker's notes: what it began, that it was done, or the first line of the dump that ends it."""

@@ -22,11 +22,8 @@ from ldctoolkit.recordings import (
 )
 from ldctoolkit.recordings.sources import recording_reader
 
-MOST_LETTERS = 600
-"""Of a problem in words: a file's name of up to 255 bytes, and a sentence with a cell cut short."""
-
-PATIENCE = 60
-"""Seconds after which an example counts as hanging; the slowest takes well under one."""
+MOST_LETTERS = 600  # of a problem in words: a file's name of up to 255 bytes, and a sentence with a cell cut short
+PATIENCE = 60  # seconds after which an example counts as hanging; the slowest takes well under one
 
 
 class HangError(BaseException):

@@ -13,8 +13,7 @@ import polars as pl
 from hypothesis import strategies as st
 
 Files = dict[str, bytes]
-Damage = tuple[str, int, int, bytes]
-"""Operation, two numbers that say where, and bytes to put there."""
+Damage = tuple[str, int, int, bytes]  # operation, two numbers that say where, and bytes to put there
 
 WORDS_OF_TEXT = tuple(
     word.encode()

@@ -8,12 +8,10 @@ import polars as pl
 
 from helpers import das1, das2
 
-Files = dict[str, bytes]
-"""Content of each file by its name, with folders."""
+Files = dict[str, bytes]  # content of each file by its name, with folders
 
 TRIPS = 3
-ROWS = 36
-"""Samples of a trip at 10 Hz."""
+ROWS = 36  # samples of a trip at 10 Hz
 
 DEPARTURES = {"table": TRIPS, "spmd-das1": TRIPS, "spmd-das2": TRIPS, "uah-driveset": 2}
 """In the sound files of each format: one a trip."""

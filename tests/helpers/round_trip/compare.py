@@ -13,8 +13,7 @@ from .drive import Drive
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-NEAR = 0.5
-"""Largest distance [s] between the starts of a departure and of the planted one that it is."""
+NEAR = 0.5  # largest distance [s] between the starts of a departure and of the planted one that it is
 
 
 @dataclasses.dataclass(frozen=True)

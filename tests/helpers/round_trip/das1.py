@@ -8,8 +8,7 @@ import polars as pl
 
 from .sensors import Measured
 
-DEVICES = 20
-"""Vehicles that the trips are spread over."""
+DEVICES = 20  # vehicles that the trips are spread over
 
 DECIMALS = 9
 

@@ -22,20 +22,11 @@ VEHICLE_WIDTH = 1.82
 LANE_WIDTH, WIDTH_SWING, WIDTH_PERIOD = 3.6, 0.1, 97.0
 """The lane's width [m] swings slowly: mean, amplitude, period [s]."""
 
-LONGEST_APPROACH = 2.0
-"""s, between the line and the rest beside it."""
-
-REST = (0.1, 0.6)
-"""Distance from the line [m] at rest: least, most."""
-
-CROSSING_OVER = (2.0, 4.0)
-"""s, from one rest to the next."""
-
-LEAD = 6.0
-"""s, before a trip's first departure and after its last."""
-
-HELD = 1.0
-"""s for which the curvature stays outside a departure where it is said to be held."""
+LONGEST_APPROACH = 2.0  # s, between the line and the rest beside it
+REST = (0.1, 0.6)  # distance from the line [m] at rest: least, most
+CROSSING_OVER = (2.0, 4.0)  # s, from one rest to the next
+LEAD = 6.0  # s, before a trip's first departure and after its last
+HELD = 1.0  # s for which the curvature stays outside a departure where it is said to be held
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,8 +24,7 @@ from ldctoolkit.departures import DepartureParameters
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-STEP = 0.1
-"""Of the clock [s]."""
+STEP = 0.1  # of the clock [s]
 
 LARGEST_EXPONENT = 3.0
 """y is at least exp(-6) of what it would be with the largest mode value: no event falls apart of itself."""

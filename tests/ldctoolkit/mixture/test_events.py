@@ -13,8 +13,7 @@ from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events, inside_bounds, profile_of, sums_of
 
 INF = np.inf
-ROWS = 24_653
-"""Three whole blocks and a part of one."""
+ROWS = 24_653  # three whole blocks and a part of one
 
 
 def rows(n=ROWS, d=3, seed=0):

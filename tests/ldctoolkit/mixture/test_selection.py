@@ -34,8 +34,7 @@ def assert_same(one, other):
 
 # ---- the right K
 
-TRUTHS = {0: (2, 3), 1: (3, 4), 2: (4, 5), 8: (5, 3), 9: (6, 5)}
-"""K and d of each seed."""
+TRUTHS = {0: (2, 3), 1: (3, 4), 2: (4, 5), 8: (5, 3), 9: (6, 5)}  # K and d of each seed
 
 
 def separated(seed):

@@ -16,8 +16,7 @@ from ldctoolkit.recordings import Recording
 from ldctoolkit.recordings.preparation import resample
 
 SETTINGS = examples(80)
-EPS = 1e-6
-"""Share of a step that the edge of a window is wider."""
+EPS = 1e-6  # share of a step that the edge of a window is wider
 
 
 def recording(t: Any, **changes: Any) -> Recording:

@@ -22,8 +22,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
 
-ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))
-"""The ideal plant in effect, driven by the Runge-Kutta loop."""
+ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))  # the ideal plant in effect, driven by the Runge-Kutta loop
 
 CLOSED = {
     "preview": PreviewProportional(), "LQR": LQR(r_delta=100.0),

@@ -116,8 +116,7 @@ CASES = {
     "frozen speed, magic formula, actuator, filter": PlantOptions(tyres=MAGIC, actuator=STEERING, sensors=FILTERED),
 }
 
-STATES = 1e-4
-"""How far a state may be from the reference, in parts of its range."""
+STATES = 1e-4  # how far a state may be from the reference, in parts of its range
 
 
 SCORED = (

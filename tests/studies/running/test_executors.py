@@ -27,8 +27,7 @@ from studies.running.tasks import Done
 
 MakeStudy = Callable[..., Study]
 
-LONG = 600
-"""Seconds that a process which is sure to end may take, on a machine that does other things as well."""
+LONG = 600  # seconds that a process which is sure to end may take, on a machine that does other things as well
 
 DESIGNS = [
     {"law": "none"},

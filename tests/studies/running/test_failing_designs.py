@@ -26,8 +26,7 @@ SLOW = pytest.mark.slow
 MakeStudy = Callable[..., Study]
 pytestmark = pytest.mark.usefixtures("laws", "broken_laws")
 
-MEMORY: list[float] = []
-"""What a law must not have."""
+MEMORY: list[float] = []  # what a law must not have
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,8 +18,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are k
 
 KILLS = 4
 
-LONG = 600
-"""Seconds that a whole run may take, on a machine that does other things as well and has to compile first."""
+LONG = 600  # seconds that a whole run may take, on a machine that does other things as well and has to compile first
 
 OFTEN = """
 import sys

@@ -20,8 +20,7 @@ from studies.runner import study_model
 
 MakeStudy = Callable[..., Study]
 
-FAULTY: list[float] = []
-"""Speeds of the scenarios at fault; sent to workers along with the class."""
+FAULTY: list[float] = []  # speeds of the scenarios at fault; sent to workers along with the class
 
 
 @dataclasses.dataclass(frozen=True)

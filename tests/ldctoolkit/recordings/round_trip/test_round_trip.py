@@ -12,8 +12,7 @@ from ldctoolkit.departures import PARAMETER_NAMES
 
 PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
 
-LARGEST = 0.03
-"""Kolmogorov distance that is allowed to every parameter on each side."""
+LARGEST = 0.03  # Kolmogorov distance that is allowed to every parameter on each side
 
 
 def extracted(folder, drive, noise, **options):
@@ -84,8 +83,7 @@ def test_what_the_vehicle_turns_itself_is_in_the_curvature(tmp_path):
     assert np.median(middle / expected) == pytest.approx(0.9, abs=0.1)  # the window takes some of the way back in
 
 
-N = 20_000
-"""Departures of the page; drawn, driven and measured with the seeds of the tool that prints its tables."""
+N = 20_000  # departures of the page; drawn, driven and measured with the seeds of the tool that prints its tables
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,7 @@ from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.spmd_das1 import ALONE, READER
 
-ROWS = 120
-"""Rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in line 2 + 120 (k - 1)."""
+ROWS = 120  # rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in line 2 + 120 (k - 1)
 
 
 @pytest.fixture

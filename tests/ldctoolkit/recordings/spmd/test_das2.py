@@ -227,8 +227,7 @@ WHOLE: dict[str, tuple[Callable[[bytes], bytes], str]] = {
 }
 
 
-ANYHOW = ("semicolons", "UTF-16")
-"""These can be in a table without a header, too."""
+ANYHOW = ("semicolons", "UTF-16")  # these can be in a table without a header, too
 
 
 @pytest.mark.parametrize(
