@@ -10,13 +10,10 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from controllers.riccati import Weights, in_time, regulator
 from ldctoolkit import Plant
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")  # kinds of soft limits, in the order of their rows
 
@@ -68,7 +65,7 @@ class Condensed(NamedTuple):
         return Condensed(*(each[rows] for each in self))
 
 
-class Given(NamedTuple):
+class InitialState(NamedTuple):
     """What a sample gives to the QPs of n scenarios."""
 
     x: FloatArray

@@ -33,12 +33,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import Condensed, Given, Limits
+from controllers._mpc_condensing import Condensed, InitialState, Limits
+from ldctoolkit.arrays import FloatArray, IntArray
 
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # strict IEEE: a scenario's numbers are the same bits whichever stand beside it
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
@@ -503,7 +502,7 @@ def sweep(
     c: Condensed,
     limits: Limits,
     guess: bool,
-    given: Given,
+    initial: InitialState,
     last: FloatArray,
     last_slack: FloatArray,
     U: FloatArray,
@@ -518,11 +517,11 @@ def sweep(
     scenario is left to the solver. Results are U (n, N), delta (n,), w (n, M + 3), multipliers (n, R) and how (n,).
     """
     n, N = U.shape
-    X, prev, sent, r_all, past = given
+    X, prev, sent, r_all, past = initial
     M, R = limits.start.size, limits.group.size
     y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
     C, G, a, room = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
-    x, costate = np.empty(given.x.shape[1]), np.empty((2, given.x.shape[1]))
+    x, costate = np.empty(initial.x.shape[1]), np.empty((2, initial.x.shape[1]))
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
     for i in range(n):
@@ -568,7 +567,7 @@ def assemble(
     c: Condensed,
     limits: Limits,
     rows: IntArray,
-    given: Given,
+    initial: InitialState,
     U: FloatArray,
     C: FloatArray,
     y: FloatArray,
@@ -577,8 +576,8 @@ def assemble(
 ) -> None:
     """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
     N, M = U.shape[1], limits.start.size
-    X, prev, sent, r_all, past = given
-    G, a, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(given.x.shape[1])
+    X, prev, sent, r_all, past = initial
+    G, a, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(initial.x.shape[1])
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
     for k in range(rows.size):
         i = rows[k]

@@ -16,12 +16,10 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import Condensed, Given, Limits
+from controllers._mpc_condensing import Condensed, InitialState, Limits
 from ldctoolkit import EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, nearest
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 EPS: Final = 1e-6  # tolerance of OSQP, absolute and relative
 
@@ -391,10 +389,10 @@ class MPCLaw(SteeringLaw):
         n, N, M = x.shape[0], self.horizon, self.limits.start.size
         U, delta, how = np.empty((n, N)), np.empty(n), np.empty(n, dtype=np.int8)
         w, multipliers = np.zeros((n, M + 3)), np.zeros_like(state.multipliers)
-        given = self._given(x, preview.yaw_rate, delta_prev, state)
+        initial = self._initial_state(x, preview.yaw_rate, delta_prev, state)
         before = (state.multipliers, state.slack)
         proves = not self.always_solve
-        kernel.sweep(self.condensed, self.limits, proves, given, *before, U, delta, w, multipliers, how)
+        kernel.sweep(self.condensed, self.limits, proves, initial, *before, U, delta, w, multipliers, how)
 
         rung = np.where(how == kernel.HELD, np.int8(Rung.HELD), np.int8(Rung.FREE))
         beyond = how == kernel.BEYOND
@@ -407,12 +405,12 @@ class MPCLaw(SteeringLaw):
         rows = np.flatnonzero(how == kernel.OPEN)
         if rows.size:
             workspaces = Workspaces(workspaces)
-            calls = self._solve(rows, given, U, delta, w, multipliers, rung, workspaces)
+            calls = self._solve(rows, initial, U, delta, w, multipliers, rung, workspaces)
         slack = np.maximum(w[:, M:], 0.0)
-        state = MPCState(multipliers, slack, rung, _calls(calls), workspaces, *self._after(given, delta, state))
+        state = MPCState(multipliers, slack, rung, _calls(calls), workspaces, *self._after(initial, delta, state))
         return delta, state, _STATUS[rung]
 
-    def _given(self, x: FloatArray, r: FloatArray, delta_prev: FloatArray, state: MPCState) -> Given:
+    def _initial_state(self, x: FloatArray, r: FloatArray, delta_prev: FloatArray, state: MPCState) -> InitialState:
         """What the QPs start from; before the first sample the command was what it is at the trigger."""
         sent = np.column_stack([state.sent[:, 1:], delta_prev])
         sent = np.where(np.isnan(sent), delta_prev[:, None], sent)
@@ -427,7 +425,7 @@ class MPCLaw(SteeringLaw):
             now = self._acceleration(full, sent[:, 0], r)[:, None, None]
             past = np.concatenate([state.past, np.tile(now, (1, 2, 1))], axis=2)
             past = np.where(np.isnan(past), now, past)
-        return Given(full, delta_prev, sent, np.ascontiguousarray(r), past)
+        return InitialState(full, delta_prev, sent, np.ascontiguousarray(r), past)
 
     def _acceleration(self, x: FloatArray, u: FloatArray, r: FloatArray) -> FloatArray:
         """A of now with the command u [m/s^2]."""
@@ -435,22 +433,24 @@ class MPCLaw(SteeringLaw):
         result: FloatArray = np.sum(a[:, :m] * x, axis=1) + a[:, m] * u + a[:, m + 1] * r[:, 0]
         return result
 
-    def _after(self, given: Given, delta: FloatArray, state: MPCState) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _after(
+        self, initial: InitialState, delta: FloatArray, state: MPCState
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Commands sent, the wheel's angle and accelerations that the next sample starts from."""
-        arrived = given.sent[:, 1] if self.limits.delay else delta
+        arrived = initial.sent[:, 1] if self.limits.delay else delta
         wheel, past = state.wheel, state.past
         if self.lagging:
             A, B = self.condensed.A, self.condensed.B
-            wheel = np.sum(A[:, 4, 4:] * given.x[:, 4:], axis=1) + B[:, 4] * arrived
+            wheel = np.sum(A[:, 4, 4:] * initial.x[:, 4:], axis=1) + B[:, 4] * arrived
         if self.limits.window:
-            past = given.past[:, :, 1:].copy()
-            past[:, 1, -1] = self._acceleration(given.x, arrived, given.r)
-        return given.sent, wheel, past
+            past = initial.past[:, :, 1:].copy()
+            past[:, 1, -1] = self._acceleration(initial.x, arrived, initial.r)
+        return initial.sent, wheel, past
 
     def _solve(
         self,
         rows: IntArray,
-        given: Given,
+        initial: InitialState,
         U: FloatArray,
         delta: FloatArray,
         w: FloatArray,
@@ -463,7 +463,7 @@ class MPCLaw(SteeringLaw):
 
         M, R = self.limits.start.size, self.limits.group.size
         C, y, low, high = np.empty((rows.size, R, M)), *(np.empty((rows.size, R)) for _ in range(3))
-        kernel.assemble(self.condensed, self.limits, rows, given, U, C, y, low, high)
+        kernel.assemble(self.condensed, self.limits, rows, initial, U, C, y, low, high)
         form = Form(self.limits)
         lower, upper = form.bounds(low - y, high - y)
         starts = form.split(multipliers[rows])
@@ -483,7 +483,7 @@ class MPCLaw(SteeringLaw):
                 w[i], multipliers[i] = 0.0, 0.0
                 wanted = min(max(delta[i], -self.limits.delta_max), self.limits.delta_max)
                 step = self.limits.rate_step
-                delta[i] = given.prev[i] + min(max(wanted - given.prev[i], -step), step)
+                delta[i] = initial.prev[i] + min(max(wanted - initial.prev[i], -step), step)
                 rung[i] = Rung.SATURATED
                 continue
             w[i], multipliers[i] = form.join(answer)

@@ -18,11 +18,9 @@ import dataclasses
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import Plant
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 SHAPE: Final = 1.3  # Pacejka's C of the tyres that the law believes in
 

@@ -28,9 +28,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from controllers._nmpc_model import SIZE, sample, unpack
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, nearest
 
 
@@ -262,8 +262,6 @@ def _compile(compiler: str, text: str, target: Path) -> None:
         with contextlib.suppress(FileExistsError):
             made.replace(target)
 
-
-FloatArray = npt.NDArray[np.float64]
 
 MAX_ITERATIONS: Final = 60
 _STEP_NEWTON: Final = 1e-5  # [rad] the error after a full Newton step is the square of it, up to a factor
@@ -506,7 +504,7 @@ class Workspace:
 
     def _qp(
         self, H: FloatArray, rows: FloatArray | None, soft: SoftLimits | None
-    ) -> tuple[FloatArray | None, FloatArray | None, npt.NDArray[np.bool_]]:
+    ) -> tuple[FloatArray | None, FloatArray | None, BoolArray]:
         import daqp
 
         N = self.N

@@ -60,6 +60,7 @@ from ldctoolkit import (
     gain,
     option,
 )
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
 
 
@@ -112,9 +113,6 @@ def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
         return law
     what = type(law).__name__
     raise InputError(f"{owner}.inner: {design.name!r} prepared a {what}; allowed: a LinearLaw or a SteeringLaw")
-
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @final
@@ -238,7 +236,7 @@ class BarrierLaw(SteeringLaw):
         wanted = np.where(wrong, delta_prev, delta)
         return np.clip(np.clip(wanted, lower, upper), -self.delta_max, self.delta_max), state, status
 
-    def take(self, rows: npt.NDArray[np.int64], state: Any) -> tuple[BarrierLaw, Any] | None:
+    def take(self, rows: IntArray, state: Any) -> tuple[BarrierLaw, Any] | None:
         """Only some scenarios, where the law inside can be cut down."""
         taken = self.inner.take(rows, state)
         if taken is None:

@@ -34,10 +34,11 @@ import numpy.typing as npt
 
 from controllers._mpc_condensing import SHARES, WINDOW, jerk_window
 from controllers._mpc_law import lane, lookahead
-from controllers._nmpc_model import FloatArray, pack, steady_cornering
+from controllers._nmpc_model import pack, steady_cornering
 from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
 from controllers.riccati import regulator
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 
 # units of the soft limits' violations: m/s^2, m/s^3, m
 _SCALES = (1.0, 10.0, 0.1)
@@ -153,9 +154,9 @@ class NonlinearMPCState:
     """
 
     U: FloatArray
-    ready: npt.NDArray[np.bool_]
+    has_plan: BoolArray
     rung: npt.NDArray[np.int8]
-    iterations: npt.NDArray[np.int64]
+    iterations: IntArray
     residual: FloatArray
     cost: FloatArray
     sent: FloatArray
@@ -187,7 +188,7 @@ class NonlinearMPCLaw(SteeringLaw):
         zero = np.zeros(n)
         return NonlinearMPCState(
             U=np.zeros((n, self.design.horizon)),
-            ready=np.zeros(n, dtype=np.bool_),
+            has_plan=np.zeros(n, dtype=np.bool_),
             rung=np.zeros(n, dtype=np.int8),
             iterations=np.zeros(n, dtype=np.int64),
             residual=zero,
@@ -196,7 +197,7 @@ class NonlinearMPCLaw(SteeringLaw):
             past=np.full((n, 2, jerk_window(self.plant.dt)[0]), np.nan),
         )
 
-    def take(self, rows: npt.NDArray[np.int64], state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
+    def take(self, rows: IntArray, state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
         """Only some scenarios, each with its last plan."""
         p = self.plant
         step = dataclasses.replace(
@@ -242,7 +243,7 @@ class NonlinearMPCLaw(SteeringLaw):
             self._begin(work, lane_ahead[i], after, i)
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
-            found = self._solve(work, state.U[i] if state.ready[i] else None)
+            found = self._solve(work, state.U[i] if state.has_plan[i] else None)
             wanted = float(found.U[0])
             if found.solved:
                 after.U[i] = found.U
@@ -252,7 +253,7 @@ class NonlinearMPCLaw(SteeringLaw):
                 K = self.columns[i, -5:-1]
                 wanted = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
                 wanted = min(max(wanted, low[i, 0]), high[i, 0]) if np.isfinite(wanted) else 0.0
-            after.ready[i] = found.solved
+            after.has_plan[i] = found.solved
             after.iterations[i], after.residual[i], after.cost[i] = found.iterations, found.step, found.cost
             wanted = min(max(wanted, low[i, 0]), high[i, 0])
             # a sum with 0 turns -0 into 0

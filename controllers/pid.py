@@ -35,8 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 
 @final
@@ -104,7 +103,7 @@ class PIDLaw(SteeringLaw):
         """Nothing is integrated yet."""
         return np.zeros(n)
 
-    def take(self, rows: npt.NDArray[np.int64], state: FloatArray) -> tuple[PIDLaw, FloatArray]:
+    def take(self, rows: IntArray, state: FloatArray) -> tuple[PIDLaw, FloatArray]:
         """Only some scenarios, each with its integral."""
         names = ("distance", "e_psi_ss", "delta_ss")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names}), state[rows]

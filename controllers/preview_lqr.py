@@ -31,12 +31,10 @@ import math
 from typing import ClassVar, final
 
 import numpy as np
-import numpy.typing as npt
 
 from controllers.riccati import Regulator, in_time, linear_law, regulator
 from ldctoolkit import Controller, LinearLaw, Plant, gain
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray
 
 
 @final

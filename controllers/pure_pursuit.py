@@ -31,9 +31,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEP = 0.1  # s between two looks at the lane
 
@@ -125,7 +124,7 @@ class PurePursuitLaw(SteeringLaw):
     def init(self, n: int) -> None:
         """No state."""
 
-    def take(self, rows: npt.NDArray[np.int64], state: None) -> tuple[PurePursuitLaw, None]:
+    def take(self, rows: IntArray, state: None) -> tuple[PurePursuitLaw, None]:
         """Only some scenarios."""
         names = ("ahead", "of_heading", "of_yaw_rate")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names}), None

@@ -14,11 +14,10 @@ import dataclasses
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, LinearLaw, Plant, scheduled
+from ldctoolkit.arrays import BoolArray, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Weights = tuple[float, float, float, float]
 
 __all__ = ["SPEED_RANGE", "Regulator", "feedback", "in_time", "linear_law", "regulator"]
@@ -132,7 +131,7 @@ class _Riccati:
         with np.errstate(all="ignore"):  # what does not converge is named below
             K = _gain(full, inputs, _doubled(full, inputs, q, self.r), self.r)
             P, K = _newton(full, inputs, q, self.r, K)
-        poor: npt.NDArray[np.bool_] = ~np.isfinite(np.concatenate([P, K[:, None]], axis=1)).all(axis=(1, 2))
+        poor: BoolArray = ~np.isfinite(np.concatenate([P, K[:, None]], axis=1)).all(axis=(1, 2))
         closed = full - inputs[:, :, None] * np.where(poor[:, None], 0.0, K)[:, None, :]
         poor |= ~(np.abs(np.linalg.eigvals(closed)).max(axis=1) < 1.0)
         if poor.any():

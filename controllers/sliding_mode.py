@@ -46,8 +46,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 
 @final
@@ -130,7 +129,7 @@ class SlidingModeLaw(SteeringLaw):
         """No disturbance is known yet."""
         return np.zeros(n)
 
-    def take(self, rows: npt.NDArray[np.int64], state: FloatArray) -> tuple[SlidingModeLaw, FloatArray]:
+    def take(self, rows: IntArray, state: FloatArray) -> tuple[SlidingModeLaw, FloatArray]:
         """Only some scenarios, each with its w."""
         names = ("c", "drift", "cB", "cD", "e_psi_ss", "delta_ss")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names}), state[rows]

@@ -30,8 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
-
-FloatArray = npt.NDArray[np.float64]
+from ldctoolkit.arrays import FloatArray, IntArray
 
 
 @final
@@ -96,7 +95,7 @@ class StanleyLaw(SteeringLaw):
         """No change of the command is known yet."""
         return None
 
-    def take(self, rows: npt.NDArray[np.int64], state: FloatArray | None) -> tuple[StanleyLaw, FloatArray | None]:
+    def take(self, rows: IntArray, state: FloatArray | None) -> tuple[StanleyLaw, FloatArray | None]:
         """Only some scenarios."""
         law = dataclasses.replace(self, v=self.v[rows], slip=self.slip[rows])
         return law, None if state is None else state[rows]

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
 
 
@@ -24,14 +24,14 @@ class ExtraColumn:
 
     name: str  # of the column in a departures table; a number's name ends with its unit
     # (n,) text, empty where it is not known, or numbers, NaN where they are not
-    values: npt.NDArray[np.str_] | npt.NDArray[np.float64]
+    values: npt.NDArray[np.str_] | FloatArray
 
-    def take(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_] | slice) -> ExtraColumn:
+    def take(self, rows: IntArray | BoolArray | slice) -> ExtraColumn:
         """The same column of chosen departures."""
         return ExtraColumn(self.name, self.values[rows])
 
 
-def joined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tuple[ExtraColumn, ...]:
+def combined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tuple[ExtraColumn, ...]:
     """Extra columns of several tables, one after the other; what a table lacks is empty there.
 
     In the order in which the names first come. A column that is text anywhere is text.
@@ -70,7 +70,7 @@ PARAMETER_COLUMNS: Final = {
 """Parameter -> its column in a stored table, the unit at the end: ``v_mean_m_s``."""
 
 
-def row_index(rows: npt.ArrayLike | slice) -> npt.NDArray[np.int64] | npt.NDArray[np.bool_] | slice:
+def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
     """Rows to take: an index array, a mask or a slice; an empty list takes none."""
     index = rows if isinstance(rows, slice) else np.asarray(rows)
     if not isinstance(index, slice) and index.size == 0:
@@ -418,10 +418,10 @@ def no_departures() -> Departures:
     )
 
 
-def joined_departures(parts: Sequence[Departures]) -> Departures:
+def combined_departures(parts: Sequence[Departures]) -> Departures:
     """Departures one after the other; an extra column that a part lacks is empty there."""
     if not parts:
         return no_departures()
     names = [field.name for field in dataclasses.fields(Departures) if field.name != "extra"]
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Departures(**columns, extra=joined_columns([(part.extra, part.n) for part in parts]))
+    return Departures(**columns, extra=combined_columns([(part.extra, part.n) for part in parts]))

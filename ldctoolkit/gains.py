@@ -156,8 +156,8 @@ def option(default: str, *, choices: tuple[str, ...] | None, description: str) -
     description : str
         One line.
     """
-    words = () if choices is None else choices
-    return _field(default, "1", -math.inf, math.inf, "linear", words, description, text=choices is None)
+    allowed = () if choices is None else choices
+    return _field(default, "1", -math.inf, math.inf, "linear", allowed, description, text=choices is None)
 
 
 def _field(

@@ -33,16 +33,16 @@ _LONGEST = 500
 
 def raised(error: BaseException) -> str:
     """What was raised, with the law's own file and line; messages of the toolkit as they are."""
-    words = _clean(_said(error))
+    text = _clean(_message(error))
     if not isinstance(error, LdcError):
         called = _clean(type(error).__name__)
-        words = f"{called}: {words}" if words else called
-    if len(words) > _LONGEST:
-        words = f"{words[: _LONGEST - 4]} ..."
-    return words if isinstance(error, LdcError) else f"{words} {_clean(_place(error))}".rstrip()
+        text = f"{called}: {text}" if text else called
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST - 4]} ..."
+    return text if isinstance(error, LdcError) else f"{text} {_clean(_place(error))}".rstrip()
 
 
-def _said(error: BaseException) -> str:
+def _message(error: BaseException) -> str:
     """The message; an exception may be anybody's code too, and have none."""
     try:
         return str(error)
@@ -52,9 +52,9 @@ def _said(error: BaseException) -> str:
         return f"its message cannot be read, __str__ raises {type(second).__name__}"
 
 
-def _clean(words: str) -> str:
+def _clean(text: str) -> str:
     """One line without control characters, which steer a terminal, and lone surrogates, which no file takes."""
-    known = words.encode("utf-8", "backslashreplace").decode("utf-8")
+    known = text.encode("utf-8", "backslashreplace").decode("utf-8")
     return "".join(c for c in " ".join(known.split()) if c.isprintable())
 
 

@@ -1,8 +1,8 @@
 """Metrics: one table of what is measured beside S, what it is called and how it is shown, and the shares taken of it.
 
-A metric of a scenario is a field of `Companions`, a row with its unit, title, digits and limit. A metric of a design is
-a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns of
-the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
+A metric of a scenario is a field of `MetricValues`, a row with its unit, title, digits and limit. A metric of a design
+is a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns
+of the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
 
 Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
 """
@@ -42,7 +42,7 @@ JERK_WINDOW: Final = 0.5  # moving average [s] of the lateral jerk (ISO 11270)
 
 @dataclasses.dataclass(frozen=True)
 class ScenarioMetric:
-    """One number a scenario beside S: a row of the table, kept with the field of `Companions` that holds the values."""
+    """One number a scenario beside S: a row of the table, kept with the field of `MetricValues` that holds it."""
 
     unit: str
     title: str  # What a page calls it
@@ -60,7 +60,7 @@ def _column(name: str, unit: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Companions:
+class MetricValues:
     """What is reported beside S, one number a scenario: arrays of n, or of (d, n) for d designs.
 
     The first two are about the departure, [0, T]; the others about everything that was driven, [t_s, T + settle]. The
@@ -116,13 +116,13 @@ class Companions:
 
 
 SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
-    one.name: one.metadata["row"] for one in dataclasses.fields(Companions)
+    one.name: one.metadata["row"] for one in dataclasses.fields(MetricValues)
 }
 """Every metric of a scenario beside S by its name."""
 
-COMPANION_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
+METRIC_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
 
-COMPANION_COLUMNS: Final = {name: _column(name, one.unit) for name, one in SCENARIO_METRICS.items()}
+METRIC_COLUMNS: Final = {name: _column(name, one.unit) for name, one in SCENARIO_METRICS.items()}
 """Metric of a scenario -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
 
 

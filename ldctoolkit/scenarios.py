@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, nearest
 
@@ -124,7 +124,7 @@ def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     return given.astype(np.float64)
 
 
-def _refuse(bad: npt.NDArray[np.bool_], name: str, values: npt.NDArray[Any], allowed: str) -> None:
+def _refuse(bad: BoolArray, name: str, values: npt.NDArray[Any], allowed: str) -> None:
     if bad.any():
         row = int(np.argmax(bad))
         more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
@@ -156,6 +156,6 @@ def _check_limits(made: Scenarios) -> None:
         _refuse(bad, name, getattr(made, name), allowed)
 
 
-def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> FloatArray:
     """Lowest speed [m/s] of a departure whose speed changes linearly: v_mean - |a_mean| T/2."""
     return np.asarray(np.asarray(v_mean) - 0.5 * np.abs(np.asarray(a_mean)) * np.asarray(T), dtype=np.float64)

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -23,6 +22,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from ldctoolkit import Controller, LdcError, controller_class
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
 from studies.design import Design
@@ -232,7 +232,7 @@ class LawSpace:
             return map(self._design, every)
         return map(self._design, {tuple(values.items()): values for values in every}.values())
 
-    def at(self, shares: npt.NDArray[np.float64]) -> tuple[Design, ...]:
+    def at(self, shares: FloatArray) -> tuple[Design, ...]:
         """The designs at points of the unit cube; two points may be one design."""
         varying = self.varying
         fixed = {name: dimension.at(0.0) for name, dimension in self.dimensions}
@@ -284,7 +284,7 @@ class SampleSettings(Part):
         return self.count * (dimensions + 2) if self.method == "saltelli" else self.count
 
 
-def unit_points(sample: SampleSettings, dimensions: int) -> npt.NDArray[np.float64]:
+def unit_points(sample: SampleSettings, dimensions: int) -> FloatArray:
     """The points of a sample in the unit cube."""
     if not dimensions:
         return np.zeros((1, 0))
@@ -301,7 +301,7 @@ def unit_points(sample: SampleSettings, dimensions: int) -> npt.NDArray[np.float
     return np.asarray(points, dtype=np.float64)
 
 
-def _saltelli(sample: SampleSettings, dimensions: int) -> npt.NDArray[np.float64]:
+def _saltelli(sample: SampleSettings, dimensions: int) -> FloatArray:
     try:
         from SALib.sample import sobol
     except ImportError:

@@ -29,12 +29,12 @@ from ldctoolkit.recordings.departures_table import Extraction, PartResult, write
 from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Evidence, Origin
+from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin, QualityStatistics
 from ldctoolkit.recordings.recording import Label, Problem
 from ldctoolkit.recordings.sources import (
     GROUP,
+    CombinedReader,
     OpenedRecordings,
-    ReadersTogether,
     RecordingPart,
     RecordingReader,
     RecordingSource,
@@ -95,7 +95,7 @@ class Probe:
 
 FORMAT_VERSION: Final = 1
 
-_SAID: Final = {
+_DESCRIPTIONS: Final = {
     "files": "the files have changed",
     "parts": "they are divided in another way",
     "program": "the program has changed",
@@ -139,7 +139,7 @@ def _program(home: Path, others: Iterable[tuple[str, Path]] = ()) -> str:
 
 def _others(home: Path, reader: RecordingReader, parts: Iterable[RecordingPart]) -> Iterator[tuple[str, Path]]:
     """Names and files of the modules outside the toolkit that a reader and its parts come from, where they have one."""
-    readers = reader.readers if isinstance(reader, ReadersTogether) else (reader,)
+    readers = reader.readers if isinstance(reader, CombinedReader) else (reader,)
     modules = {one.__name__ if isinstance(one, ModuleType) else type(one).__module__ for one in readers}
     for name in sorted(modules | {kind.__module__ for kind in {type(part) for part in parts}}):
         file = getattr(sys.modules.get(name), "__file__", None)
@@ -165,8 +165,8 @@ def what_differs(there: Plan, now: Plan) -> str:
             for name in {**b, **a}:
                 if a.get(name) != b.get(name):
                     found.append(f"{name}: {_shown(a.get(name))} there, {_shown(b.get(name))} now")
-        elif key in _SAID:
-            found.append(_SAID[key])
+        elif key in _DESCRIPTIONS:
+            found.append(_DESCRIPTIONS[key])
         else:
             found.append(f"{key}: {_shown(a)} there, {_shown(b)} now")
     more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
@@ -338,7 +338,7 @@ def _checksum(content: bytes) -> str:
 _CLASSES: Final[dict[str, Any]] = {
     kind.__name__: kind
     for kind in (
-        PartResult, Departures, ExtraColumn, Account, Origin, Label, Evidence, Drawn, DrawnEvent, Problem,
+        PartResult, Departures, ExtraColumn, Account, Origin, Label, QualityStatistics, Drawn, DrawnEvent, Problem,
     )
 }  # fmt: skip
 """Everything that a result is made of."""
@@ -393,7 +393,7 @@ def _unpacked(value: Any, arrays: Any) -> Any:
 
 
 SMALL: Final = 16 << 20  # bytes that this process has read before others would have started
-MOST_SAID: Final = 3  # problems that a `NothingReadError` puts into its message
+MOST_NAMED: Final = 3  # problems that a `NothingReadError` puts into its message
 
 Progress = Callable[[int, int], None]
 
@@ -402,9 +402,9 @@ class NothingReadError(RecordingError):
     """No recording could be read."""
 
     def __init__(self, problems: tuple[Problem, ...]) -> None:
-        told = "; ".join(map(str, problems[:MOST_SAID])) or "the files hold no recording"
-        more = f" ({len(problems):,} problems in all)" if len(problems) > MOST_SAID else ""
-        super().__init__(f"{told}{more}")
+        text = "; ".join(map(str, problems[:MOST_NAMED])) or "the files hold no recording"
+        more = f" ({len(problems):,} problems in all)" if len(problems) > MOST_NAMED else ""
+        super().__init__(f"{text}{more}")
         self.problems = problems
 
 
@@ -592,7 +592,7 @@ def _in_order(
             yield store.read(work.number)
 
 
-_AHEAD: Final = 2  # parts a worker that are under way or wait in the executor
+_PREFETCH: Final = 2  # parts a worker that are under way or wait in the executor
 
 _ENDED = "ended its worker process each time it was read (out of memory?); it is left out"
 
@@ -610,7 +610,7 @@ def send_parts(executor: Executor, works: Sequence[PartWork]) -> Iterator[tuple[
                 executor.start(alone.popleft())
                 under_way = 1
         else:
-            most = 1 if executor.workers == 1 else _AHEAD * executor.workers
+            most = 1 if executor.workers == 1 else _PREFETCH * executor.workers
             while under_way < most and waiting:
                 executor.start(waiting.popleft())
                 under_way += 1

@@ -13,7 +13,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.setup import simulation_options
 from studies.design_space import fail
 
-_ALWAYS_TOLD: Final = ("tyres", "sensors.kalman", "residuals")
+_ALWAYS_SHOWN: Final = ("tyres", "sensors.kalman", "residuals")
 """Tables whose defaults say something as soon as the table is used."""
 
 
@@ -75,17 +75,17 @@ def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
     for field in _not_ideal(options):
         value = getattr(options, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _told(value, field.name)
+            yield from _shown(value, field.name)
         else:
             yield field.name, _text(value, field)
 
 
-def _told(part: Any, path: str) -> Iterator[tuple[str, str]]:
+def _shown(part: Any, path: str) -> Iterator[tuple[str, str]]:
     for field in dataclasses.fields(part):
         value, key = getattr(part, field.name), f"{path}.{field.name}"
         if dataclasses.is_dataclass(value):
-            yield from _told(value, key)
-        elif value is not None and (path in _ALWAYS_TOLD or value != field.default):
+            yield from _shown(value, key)
+        elif value is not None and (path in _ALWAYS_SHOWN or value != field.default):
             yield key, _text(value, field)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import controller_class
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from studies.design import Design
@@ -438,7 +438,7 @@ def plot_convergence(
     """
     results = results.drivable()
     found, chosen = chosen_case(results, case), chosen_designs(results, designs)
-    reference: npt.NDArray[np.float64] | float = 0.0
+    reference: FloatArray | float = 0.0
     if to is not None:
         reference = found.counted[chosen_designs(results, [to])[0]]
     order = interleaved(results.scenarios.side)
@@ -466,9 +466,7 @@ def _plain_log(axes: Axes, n: int) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
 
 
-def _front(
-    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], ranked: npt.NDArray[np.bool_], better_x: str, better_y: str
-) -> npt.NDArray[np.int64]:
+def _front(x: FloatArray, y: FloatArray, ranked: BoolArray, better_x: str, better_y: str) -> IntArray:
     """Places on the Pareto front of two metrics, from the best of the first one on; of ranked designs where any is."""
     signs = np.array([[1.0 if better == "less" else -1.0] for better in (better_x, better_y)])
     values = np.stack([x, y])

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
-from ldctoolkit.metrics import Companions
+from ldctoolkit.metrics import MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
@@ -70,7 +70,7 @@ class CaseResults:
     S: FloatArray
     S_uncorrected: FloatArray
     status: npt.NDArray[np.int8]
-    companions: Companions
+    companions: MetricValues
     failed_solves: npt.NDArray[np.int32]
     law_time: FloatArray
 
@@ -123,12 +123,12 @@ def _take_columns(values: FloatArray, columns: BoolArray) -> FloatArray:
     return values[:, columns]
 
 
-def per_scenario(companions: Companions, change: Any) -> Companions:
+def per_scenario(companions: MetricValues, change: Any) -> MetricValues:
     """Companions with a function applied to every array."""
     values: dict[str, Any] = {
-        field.name: change(getattr(companions, field.name)) for field in dataclasses.fields(Companions)
+        field.name: change(getattr(companions, field.name)) for field in dataclasses.fields(MetricValues)
     }
-    return Companions(**values)
+    return MetricValues(**values)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ class FailedRun:
     """A run that a law's own fault ended."""
 
     key: RunKey  # Design id and convention
-    piece: int  # Number of the piece of scenarios in which it did
+    batch: int  # Number of the batch of scenarios in which it did
     reason: str  # One sentence
 
 

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 import ldctoolkit
 from ldctoolkit import EventStatus, Scenarios, Setup
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
@@ -248,8 +247,8 @@ def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: f
     critical = with_tails_of_t(z, degrees_of_freedom(side))
     half = half_widths(critical, lengths(error_parts(change, side)))
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
-    untold = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
-    half = np.where(changed == 0, 0.0, np.where(untold, np.nan, half))
+    unknown = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
+    half = np.where(changed == 0, 0.0, np.where(unknown, np.nan, half))
     return PairedMeans(difference, difference - half, difference + half)
 
 
@@ -260,7 +259,7 @@ def content_key(
     chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setup: Setup, case: Case
 ) -> str:
     """Sixteen hexadecimal digits."""
-    said = [
+    identity = [
         _FORMAT,
         ldctoolkit.__version__,
         [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
@@ -269,7 +268,7 @@ def content_key(
         dataclasses.asdict(setup),
         dataclasses.asdict(case),
     ]
-    content = hashlib.sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode())
+    content = hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode())
     for field in dataclasses.fields(scenarios):
         content.update(getattr(scenarios, field.name).tobytes())
     return content.hexdigest()[:16]
@@ -288,7 +287,7 @@ class Robustness:
 
     key: str  # What it was worked out from; see `studies.robustness.content_key`
     designs: tuple[str, ...]  # Identifiers, d
-    contends: npt.NDArray[np.bool_]  # (d,) Whether the design is ranked here; see `ChosenDesigns`
+    contends: BoolArray  # (d,) Whether the design is ranked here; see `ChosenDesigns`
     slow: tuple[str, ...]  # Laws that were left out because they take too long
     unsafe: tuple[str, ...]  # Labels of designs that were left out because their law ended or held up its process
     more: int  # Further designs that were left out
@@ -432,7 +431,7 @@ def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
     return np.linspace(low, high, POINTS if high > low else 1)
 
 
-def ranks(S: FloatArray, contends: npt.NDArray[np.bool_]) -> IntArray:
+def ranks(S: FloatArray, contends: BoolArray) -> IntArray:
     """Rank of each design by mean S among those that contend; equal ones (to 1e-6 m s) share it, 0 for the others."""
     among = contends & ~np.isnan(S)
     better = (S[None, among] < S[:, None] - SAME).sum(axis=1)
@@ -465,7 +464,7 @@ def _excesses(drives: Drives, side: IntArray) -> tuple[FloatArray, FloatArray, F
 
 
 def _leads(
-    S: FloatArray, mean: FloatArray, contends: npt.NDArray[np.bool_], side: IntArray
+    S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """The best other design on each plant, and the difference of the first design to it with its interval."""
     p, d, n = S.shape
@@ -477,7 +476,7 @@ def _leads(
 
 
 def _paired(
-    old: FloatArray, new: FloatArray, where: npt.NDArray[np.bool_], side: IntArray
+    old: FloatArray, new: FloatArray, where: BoolArray, side: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Difference of the means of scores (..., n) and its interval where that is wanted, NaN elsewhere."""
     difference, low, high = (np.full(where.shape, np.nan) for _ in range(3))

@@ -237,13 +237,13 @@ class Search:
 
     Designs of tables without any choice, such as ``law = "none"``, come first. Then each law is searched for itself:
     half of the proposals go to the laws in turn, the other half to the laws of the best designs so far. A design that
-    is proposed again is not asked for again: Optuna is told its value at once, and the proposal is no trial. A design
+    is proposed again is not run again: Optuna gets its value at once, and the proposal is no trial. A design
     that misses a requirement of the ranking is worse than every one that meets all.
 
     Parameters
     ----------
     study : Study
-        With ``[search]``; its seed and its tables decide what is asked, together with the values told.
+        With ``[search]``; its seed and its tables decide what is proposed, together with the values of `tell`.
 
     Raises
     ------
@@ -288,11 +288,11 @@ class Search:
 
     @property
     def asked(self) -> tuple[Design, ...]:
-        """All designs so far, in the order asked, each once."""
+        """All designs so far, in the order proposed, each once."""
         return tuple(self._asked.values())
 
     def ask(self) -> tuple[Design, ...]:
-        """The next designs, none of them asked before; empty when there are no more.
+        """The next designs, none of them proposed before; empty when there are no more.
 
         Raises
         ------
@@ -300,7 +300,7 @@ class Search:
             If values of the last batch are missing.
         """
         if self._untold:
-            raise InputError(f"ask: the last batch is not told yet: {', '.join(self._untold)}")
+            raise InputError(f"ask: the last batch has no values yet: {', '.join(self._untold)}")
         while len(self._untold) < self._settings.batch and len(self._asked) < self._settings.trials:
             if self._given:
                 self._add(self._given.pop(0))
@@ -330,7 +330,7 @@ class Search:
         """
         for name in self._untold:
             if name not in values:
-                raise InputError(f"tell: design {name} was asked and is missing")
+                raise InputError(f"tell: design {name} was proposed and is missing")
         for name, told in values.items():
             if name not in self._untold:
                 raise InputError(f"tell: design {name!r} is not in the last batch; {nearest(name, self._untold)}")
@@ -340,7 +340,7 @@ class Search:
         missed = self._checked_margins(values, margins)
         self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
         self._margins |= missed
-        for law, trial, name in self._open:  # in the order asked, whatever the order told
+        for law, trial, name in self._open:  # in the order proposed, whatever the order of `tell`
             self._laws[law].tell(trial, self._costs[name], self._margins[name])
         self._open.clear()
         self._untold.clear()
@@ -366,7 +366,7 @@ class Search:
         return tuple(sign * float(value) for sign, value in zip(self._signs, values, strict=True))
 
     def _best_laws(self) -> list[int]:
-        """The law of each design that no other dominates, in the order asked.
+        """The law of each design that no other dominates, in the order proposed.
 
         Among the designs that meet all requirements; where none does, among those that miss them by the least.
         """

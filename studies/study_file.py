@@ -180,8 +180,8 @@ def _message(problem: Any, content: Any, model: type[BaseModel]) -> str:
     if problem["type"] == "literal_error":
         allowed = [word.strip(" '") for word in problem["ctx"]["expected"].replace(" or ", ",").split(",")]
         return f"{_path(location)}: {value!r}; {nearest(str(value), allowed)}"
-    told = problem["msg"].removeprefix("Input should be ")
-    return f"{_path(location)}: {value!r}; allowed: {_ALLOWED.get(problem['type'], told)}"
+    expected = problem["msg"].removeprefix("Input should be ")
+    return f"{_path(location)}: {value!r}; allowed: {_ALLOWED.get(problem['type'], expected)}"
 
 
 def _path(location: list[Any]) -> str:
@@ -463,8 +463,8 @@ class Study(Part):
     @property
     def vehicles(self) -> tuple[VehicleName, ...]:
         """Named vehicles that designs are driven on beside the study's own."""
-        asked = (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
-        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in asked)
+        names = (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
+        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in names)
         return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
 
     @property

@@ -13,7 +13,7 @@ import pytest
 from helpers.closed_loop import Stepped
 from helpers.docs import ROOT, blocks, run_python
 from ldctoolkit import Scenarios, controller_class, register, registry, simulate
-from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
 from ldctoolkit.testing import contract_faults
 from studies import Study
@@ -55,7 +55,7 @@ def test_pages_link_to_pages_that_exist() -> None:
 
 def test_metrics_names_every_companion() -> None:
     text = (ROOT / "docs/metrics.md").read_text(encoding="utf-8")
-    for name, unit in COMPANION_UNITS.items():
+    for name, unit in METRIC_UNITS.items():
         row = re.search(rf"^\| `{name}` \| ([^|]+) \|", text, flags=re.M)
         assert row, name
         assert row[1].strip() == unit.replace("^2", "²").replace("^3", "³"), name

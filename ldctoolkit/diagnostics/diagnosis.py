@@ -232,10 +232,10 @@ def diagnose(
     chosen = _names(model, names, distribution.dimension)
     check_number("n_model", n_model, 1000, integer=True)
     check_number("seed", seed, 0, integer=True)
-    tell = progress or _silent
+    report = progress or _silent
     events = checked_events(distribution, chosen, X, weights)
     x, share = events.x, events.share
-    tell("margins", 0, _STEPS)
+    report("margins", 0, _STEPS)
     drawn, _ = distribution.sample(int(n_model), int(seed))
     limit = kolmogorov_limit(events.effective, len(chosen))
     marginals: list[Marginal] = []
@@ -246,11 +246,11 @@ def diagnose(
         edges = bin_edges(x[:, j], drawn[:, j], low, high, BINS)
         marginals.append(marginal(name, x[:, j], share, of_model, edges))
         calibrations.append(calibrate(name, x[:, j], share, of_model, limit))
-    tell("bounds", 1, _STEPS)
+    report("bounds", 1, _STEPS)
     near, far = strips(distribution, chosen, x, share, events.effective)
     joint = joint_density(distribution, chosen, x, share, drawn)
     table = components(distribution, chosen, x, events.weight)
-    tell("held-out likelihood", 2, _STEPS)
+    report("held-out likelihood", 2, _STEPS)
     given = events.weight if events.weighted else None
     comparison, note = comparison_or_reason(mixture, chosen, x, given, int(seed))
     found = SideDiagnostics(
@@ -272,7 +272,7 @@ def diagnose(
         comparison_note=note,
         warnings=(),
     )
-    tell("done", _STEPS, _STEPS)
+    report("done", _STEPS, _STEPS)
     return dataclasses.replace(found, warnings=warnings_of(found, mixture, summary))
 
 
@@ -337,14 +337,14 @@ def diagnose_model(
         rows = departures.take(mask)
         own = None if weight is None else weight[mask]
 
-        def tell(text: str, done: int, total: int, label: str = label, before: int = number) -> None:
+        def report(text: str, done: int, total: int, label: str = label, before: int = number) -> None:
             if progress is not None and (text != "done" or before == 1):
                 progress("done" if text == "done" else f"{label}: {text}", before * total + done, 2 * total)
 
         X = np.column_stack([getattr(rows, name) for name in half.names])
         try:
             found = diagnose(
-                half, X, seed=seed, weights=own, summary=summary, label=label, n_model=n_model, progress=tell
+                half, X, seed=seed, weights=own, summary=summary, label=label, n_model=n_model, progress=report
             )
         except InputError as error:
             raise InputError(f"departures ({label}): {error}") from None

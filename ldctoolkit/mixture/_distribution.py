@@ -107,7 +107,7 @@ class Transform:
         return out
 
 
-Given = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
+Conditions = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
 """Column name or number -> a value, or (lower, upper) with None or an infinite number where open."""
 
 
@@ -133,7 +133,7 @@ def part_of(transform: Transform, columns: IntArray) -> Transform:
     return Transform(kinds, transform.lower[columns], transform.upper[columns])
 
 
-def intervals(given: Given, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
+def intervals(given: Conditions, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
     """The box's part that meets the conditions; both ends equal where a value is given."""
     if not isinstance(given, Mapping):
         raise InputError(f"given: {given!r}; allowed: a mapping from columns to values or (lower, upper)")
@@ -269,7 +269,7 @@ class Distribution:
         scaled, location, scale = self.own_units()
         return shares(log_terms((self.transform.forward(self._columns(x)) - location) / scale, scaled))
 
-    def condition(self, given: Given, names: Sequence[str] | None = None) -> Conditional:
+    def condition(self, given: Conditions, names: Sequence[str] | None = None) -> Conditional:
         """The distribution given intervals or values of some columns, exactly.
 
         Parameters

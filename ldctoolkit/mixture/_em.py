@@ -7,9 +7,8 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture._expectation import Components, Statistics, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._maximisation import LEAST_LOG_PROBABILITY, Prior, Step, maximise, objective, predicted_gain
@@ -21,7 +20,7 @@ _VARIANCE_FLOOR: Final = 1e-6
 """Least eigenvalue of a local covariance, in units of the data's variance: repeated rows have none."""
 
 
-def kmeans_labels(x: FloatArray, weight: FloatArray | None, K: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def kmeans_labels(x: FloatArray, weight: FloatArray | None, K: int, rng: np.random.Generator) -> IntArray:
     """Clusters (n,) by k-means++ seeding and Lloyd's passes; a cluster that empties restarts at the farthest row."""
     w = np.ones(x.shape[0]) if weight is None else weight
     centres = np.empty((K, x.shape[1]))
@@ -294,13 +293,13 @@ class _Standardised:
     scale: FloatArray
     events: float
 
-    def look(self, c: Components) -> Statistics:
+    def evaluate(self, c: Components) -> Statistics:
         value, sums = sums_of(self.rows, self.location, self.scale, natural(c))
         return statistics(value, sums, self.rows.dimension)
 
 
 def fit_components(
-    events: Events, profile: Profile, s: EMSettings, start: Components | None, tell: Progress
+    events: Events, profile: Profile, s: EMSettings, start: Components | None, report: Progress
 ) -> EMResult:
     """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
 
@@ -310,7 +309,7 @@ def fit_components(
     """
     data = _Standardised(events, profile.mean, profile.scale, profile.events)
     try:
-        return _fit(data, s, start, tell)
+        return _fit(data, s, start, report)
     except np.linalg.LinAlgError:
         raise InputError(
             f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
@@ -318,22 +317,22 @@ def fit_components(
         ) from None
 
 
-def _fit(data: _Standardised, s: EMSettings, start: Components | None, tell: Progress) -> EMResult:
-    c = _best_start(data, s, tell) if start is None else start
+def _fit(data: _Standardised, s: EMSettings, start: Components | None, report: Progress) -> EMResult:
+    c = _best_start(data, s, report) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     passes = 0
     if bounded > _FEW_DIMENSIONS:
         # most of the way on few points: many take longer than the pass over the events
-        near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, tell, "nearing")
+        near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
         c, passes = near.components, near.passes
     points = moment_points(bounded) if bounded > _FEW_DIMENSIONS else _SHORT_POINTS
-    last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, tell)
+    last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
     return dataclasses.replace(last, passes=passes + last.passes)
 
 
 def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
     """Pseudo-events with the covariance of the events around each component; the data's own correlation is one."""
-    stats = data.look(c)
+    stats = data.evaluate(c)
     # the whole from its parts: counts, means and scatters of the shares add up to those of the events
     share = stats.counts / stats.counts.sum()
     gap = stats.mean - share @ stats.mean
@@ -341,7 +340,7 @@ def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
     return Prior(s.prior_strength, local_covariance(stats.scatter, stats.counts, overall))
 
 
-def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Components:
+def _best_start(data: _Standardised, s: EMSettings, report: Progress) -> Components:
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
     rows = data.rows.used_rows()
@@ -356,24 +355,24 @@ def _best_start(data: _Standardised, s: EMSettings, tell: Progress) -> Component
     for run in range(starts):
         first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
         result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS, leaps=False)
-        tell(f"start {run + 1} of {starts}: {result.history[-1]:.6f} nats an event")
+        report(f"start {run + 1} of {starts}: {result.history[-1]:.6f} nats an event")
         if best is None or result.history[-1] > best.history[-1]:
             best = result
     if best is None:
         raise RuntimeError("no start was run")
     if s.K < 3 or not s.split_merge:
         return best.components
-    return _escape(short, best.components, s, tell)
+    return _escape(short, best.components, s, report)
 
 
-def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -> Components:
+def _escape(data: _Standardised, c: Components, s: EMSettings, report: Progress) -> Components:
     """Split one component and merge two others, as long as that leads higher."""
     loose = dataclasses.replace(s, tol=_ESCAPE_TOL)
     rng = np.random.default_rng([s.seed, 2])
     now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
     for _ in range(s.K):
         try:
-            higher = _one_escape(data, now, loose, rng, tell)
+            higher = _one_escape(data, now, loose, rng, report)
         except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move
             break
         if higher is None:
@@ -383,7 +382,7 @@ def _escape(data: _Standardised, c: Components, s: EMSettings, tell: Progress) -
 
 
 def _one_escape(
-    data: _Standardised, now: EMResult, s: EMSettings, rng: np.random.Generator, tell: Progress
+    data: _Standardised, now: EMResult, s: EMSettings, rng: np.random.Generator, report: Progress
 ) -> EMResult | None:
     """The first of the most promising moves that leads higher."""
     z, weight = data.rows.x, data.rows.weight
@@ -394,12 +393,12 @@ def _one_escape(
         own = _Standardised(Events(x, w, s.threads), data.location, data.scale, float(w.sum()))
         prior = Prior(s.prior_strength, two.Sigma)
         end = _run(own, two, prior, s, _SPLIT_PASSES, _SHORT_POINTS, leaps=False).components
-        return end, own.look(end).log_likelihood
+        return end, own.evaluate(end).log_likelihood
 
     candidates = best_moves(
         z,
         np.ones(data.rows.rows) if weight is None else weight,
-        data.look(c),
+        data.evaluate(c),
         t,
         shares(log_terms(z, c)),
         strength=s.prior_strength,
@@ -413,7 +412,7 @@ def _one_escape(
         gain = trial.history[-1] - now.history[-1]
         if gain > _WINDOW * _ESCAPE_TOL:
             i, j = move.merged
-            tell(f"component {move.split} split, {i} and {j} merged: {gain:.6f} nats an event more")
+            report(f"component {move.split} split, {i} and {j} merged: {gain:.6f} nats an event more")
             return trial
     return None
 
@@ -425,7 +424,7 @@ def _run(
     s: EMSettings,
     passes: int,
     points: int,
-    tell: Progress | None = None,
+    report: Progress | None = None,
     word: str = "pass",
     *,
     leaps: bool = True,
@@ -434,11 +433,11 @@ def _run(
     t = TruncatedNormal(start.mu, start.Sigma, s.lower, s.upper, points=points)
     now = Point(start.weights / start.weights.sum(), t)
 
-    def look(at: Point) -> tuple[Statistics, float]:
-        stats = data.look(_components(at))
+    def evaluate(at: Point) -> tuple[Statistics, float]:
+        stats = data.evaluate(_components(at))
         return stats, (stats.log_likelihood + float(prior.value(at.truncated.Sigma).sum())) / n
 
-    stats, value = look(now)
+    stats, value = evaluate(now)
     history, trail, longest = [value], [now], _FIRST_LEAP
     reason: StopReason = "max_iter"
     for _ in range(passes):
@@ -455,22 +454,22 @@ def _run(
             beyond = leap(*trail, longest=longest, points=points) if go else None
             trail = []
         if beyond is not None:
-            stats, value = look(beyond.point)
+            stats, value = evaluate(beyond.point)
             if value >= history[-1]:
                 now = beyond.point
                 longest *= _LONGER if beyond.length >= 0.99 * longest else 1.0
             else:
                 longest, beyond = max(_SHORTEST_LEAP, 0.5 * longest), None
         if beyond is None:
-            stats, value = look(now)
+            stats, value = evaluate(now)
         trail = trail or [now]
         if not value >= history[-1] - _FALL * max(abs(history[-1]), 1.0):
             now = kept
             reason = "collapsed"
             break
         history.append(value)
-        if tell is not None:
-            tell(f"{word} {len(history) - 1}: {value:.8f} nats an event, gained {value - history[-2]:.2e}")
+        if report is not None:
+            report(f"{word} {len(history) - 1}: {value:.8f} nats an event, gained {value - history[-2]:.2e}")
         if len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW:
             reason = "stuck" if stuck else "converged"
             break

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 
 _ROWS: Final = 256
 _FLOOR: Final = -100.0
@@ -33,7 +32,7 @@ _LN2_LOW: Final = 1.90821492927058770002e-10
 
 
 @numba.njit(**_EXP_OPTIONS)  # type: ignore[untyped-decorator]
-def _exp(x: FloatArray, power: npt.NDArray[np.int64], m: int) -> None:
+def _exp(x: FloatArray, power: IntArray, m: int) -> None:
     """Exponential of x[:m], -700 to 0, as x * 2^power in place: a Taylor polynomial that vectorises, to 1 ulp."""
     for e in range(m):
         whole = np.rint(x[e] * _LOG2_E)
@@ -103,9 +102,7 @@ def _logits(theta: FloatArray, features: FloatArray, m: int, out: FloatArray) ->
 
 
 @numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
-def _shares(
-    logits: FloatArray, K: int, m: int, scale: FloatArray, power: npt.NDArray[np.int64], value: FloatArray
-) -> None:
+def _shares(logits: FloatArray, K: int, m: int, scale: FloatArray, power: IntArray, value: FloatArray) -> None:
     """Logits to shares in place, and ln sum exp of each row into `value`."""
     total = np.zeros(m)
     for e in range(m):

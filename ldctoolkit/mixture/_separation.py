@@ -7,7 +7,6 @@ import functools
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
@@ -497,7 +496,7 @@ def generator(n: int, dimension: int) -> tuple[int, ...]:
     return tuple(chosen[:dimension])
 
 
-def _powers_of_a_root(n: int) -> npt.NDArray[np.int64]:
+def _powers_of_a_root(n: int) -> IntArray:
     """All powers of the least primitive root modulo the prime n, (n - 1,)."""
     for root in range(2, n):
         powers = [1]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.mixture._distribution import Distribution, Given, Transform
+from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components
 from ldctoolkit.mixture._maximisation import Step
@@ -227,7 +227,7 @@ class FittedMixture(Parameters):
         """Free parameters: K means, K covariances, K - 1 weights."""
         return self.distribution.n_parameters
 
-    def log_prob(self, X: npt.ArrayLike, given: Given | None = None) -> FloatArray:
+    def log_prob(self, X: npt.ArrayLike, given: Conditions | None = None) -> FloatArray:
         """Exact log-density of each row, for reweighting, (n,).
 
         Parameters
@@ -278,7 +278,7 @@ class FittedMixture(Parameters):
         return float(weight[used] @ values[used]), float(weight.sum())
 
     def sample(
-        self, n_samples: int = 1, random_state: RandomState = None, given: Given | None = None
+        self, n_samples: int = 1, random_state: RandomState = None, given: Conditions | None = None
     ) -> tuple[FloatArray, IntArray]:
         """Draw events inside the box, exactly.
 
@@ -325,7 +325,7 @@ class FittedMixture(Parameters):
         seed = seed_of(self.random_state if random_state is None else random_state)
         return self._given(given).sample(int(n_samples), seed)
 
-    def _given(self, given: Given | None) -> Distribution:
+    def _given(self, given: Conditions | None) -> Distribution:
         return self.distribution if given is None else self.distribution.condition(given, self.names)
 
     @property
@@ -615,7 +615,7 @@ class BoundedGaussianMixture(FittedMixture):
             step=self.step,
             threads=self.n_jobs,
         )
-        result = fit_components(events, profile, settings, self._start(location, scale), self._tell)
+        result = fit_components(events, profile, settings, self._start(location, scale), self._report)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
@@ -644,7 +644,7 @@ class BoundedGaussianMixture(FittedMixture):
         mu, Sigma = (self.means_ - location) / scale, self.covariances_ / (scale[:, None] * scale)
         return Components(self.weights_, mu, Sigma, self.log_probabilities_)
 
-    def _tell(self, line: str) -> None:
+    def _report(self, line: str) -> None:
         if self.verbose:
             print(f"K = {self.n_components}: {line}", file=sys.stderr)
 

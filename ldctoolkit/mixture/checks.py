@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
 
 Part = TypeVar("Part")
@@ -54,7 +54,7 @@ class Events:
         with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(block, firsts))
 
-    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> Events:
+    def take(self, rows: BoolArray | IntArray) -> Events:
         """The chosen rows, by a mask or by ascending numbers."""
         x = np.ascontiguousarray(self.x[rows])
         return dataclasses.replace(self, x=x, weight=None if self.weight is None else self.weight[rows])
@@ -179,7 +179,7 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
 _FINITE: Final = f"finite numbers, at most {LARGEST:g} in size"
 
 
-def _complain(x: FloatArray, bad: npt.NDArray[np.bool_], allowed: str, names: Sequence[str] | None) -> None:
+def _complain(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | None) -> None:
     """Raise for the first column with a bad entry, with its first row and the number of such rows."""
     columns = np.flatnonzero(bad.any(axis=0)).tolist()
     if not columns:
@@ -308,7 +308,7 @@ class InsideBounds:
 
     events: Events  # the d' columns that vary, in order
     profile: Profile  # of all d columns as they were
-    varies: npt.NDArray[np.bool_]  # (d,): columns that are in `events`
+    varies: BoolArray  # (d,): columns that are in `events`
     moved: IntArray  # (d,): values of each column that were on a bound
 
 

@@ -185,7 +185,7 @@ def criteria_of(events: Events, distribution: Distribution) -> Criteria:
     scaled, location, scale = distribution.own_units()
     theta, transform = natural(scaled), distribution.transform
 
-    def look(x: FloatArray, weight: FloatArray | None) -> tuple[float, float, float]:
+    def evaluate(x: FloatArray, weight: FloatArray | None) -> tuple[float, float, float]:
         """Events, log-likelihood and entropy of a block."""
         total, sums = statistics_of_rows(transform.forward(x), weight, location, scale, theta)
         # ln tau_ik = theta_k . features_i - ln sum_j exp(theta_j . features_i), and the sums hold tau_ik features_i
@@ -198,7 +198,7 @@ def criteria_of(events: Events, distribution: Distribution) -> Criteria:
         return n, total, entropy
 
     n, total, entropy = 0.0, 0.0, 0.0
-    for part in events.map_blocks(look):
+    for part in events.map_blocks(evaluate):
         n, total, entropy = n + part[0], total + part[1], entropy + part[2]
     return Criteria(n, total, max(entropy, 0.0), distribution.n_parameters)
 
@@ -495,17 +495,17 @@ def _run(
         ended = ((i, trials(events, model)) for i, model in enumerate(queue))
     outcomes: dict[int, Outcome] = {}
 
-    def tell() -> None:
+    def report() -> None:
         if progress is not None:
             under_way = [str(model.n_components) for i, model in enumerate(queue) if i not in outcomes][:workers]
             progress(f"K = {', '.join(under_way)}" if under_way else "done", len(outcomes), len(queue))
 
     # closed here: an interrupt ends the processes at once
     with contextlib.closing(ended):
-        tell()
+        report()
         for i, outcome in ended:
             outcomes[i] = outcome
-            tell()
+            report()
     return sorted(outcomes.values(), key=lambda outcome: outcome.n_components)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import departures as dep
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import DepartureParameters
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_seed
@@ -57,7 +57,7 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
     return out
 
 
-def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, npt.NDArray[np.int64], FloatArray]:
+def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, IntArray, FloatArray]:
     numbers = np.asarray(index)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
@@ -305,7 +305,7 @@ class UncorrectedPath:
             return -self._highest("SLOWNESS", 0.0, start, end)
         return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
 
-    def drivable(self) -> npt.NDArray[np.bool_]:
+    def drivable(self) -> BoolArray:
         """Scenarios whose numbers are finite and have their signs, and whose speed stays where plant and gains are."""
         p = self.scenarios
         finite = np.isfinite(p.matrix()).all(axis=1)
@@ -388,7 +388,7 @@ def _as_columns(scenarios: Scenarios) -> Scenarios:
     )
 
 
-def harmless(scenarios: Scenarios, valid: npt.NDArray[np.bool_]) -> Scenarios:
+def harmless(scenarios: Scenarios, valid: BoolArray) -> Scenarios:
     """The same with a flat departure in place of the rows that cannot be driven."""
     flat = {"T": 1.0, "v_mean": 20.0}
     columns = {

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 
 _POWERS: Final[FloatArray] = np.array([10.0**power for power in range(23)])
 _LARGEST: Final = 2**53
@@ -31,7 +31,7 @@ def plain_numbers(text: npt.NDArray[np.uint8], places: list[int], cells: int, li
 
 
 @numba.njit(cache=True, nogil=True)
-def _parse(text: npt.NDArray[np.uint8], column: npt.NDArray[np.int64], numbers: FloatArray, powers: FloatArray) -> int:
+def _parse(text: npt.NDArray[np.uint8], column: IntArray, numbers: FloatArray, powers: FloatArray) -> int:
     """Number of lines, or -1 where something is not plain.
 
     The text ends with a line end, where every inner loop stops, so that none has to require the end of the text. Places
@@ -110,15 +110,13 @@ def _parse(text: npt.NDArray[np.uint8], column: npt.NDArray[np.int64], numbers: 
     return row if seen < 128 else -1
 
 
-def first_other_line(text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], line: int, key: bytes) -> int:
+def first_other_line(text: npt.NDArray[np.uint8], starts: IntArray, line: int, key: bytes) -> int:
     r"""The first line behind `line` that does not begin with the key's bytes."""
     return int(_first_other(text, starts, line, np.frombuffer(key, dtype=np.uint8)))
 
 
 @numba.njit(cache=True, nogil=True)
-def _first_other(
-    text: npt.NDArray[np.uint8], starts: npt.NDArray[np.int64], line: int, key: npt.NDArray[np.uint8]
-) -> int:
+def _first_other(text: npt.NDArray[np.uint8], starts: IntArray, line: int, key: npt.NDArray[np.uint8]) -> int:
     for j in range(line + 1, starts.size):
         start = starts[j]
         for p in range(key.size):

@@ -18,7 +18,7 @@ from ldctoolkit.departures import (
     RIGHT,
     Departures,
     ExtraColumn,
-    joined_departures,
+    combined_departures,
     no_departures,
 )
 from ldctoolkit.errors import InputError, RecordingError, nearest
@@ -27,11 +27,11 @@ from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
     Account,
     Drawn,
-    Evidence,
-    joined_accounts,
-    joined_drawn,
-    joined_evidence,
-    no_evidence,
+    QualityStatistics,
+    combined_accounts,
+    combined_examples,
+    combined_statistics,
+    no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_file
@@ -61,19 +61,19 @@ class PartResult:
 
     departures: Departures = dataclasses.field(default_factory=no_departures)
     accounts: tuple[Account, ...] = ()
-    evidence: Evidence = dataclasses.field(default_factory=no_evidence)
+    evidence: QualityStatistics = dataclasses.field(default_factory=no_statistics)
     drawn: Drawn = dataclasses.field(default_factory=Drawn)
     problems: tuple[Problem, ...] = ()
 
 
-def joined_results(parts: Iterable[PartResult]) -> PartResult:
+def combined_results(parts: Iterable[PartResult]) -> PartResult:
     """Several shares as one, in their order."""
     given = list(parts)
     return PartResult(
-        departures=joined_departures([part.departures for part in given]),
-        accounts=joined_accounts(account for part in given for account in part.accounts),
-        evidence=joined_evidence(part.evidence for part in given),
-        drawn=joined_drawn(part.drawn for part in given),
+        departures=combined_departures([part.departures for part in given]),
+        accounts=combined_accounts(account for part in given for account in part.accounts),
+        evidence=combined_statistics(part.evidence for part in given),
+        drawn=combined_examples(part.drawn for part in given),
         problems=tuple(problem for part in given for problem in part.problems),
     )
 

@@ -10,16 +10,16 @@ import numpy as np
 
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, joined_results
+from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
 from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
 from ldctoolkit.recordings.preparation import Preparation, prepare
 from ldctoolkit.recordings.quality import (
     TURN_WINDOW,
-    Evidence,
     Origin,
+    QualityStatistics,
     accounts_of,
-    drawn_of,
-    evidence_of,
+    example_events,
+    quality_statistics,
     unit_warnings,
 )
 from ldctoolkit.recordings.recording import Problem, Recording, RecordingTable, SourceFile
@@ -104,7 +104,7 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
         else:
             raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
     search()
-    return joined_results([*results, PartResult(problems=tuple(problems))])
+    return combined_results([*results, PartResult(problems=tuple(problems))])
 
 
 def _check_labels(recording: Recording) -> None:
@@ -148,8 +148,8 @@ def _of_batch(recordings: list[Recording], criteria: Criteria, preparation: Prep
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, found, origins),
-        evidence=evidence_of(table, found.usable, found.median_step, criteria.vehicle_width, recordings),
-        drawn=drawn_of(departures, found.signals, sources),
+        evidence=quality_statistics(table, found.usable, found.median_step, criteria.vehicle_width, recordings),
+        drawn=example_events(departures, found.signals, sources),
     )
 
 
@@ -274,12 +274,12 @@ def merge_results(
     Extraction
         Departures, and the account of everything else.
     """
-    whole = joined_results(results)
+    whole = combined_results(results)
     refused = np.sum([account.refused.sum(axis=0) for account in whole.accounts], axis=0, initial=0)
     counts = np.broadcast_to(refused, (len(REASONS),))
     kinds, samples = whole.evidence.kinds, sum(account.samples for account in whole.accounts)
     usable = sum(account.usable for account in whole.accounts)
-    said = warnings_in_words(
+    warnings = quality_warnings(
         whole.evidence,
         criteria.vehicle_width,
         preparation.nominal_lane_width,
@@ -295,7 +295,7 @@ def merge_results(
         invalid_samples=samples - usable,
         hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
         curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
-        warnings=(*few_usable(samples, usable), *said),
+        warnings=(*few_usable(samples, usable), *warnings),
         reader=reader,
         preparation=preparation,
         problems=tuple(str(problem) for problem in whole.problems),
@@ -331,8 +331,8 @@ UNEVEN: Final = 1.25
 EDGE: Final = 0.05  # share of the recordings at either end that may have odd lane widths
 
 
-def warnings_in_words(
-    evidence: Evidence,
+def quality_warnings(
+    evidence: QualityStatistics,
     vehicle_width: float,
     nominal_lane_width: float | None,
     *,
@@ -349,8 +349,8 @@ def warnings_in_words(
     found += _turning(evidence, yaw_rate_factor)
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
-    told = any("lane_width" in words or "vehicle width" in words for words in found)
-    if nominal_lane_width is None and not told:
+    unit_warned = any("lane_width" in text or "vehicle width" in text for text in found)
+    if nominal_lane_width is None and not unit_warned:
         found += _scale(evidence)
     found += _twins(evidence)
     total = evidence.names.size
@@ -368,7 +368,7 @@ def few_usable(samples: int, usable: int) -> tuple[str, ...]:
     )
 
 
-def _turning(evidence: Evidence, factor: float) -> list[str]:
+def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
     """Yaw rate against heading; the evidence is of yaw rates that were multiplied with `factor`."""
     windows, hh, hr, rr = evidence.turns
     if windows < FEWEST_TURNS:
@@ -400,7 +400,7 @@ def _turning(evidence: Evidence, factor: float) -> list[str]:
     return []
 
 
-def _scale(evidence: Evidence) -> list[str]:
+def _scale(evidence: QualityStatistics) -> list[str]:
     widths = evidence.median_widths[np.isfinite(evidence.median_widths)]
     if widths.size == 0:
         return []
@@ -418,7 +418,7 @@ def _scale(evidence: Evidence) -> list[str]:
     ]
 
 
-def _twins(evidence: Evidence) -> list[str]:
+def _twins(evidence: QualityStatistics) -> list[str]:
     known = np.flatnonzero(evidence.fingerprints != "")
     _, inverse, count = np.unique(evidence.fingerprints[known], return_inverse=True, return_counts=True)
     groups = [known[inverse == i] for i in np.flatnonzero(count > 1)]

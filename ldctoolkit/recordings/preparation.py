@@ -339,7 +339,7 @@ def scaled(recording: Recording, nominal: float) -> Recording:
 
 HALF_WINDOW: Final = 1.0  # half the window of the slope [s]: a heading is coarse
 LONGEST: Final = 1.5  # longest time [s] between headings that is bridged; GPS receivers give one a second at least
-WORTH_TELLING: Final = 0.01  # share of the valid samples above which it is reported
+WORTH_A_NOTE: Final = 0.01  # share of the valid samples above which it is reported
 
 FILLED: Final = "the yaw rate is missing in places, and comes from the GPS heading there"
 NONE: Final = "no yaw rate: the lane counts as straight"
@@ -364,8 +364,8 @@ def with_yaw_rate(recording: Recording) -> Recording:
         rate[missing] = found
         measured = ~missing if measured is None else measured & ~missing
         filled = np.isfinite(found) & recording.valid[missing]
-        told_already = any("yaw rate" in note for note in notes)  # by the reader
-        if not told_already and np.count_nonzero(filled) > WORTH_TELLING * np.count_nonzero(recording.valid):
+        noted = any("yaw rate" in note for note in notes)  # by the reader
+        if not noted and np.count_nonzero(filled) > WORTH_A_NOTE * np.count_nonzero(recording.valid):
             notes = (*notes, FILLED)
     # where the lane or the speed is not known either, the recording is of no use anyway
     if not (np.abs(rate) < LARGEST).any() and (recording.valid & np.isfinite(recording.speed)).any():

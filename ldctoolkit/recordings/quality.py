@@ -139,7 +139,7 @@ def _nanoseconds(seconds: FloatArray) -> IntArray:
     return whole
 
 
-def joined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
+def combined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
     """One account an origin, in the order in which the origins first come."""
     of: dict[Origin, list[Account]] = {}
     for account in accounts:
@@ -260,7 +260,7 @@ TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is nois
 
 
 @dataclasses.dataclass(frozen=True)
-class Evidence:
+class QualityStatistics:
     """Sums and counts over r recordings."""
 
     units: tuple[tuple[str, int], ...]  # (str, int): from `unit_counts`
@@ -274,19 +274,19 @@ class Evidence:
     notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
 
-def no_evidence() -> Evidence:
+def no_statistics() -> QualityStatistics:
     """Of no recordings."""
     text = np.empty(0, dtype=np.str_)
-    return Evidence((), (), True, np.zeros(4), np.zeros(2, dtype=np.int64), text, text, np.empty(0))
+    return QualityStatistics((), (), True, np.zeros(4), np.zeros(2, dtype=np.int64), text, text, np.empty(0))
 
 
-def evidence_of(
+def quality_statistics(
     table: RecordingTable,
-    usable: npt.NDArray[np.bool_],
+    usable: BoolArray,
     median_step: FloatArray,
     vehicle_width: float,
     recordings: Sequence[Recording],
-) -> Evidence:
+) -> QualityStatistics:
     """Evidence of one table of r recordings, given also one by one; `vehicle_width` [m] is what was taken."""
     count = table.names.size
     medians, prints = np.full(count, np.nan), [""] * count
@@ -309,7 +309,7 @@ def evidence_of(
     turns = [_turns(recording, float(step)) for recording, step in zip(recordings, median_step, strict=True)]
     notes = Counter(note for recording in recordings for note in recording.notes)
     kind = "measured" if table.curvature is not None else "none" if table.yaw_rate is None else "yaw_rate"
-    return Evidence(
+    return QualityStatistics(
         units=unit_counts(table, usable, median_step, vehicle_width),
         kinds=(kind,),
         lanes=table.lane is not None,
@@ -352,15 +352,15 @@ def _turns(recording: Recording, step: float) -> FloatArray:
     return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])
 
 
-def joined_evidence(parts: Iterable[Evidence]) -> Evidence:
+def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics:
     """Evidence of all recordings; in the order of the parts."""
-    given = list(parts) or [no_evidence()]
+    given = list(parts) or [no_statistics()]
     units: Counter[str] = Counter()
     notes: Counter[str] = Counter()
     for part in given:
         units.update(dict(part.units))
         notes.update(dict(part.notes))
-    return Evidence(
+    return QualityStatistics(
         units=tuple(units.items()),
         kinds=tuple(sorted({kind for part in given for kind in part.kinds})),
         lanes=all(part.lanes for part in given),
@@ -431,7 +431,7 @@ class Drawn:
     by_lot: tuple[DrawnEvent, ...] = ()
 
 
-def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
+def example_events(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
     """The departures to keep of n found ones."""
     found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
     lots = [_lot(name, time) for name, time in found]
@@ -461,7 +461,7 @@ def drawn_of(departures: Departures, signals: DepartureSignals, sources: list[st
     return Drawn(tuple(deepest), tuple(by_lot))
 
 
-def joined_drawn(parts: Iterable[Drawn]) -> Drawn:
+def combined_examples(parts: Iterable[Drawn]) -> Drawn:
     """The departures to keep of several shares of the work."""
     given = list(parts)
     return Drawn(

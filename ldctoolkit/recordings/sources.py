@@ -193,11 +193,11 @@ def recognised_by(paths: Sequence[Path]) -> list[tuple[RecordingReader, str]]:
     found = []
     for reader in map(recording_reader, reader_names()):
         try:
-            words = reader.recognise(paths)
+            text = reader.recognise(paths)
         except Exception as error:  # as above
             raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
-        if words:
-            found.append((reader, words))
+        if text:
+            found.append((reader, text))
     if not found:
         raise RecordingError(
             f"{shown(paths)}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a "
@@ -265,7 +265,7 @@ def shown_names(paths: Sequence[Path]) -> list[str]:
 
 
 @dataclasses.dataclass(frozen=True)
-class ReadersTogether:
+class CombinedReader:
     """Readers with the same vehicle width and step, for paths that hold files of each."""
 
     readers: tuple[RecordingReader, ...]  # two or more, by name
@@ -292,8 +292,8 @@ class ReadersTogether:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What each of them finds."""
-        said = ((reader.name, reader.recognise(paths)) for reader in self.readers)
-        return "; ".join(f"{name}: {words}" for name, words in said if words)
+        texts = ((reader.name, reader.recognise(paths)) for reader in self.readers)
+        return "; ".join(f"{name}: {text}" for name, text in texts if text)
 
     def open(self, paths: Sequence[Path]) -> FoundParts[RecordingPart]:
         """Look through the paths with each; each passes over the others' files."""
@@ -430,11 +430,11 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     found = recognised_by(paths)
     if len(found) == 1:
         return found[0]
-    said = "; ".join(f"{reader.name}: {words}" for reader, words in found)
+    texts = "; ".join(f"{reader.name}: {text}" for reader, text in found)
     readers = tuple(reader for reader, _ in found)
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
-        raise RecordingError(f"{shown(paths)}: several readers know such files ({said}); choose one with --format")
-    return ReadersTogether(readers), said
+        raise RecordingError(f"{shown(paths)}: several readers know such files ({texts}); choose one with --format")
+    return CombinedReader(readers), texts
 
 
 def read_recordings(

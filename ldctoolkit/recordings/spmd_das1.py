@@ -25,11 +25,11 @@ from ldctoolkit.recordings.trip_tables import (
     batches,
     check_columns,
     collect_trips,
+    grouped_problems,
     look_through,
     read_header,
     read_trips,
     recognised,
-    told,
 )
 
 TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
@@ -85,7 +85,7 @@ class Das1Part:
                 continue
             own = {column: values[begin:end] for column, values in signals.items()}
             yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
-        yield from told(self.lane.name, apart)
+        yield from grouped_problems(self.lane.name, apart)
 
 
 def trip_bytes(trip: TripPlace) -> int:
@@ -170,7 +170,7 @@ PART_BYTES: Final = 24 << 20  # text of both tables that is read in one go
 
 KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
-_TOLD_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
+_RECOGNISED_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
 
 
@@ -226,16 +226,16 @@ class SpmdDas1:
             key_ = f"{lane[number][0].name}:{stretches[0].device}/{stretches[0].trip}"
             parts.append(Das1Part(key_, lane[number][0], wsu[other][0], tuple(trip[3:] for trip in batch)))
         if not parts:
-            told = "".join(f"; {problem}" for problem in problems[:5])
-            raise RecordingError(f"spmd-das1: no trip of a table DataLane was found{told}")
+            details = "".join(f"; {problem}" for problem in problems[:5])
+            raise RecordingError(f"spmd-das1: no trip of a table DataLane was found{details}")
         return tuple(parts)
 
 
 def _kind(columns: Sequence[str]) -> str:
     """Which table has these columns; empty for neither."""
     lower = {name.lower() for name in columns}
-    for kind, telling in _TOLD_BY.items():
-        if lower.issuperset(name.lower() for name in telling):
+    for kind, typical in _RECOGNISED_BY.items():
+        if lower.issuperset(name.lower() for name in typical):
             return kind
     return ""
 
@@ -260,8 +260,8 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     if not kind:
         return None, _unknown(header.columns)
     check_columns(header.columns, KEY, _COLUMNS[kind])
-    words = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-    return TableLayout(header.columns, header.begin, kind=kind), words if _named(path) not in ("", kind) else ""
+    note = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
+    return TableLayout(header.columns, header.begin, kind=kind), note if _named(path) not in ("", kind) else ""
 
 
 READER: Final = SpmdDas1()

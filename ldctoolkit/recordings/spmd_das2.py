@@ -169,9 +169,9 @@ def signals_of(cells: Cells) -> dict[str, Any]:
             return np.full(cells.row.size, np.nan)
         return measured(cells[name])
 
-    left, right, told = column(LEFT) / 1000.0, column(RIGHT) / 1000.0, column(WIDTH) / 1000.0
+    left, right, recorded = column(LEFT) / 1000.0, column(RIGHT) / 1000.0, column(WIDTH) / 1000.0
     width = right - left
-    agree = ~(told > 0.0) | (np.abs(width - told) <= WIDTH_TOLERANCE)  # without a told width nothing contradicts
+    agree = ~(recorded > 0.0) | (np.abs(width - recorded) <= WIDTH_TOLERANCE)  # without one nothing contradicts
     seen = np.minimum(column(LEFT_PROBABILITY), column(RIGHT_PROBABILITY)) >= USABLE_PROBABILITY
     gps = column(GPS_VALID) == 1.0
     speed = column(SPEED)
@@ -208,8 +208,8 @@ class SpmdDas2:
         trips, odd = collect_trips([(one.table, one.index) for one in found])
         problems += odd
         if not trips:
-            told = "".join(f"; {problem}" for problem in problems[:5])
-            raise RecordingError(f"spmd-das2: no trip of a table HV_Primary was found{told}")
+            details = "".join(f"; {problem}" for problem in problems[:5])
+            raise RecordingError(f"spmd-das2: no trip of a table HV_Primary was found{details}")
         files = tuple(SourceFile(one.table.name, one.index.bytes, one.index.sha256) for one in found)
         parts: list[Das2Part] = []
         for number, one in enumerate(found):
@@ -237,8 +237,8 @@ def _layout_and_words(path: Path) -> tuple[TableLayout | None, str]:
     """How a file's rows are laid out, or why it is no such table."""
     layout = layout_of(path)
     cells = " or ".join(map(str, CELLS))
-    words = f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
-    return layout, "" if layout else words
+    what = f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
+    return layout, "" if layout else what
 
 
 READER: Final = SpmdDas2()

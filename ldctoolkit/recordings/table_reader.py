@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError, nearest
 from ldctoolkit.recordings.recording import (
     MISSING,
@@ -61,23 +61,23 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
             continue
         if name in NUMBERS:
             if values.dtype == pl.String:
-                words = values.str.strip_chars()
-                values = words.cast(pl.Float64, strict=False)
-                refuse(name, values.is_null() & ~words.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
+                strings = values.str.strip_chars()
+                values = strings.cast(pl.Float64, strict=False)
+                refuse(name, values.is_null() & ~strings.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
             elif not values.dtype.is_numeric() and values.dtype != pl.Null:
                 raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: numbers")
             columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
             continue
         if values.dtype.is_nested() or values.dtype in (pl.Binary, pl.Duration):
             raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: text or numbers")
-        words = values.cast(pl.String).str.strip_chars()
-        lower = words.str.to_lowercase()
+        strings = values.cast(pl.String).str.strip_chars()
+        lower = strings.str.to_lowercase()
         if name == "recording":
-            refuse(name, words.is_null() | (words == ""), "an identifier of the recording")
-            columns.append(words)
+            refuse(name, strings.is_null() | (strings == ""), "an identifier of the recording")
+            columns.append(strings)
         elif name == "lane":
             # "3" and "3.0" are one lane whatever the rest of the column holds
-            label = words.str.replace(r"^(-?\d+)\.0+$", "$1")
+            label = strings.str.replace(r"^(-?\d+)\.0+$", "$1")
             columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
         elif name == "valid":
             known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
@@ -94,7 +94,7 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
 def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
     """The columns of a frame as those of a `Recording`, by name; None for one that it lacks."""
 
-    def numbers(name: str) -> npt.NDArray[np.float64] | None:
+    def numbers(name: str) -> FloatArray | None:
         return frame[name].to_numpy() if name in frame.columns else None
 
     valid = frame["valid"].to_numpy() if "valid" in frame.columns else np.ones(frame.height, dtype=bool)
@@ -448,7 +448,7 @@ def repeated_names(
     problems: list[Problem] = []
     more = 0
     for i, path in enumerate(paths):
-        word = place_word(path)
+        word = place_unit(path)
         for name, row in _names(path).items():
             j, other = first.setdefault(name, (i, row))
             if i == j:
@@ -457,7 +457,7 @@ def repeated_names(
             if len(problems) == MOST_REPEATED:
                 more += 1
                 continue
-            what = f"recording {name!r} is also in {shown[j]}, {place_word(paths[j])} {other}; these rows are left out"
+            what = f"recording {name!r} is also in {shown[j]}, {place_unit(paths[j])} {other}; these rows are left out"
             problems.append(Problem(shown[i], f"{word} {row}", what))
     if more:
         problems.append(
@@ -466,7 +466,7 @@ def repeated_names(
     return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
 
 
-def place_word(path: Path) -> str:
+def place_unit(path: Path) -> str:
     """What a place in a file is called."""
     return "row" if path.name.lower().endswith(".parquet") else "line"
 
@@ -488,7 +488,7 @@ def _names(path: Path) -> dict[str, int]:
 
 
 KNOWN_BY: Final = 3  # a file with so many of the five columns that are needed is meant as a recording table
-MOST_TOLD: Final = 20  # so many problems of one file are reported one by one; the others are counted
+MOST_PROBLEMS: Final = 20  # so many problems of one file are reported one by one; the others are counted
 
 LARGEST_TIME: Final = 1e20
 """A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""
@@ -510,19 +510,19 @@ class TablePart:
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the file's order; one with a fault in any of its rows is left out, and reported."""
-        told = 0
+        reported = 0
         more: Problem | None = None
         for one in self._items():
             if isinstance(one, Recording):
                 yield one
                 continue
-            told += 1
-            if told <= MOST_TOLD:
+            reported += 1
+            if reported <= MOST_PROBLEMS:
                 yield one
             else:
                 more = one
         if more is not None:
-            count = told - MOST_TOLD
+            count = reported - MOST_PROBLEMS
             yield Problem(
                 self.shown, "", f"{count} more problem{'s' * (count > 1)}; the last: {more.place}: {more.what}"
             )
@@ -533,21 +533,21 @@ class TablePart:
         seen: dict[str, int] = {}
         try:
             for frame in whole_recordings(_labelled(frames(Path(self.path), self.block_bytes, faults))):
-                yield from self._told(faults)
+                yield from self._problems(faults)
                 faults.clear()
                 yield from self._recordings(frame, seen)
         except TableFault as fault:
             faults.append(fault)
         except OSError as error:
             faults.append(TableFault("", f"cannot be read: {error.strerror or error}"))
-        yield from self._told(faults)
+        yield from self._problems(faults)
 
-    def _told(self, faults: list[TableFault]) -> Iterator[Problem]:
+    def _problems(self, faults: list[TableFault]) -> Iterator[Problem]:
         return (Problem(self.shown, fault.place, fault.what) for fault in faults)
 
     def _recordings(self, frame: pl.DataFrame, seen: dict[str, int]) -> Iterator[Recording | Problem]:
         """Those of a frame; `seen` has the first row of each that came before."""
-        word = place_word(Path(self.path))
+        word = place_unit(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
         starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
         columns = columns_of(frame)
@@ -607,7 +607,7 @@ class TableReader:
         """Look through files, or folders that hold them."""
         problems: list[Problem] = []
         found: dict[Path, SourceFile] = {}
-        twins: dict[str, str] = {}
+        known: dict[str, str] = {}
         files = _files(paths)
         for path, shown in zip(files, shown_names(files), strict=True):
             place, what = "", ""
@@ -619,11 +619,11 @@ class TableReader:
                 else:
                     file = source_file(path, shown)
                     check_header(path)
-                    twin = twins.setdefault(file.sha256, shown)
-                    if twin == shown:
+                    first = known.setdefault(file.sha256, shown)
+                    if first == shown:
                         found[path] = file
                     else:
-                        what = f"holds the same as {twin}, byte by byte; it is left out"
+                        what = f"holds the same as {first}, byte by byte; it is left out"
             except TableFault as fault:
                 place, what = fault.place, fault.what
             except RecordingError as error:

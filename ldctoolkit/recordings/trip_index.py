@@ -111,10 +111,11 @@ def read_cells(
     if frame is None or frame.height != row.size:
         frame = parse(source, pl.String)
         if frame is None or frame.height != row.size:  # a text that the library itself cannot split
-            told = RowFault(int(row[0]) if row.size else 0, "unreadable", "these lines cannot be split into cells")
-            return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64), lines, (told,))
-        frame, row, words = _numbers(frame.select(chosen), row, wanted)
-        faults = sorted([*faults, *words], key=lambda fault: fault.row)
+            fault = RowFault(int(row[0]) if row.size else 0, "unreadable", "these lines cannot be split into cells")
+            nothing = tuple(np.empty(0) for _ in wanted)
+            return Cells(tuple(wanted), nothing, np.empty(0, dtype=np.int64), lines, (fault,))
+        frame, row, unreadable = _numbers(frame.select(chosen), row, wanted)
+        faults = sorted([*faults, *unreadable], key=lambda fault: fault.row)
     return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(faults))
 
 
@@ -165,14 +166,14 @@ def _numbers(
     """Words as numbers; rows with a word that is neither a number nor stands for none are left out."""
     import polars as pl
 
-    words = frame.with_columns(pl.all().str.strip_chars(_BLANKS))
-    values = words.with_columns(pl.all().cast(pl.Float64, strict=False))
+    strings = frame.with_columns(pl.all().str.strip_chars(_BLANKS))
+    values = strings.with_columns(pl.all().cast(pl.Float64, strict=False))
     bad = np.zeros(row.size, dtype=bool)
     faults: list[RowFault] = []
     for column, name in zip(frame.columns, wanted, strict=True):
-        wrong = values[column].is_null() & ~words[column].str.to_lowercase().is_in(MISSING).fill_null(True)
+        wrong = values[column].is_null() & ~strings[column].str.to_lowercase().is_in(MISSING).fill_null(True)
         new = np.flatnonzero(wrong.to_numpy() & ~bad)
-        texts = words[column].gather(new).to_list()
+        texts = strings[column].gather(new).to_list()
         faults += [
             RowFault(int(row[i]), "number", f"column {name!r} holds {text[:40]!r}; allowed: numbers")
             for i, text in zip(new, texts, strict=True)

@@ -72,9 +72,9 @@ def read_header(path: Path) -> Header:
         raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
     names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
     if len(names) == 1:
-        for mark, words in _DELIMITERS.items():
+        for mark, what in _DELIMITERS.items():
             if text.strip().count(mark) > 1:
-                raise RecordingError(f"the columns are separated by {words}; allowed: commas")
+                raise RecordingError(f"the columns are separated by {what}; allowed: commas")
     return Header(names, len(first))
 
 
@@ -147,12 +147,12 @@ def collect_trips(
                 apart[key] = one.line
             last = key
         faults = [(fault.line, "key", fault.what) for fault in index.faults]
-        problems += told(table.name, faults)
+        problems += grouped_problems(table.name, faults)
         if index.more_faults:
             problems.append(
                 Problem(table.name, "", f"{index.more_faults} more lines do not begin with a trip's numbers")
             )
-        problems += told(
+        problems += grouped_problems(
             table.name,
             (
                 (line, "apart", f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; "
@@ -164,12 +164,12 @@ def collect_trips(
         for key, stretches in own.items():
             line = stretches[0].line
             if key in seen:
-                words = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
-                twice.append((line, "twice", words))
+                what = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
+                twice.append((line, "twice", what))
                 continue
             seen[key] = f"{table.name}, line {line}"
             trips[key] = number, tuple(stretches)
-        problems += told(table.name, twice)
+        problems += grouped_problems(table.name, twice)
     return trips, problems
 
 
@@ -191,14 +191,14 @@ def batches(
             batch, size = [], 0
 
 
-def told(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:
+def grouped_problems(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:
     """Problems of a file from (line, kind, words): the first of each kind one by one, the others counted."""
     problems: list[Problem] = []
     seen: dict[str, list[int]] = {}
-    for line, kind, words in faults:
+    for line, kind, what in faults:
         seen.setdefault(kind, []).append(line)
         if len(seen[kind]) <= most:
-            problems.append(Problem(file, f"line {line}", words))
+            problems.append(Problem(file, f"line {line}", what))
     for lines in seen.values():
         if len(lines) > most:
             count = len(lines) - most
@@ -260,7 +260,7 @@ def read_trips(
         values = {name: column_[keep] for name, column_ in values.items()}
     faults.sort(key=lambda fault: fault[0])
     named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
-    return TripRows(named, trip, tuple(told(table.name, faults)))
+    return TripRows(named, trip, tuple(grouped_problems(table.name, faults)))
 
 
 def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
@@ -366,40 +366,40 @@ def look_through(
     """Look through the tables that a reader is for; several are read at the same time."""
     files = find_tables(paths)
     shown = shown_names([path for path, _ in files])
-    said: list[list[Problem]] = [[] for _ in files]
+    problems_of: list[list[Problem]] = [[] for _ in files]
     layouts: list[tuple[int, TableLayout]] = []
 
-    def tell(number: int, place: str, words: str) -> None:
+    def report(number: int, place: str, what: str) -> None:
         path, by_user = files[number]
         if by_user or named(path):
-            said[number].append(Problem(shown[number], place, words.removeprefix(f"{path.name}: ")))
+            problems_of[number].append(Problem(shown[number], place, what.removeprefix(f"{path.name}: ")))
 
     for number, (path, _) in enumerate(files):
         try:
-            layout, words = layout_of(path)
+            layout, what = layout_of(path)
         except RecordingError as error:
-            tell(number, "", f"{error}; it is left out")
+            report(number, "", f"{error}; it is left out")
             continue
         if layout is None:
-            tell(number, "line 1", words)
+            report(number, "line 1", what)
             continue
-        if words:
-            tell(number, "", words)
+        if what:
+            report(number, "", what)
         layouts.append((number, layout))
     indexes = _index_all([(files[number][0], layout) for number, layout in layouts])
     found: dict[str, FoundTable] = {}
     for (number, layout), index in zip(layouts, indexes, strict=True):
         if isinstance(index, RecordingError):
-            tell(number, "", f"{index}; it is left out")
+            report(number, "", f"{index}; it is left out")
         elif index.sha256 in found:
-            twin = found[index.sha256].table.name
-            said[number].append(Problem(shown[number], "", f"holds the same as {twin}, byte by byte; it is left out"))
+            what = f"holds the same as {found[index.sha256].table.name}, byte by byte; it is left out"
+            problems_of[number].append(Problem(shown[number], "", what))
         else:
             if not index.stretches:
-                said[number].append(Problem(shown[number], "", "no usable row"))
+                problems_of[number].append(Problem(shown[number], "", "no usable row"))
             table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, index.bytes)
             found[index.sha256] = FoundTable(table, layout, index)
-    return list(found.values()), [problem for some in said for problem in some]
+    return list(found.values()), [problem for some in problems_of for problem in some]
 
 
 def _index_all(tables: Sequence[tuple[Path, TableLayout]]) -> list[TripIndex | RecordingError]:

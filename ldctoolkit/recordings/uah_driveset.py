@@ -106,7 +106,7 @@ ACCELEROMETERS: Final = TableKind(
 LARGEST_FILE: Final = 64 << 20
 """A file of one trip is not larger [bytes]: it would be hours of driving, some megabytes are usual."""
 
-TOLD: Final = 5  # so many faulty lines of one file are named one by one, the others are counted
+MOST_FAULTS: Final = 5  # so many faulty lines of one file are named one by one, the others are counted
 
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 
@@ -124,10 +124,10 @@ def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> tuple
         (line, what), count = faults[0], len(faults)
         where = f"line {line}" if count == 1 else f"line {line} and {count - 1} more"
         return None, [Problem(shown, where, f"{what}; no line can be used")]
-    problems = [Problem(shown, f"line {line}", f"{what}; the line is left out") for line, what in faults[:TOLD]]
-    if len(faults) > TOLD:
-        line, what = faults[TOLD]
-        where = f"line {line} and {len(faults) - TOLD - 1} more"
+    problems = [Problem(shown, f"line {line}", f"{what}; the line is left out") for line, what in faults[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        line, what = faults[MOST_FAULTS]
+        where = f"line {line} and {len(faults) - MOST_FAULTS - 1} more"
         problems.append(Problem(shown, where, f"{what}, or alike; the lines are left out"))
     kept = rising_rows(values[:, 0])
     if not kept.all():
@@ -214,9 +214,9 @@ def _backwards(t: FloatArray, kept: BoolArray) -> str:
     latest, here = t[:first].max(initial=-np.inf), t[first]
     # what is not behind an earlier row is ahead of the next one that is kept
     after = latest > here
-    told = f"after {float(latest)!r} s" if after else f"before {float(t[first:][kept[first:]][0])!r} s"
+    limit = f"after {float(latest)!r} s" if after else f"before {float(t[first:][kept[first:]][0])!r} s"
     left = "the line is" if count == 1 else f"{count} lines are"
-    return f"the time runs backwards: {float(here)!r} s {told}; {left} left out"
+    return f"the time runs backwards: {float(here)!r} s {limit}; {left} left out"
 
 
 DEPTH: Final = 3  # trips are looked for so many folders below a given one; the dataset's root has them at 2

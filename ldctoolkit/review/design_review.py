@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, LdcError, plain
 from ldctoolkit.gains import GainValue
@@ -61,7 +61,7 @@ class Check:
         return f"{value * self.factor:.3g} {self.unit}".rstrip()
 
 
-def share(where: npt.NDArray[np.bool_]) -> str:
+def share(where: BoolArray) -> str:
     """How many of several speeds are meant."""
     return f" (so at {int(where.sum())} of {where.size} speeds)" if where.size > 1 else ""
 

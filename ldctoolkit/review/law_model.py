@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step, raised
@@ -146,8 +146,8 @@ class Loop:
         B = np.concatenate([vehicle.B[:, 0], np.zeros(c)])
         delta = np.concatenate([controller.D[0, :5] @ vehicle.C, controller.C[0]])
         E = np.concatenate([vehicle.B[:, 1] + vehicle.B[:, 0] * controller.D[0, 5], controller.B[:, 5]])
-        opened = System(A, B[:, None], -delta[None, :], np.zeros((1, 1)))
-        return cls(opened, A + np.outer(B, delta), E)
+        open_loop = System(A, B[:, None], -delta[None, :], np.zeros((1, 1)))
+        return cls(open_loop, A + np.outer(B, delta), E)
 
     def steady(self) -> FloatArray:
         """State, command and lane yaw rate in a bend once it has settled, per lane yaw rate of 1 rad/s, (6,)."""
@@ -192,8 +192,8 @@ class LinearView:
 
     models: tuple[LawModel, ...]  # One a speed
     exact: bool  # The law is linear by its type
-    quiet: npt.NDArray[np.bool_]  # (n,) Its command at straight, centred driving is zero
-    finite: npt.NDArray[np.bool_]  # (n,) All its answers are numbers
+    quiet: BoolArray  # (n,) Its command at straight, centred driving is zero
+    finite: BoolArray  # (n,) All its answers are numbers
     nonlinearity: FloatArray  # (n,) Largest relative difference between answers to small pulses and to `LARGER` ones
     # (n,) Part of the pulse response, relative to its largest value, that the model's memory does not give
     unexplained: FloatArray
@@ -306,8 +306,9 @@ def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
     root = np.sqrt(s[:k])
     A = (U[:, :k] / root).T @ shifted @ (Vt[:k] / root[:, None]).T
     B, C = root[:, None] * Vt[:k, :6], U[0, :k] * root
-    told, state = np.zeros_like(later), B
+    predicted, state = np.zeros_like(later), B
     for i in range(later.shape[0]):
-        told[i] = C @ state
+        predicted[i] = C @ state
         state = A @ state
-    return LawModel(A, np.append(B / PULSE, np.zeros((k, 1)), axis=1), C, D), float(np.abs(told - later).max() / scale)
+    model = LawModel(A, np.append(B / PULSE, np.zeros((k, 1)), axis=1), C, D)
+    return model, float(np.abs(predicted - later).max() / scale)

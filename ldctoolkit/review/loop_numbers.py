@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import PlantOptions
@@ -74,7 +74,7 @@ class Margins:
     crossover: float  # [rad/s] Highest frequency at which the sampled loop's gain is 1; NaN where there is none
 
 
-def margins(opened: System, dt: float) -> Margins:
+def margins(open_loop: System, dt: float) -> Margins:
     """Margins of a stable loop with negative feedback.
 
     L is evaluated from 0.001 rad/s to the Nyquist frequency. `control.stability_margins` finds the crossovers
@@ -85,14 +85,14 @@ def margins(opened: System, dt: float) -> Margins:
 
     nyquist = math.pi / dt
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), nyquist, _FREQUENCIES)
-    L = opened.response(np.exp(1j * omega * dt))[:, 0, 0]
+    L = open_loop.response(np.exp(1j * omega * dt))[:, 0, 0]
     if not np.abs(L).max() > 1e-12:
         return Margins(math.inf, math.inf, math.inf, math.inf, 2.0, math.nan)
     factors, phases, _, _, crossovers, _ = control.stability_margins(control.FRD(L, omega, smooth=True), returnall=True)
     factors = np.append(factors, 1.0 / abs(L[-1])) if L[-1].real < 0 else factors
     factors = 20.0 * np.log10(factors[np.isfinite(factors) & (factors > 0)])
     phases = np.radians(phases)
-    system = control.ss(opened.A, opened.B, opened.C, opened.D, dt)
+    system = control.ss(open_loop.A, open_loop.B, open_loop.C, open_loop.D, dt)
     disk = control.disk_margins(system, omega[:: _FREQUENCIES // 250], skew=0.0)[0]
     return Margins(
         gain=float(factors[factors > 0].min(initial=math.inf)),
@@ -240,7 +240,7 @@ class LoopNumbers:
 
     v: FloatArray
     bend: FloatArray
-    stable: npt.NDArray[np.bool_]
+    stable: BoolArray
     radius: FloatArray
     damping: FloatArray
     slowest: FloatArray

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import Selection, select_components
@@ -167,7 +167,7 @@ class SideSettings:
     transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
     fit: FitSettings  # choice of K, prior, tolerance, starts
     workers: int | None  # cores; all by default
-    verbose: bool  # tell of every start and pass on stderr
+    verbose: bool  # report every start and pass on stderr
 
     def selection(self) -> dict[str, Any]:
         """Arguments of `select_components` but for the events and the box."""
@@ -256,7 +256,7 @@ def fit_scenario_model(
         Both sides together.
     components : int or iterable of int
         K, or the K to choose from. A range is cut where the events no longer carry it (two events a free parameter).
-        One K is fitted as asked.
+        One K is fitted as requested.
     seed : int
         Seed of the fits.
     bounds : {"physical", "auto"} or mapping, optional
@@ -317,7 +317,7 @@ def fit_scenario_model(
     ... )
     >>> model = fit_scenario_model(departures, components=1, bounds={"d_y": (0, 1.5), "a_mean": "auto"})
     >>> model.provenance.left.reason
-    'K = 1, as asked'
+    'K = 1, as requested'
     """
     check_number("seed", seed, 0, integer=True)
     if seed >= _SEED_END:
@@ -408,7 +408,7 @@ def fit_side(
     notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
     notes += [f"{label}: {sentence}" for sentence in best.warnings_]
     several = len(tried) > 1
-    why = "as asked" if isinstance(settings.components, int) else "the only one of the range that the events carry"
+    why = "as requested" if isinstance(settings.components, int) else "the only one of the range that the events carry"
     summary = SideSummary(
         events=n,
         n_components=tuple(int(K) for K in selection.n_components),
@@ -552,7 +552,7 @@ def side_events(events: Events, label: str, settings: SideSettings) -> SideEvent
     return SideEvents(label, inside, box)
 
 
-def _check(x: FloatArray, j: int, good: npt.NDArray[np.bool_], allowed: str, label: str) -> None:
+def _check(x: FloatArray, j: int, good: BoolArray, allowed: str, label: str) -> None:
     """Refuse a column with a bad value: the first of them and how many there are."""
     if not good.all():
         event = int(np.argmin(good))

@@ -180,7 +180,7 @@ def model_to_json(left: SideModel, right: SideModel, provenance: ModelProvenance
         "version": VERSION,
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
-        "provenance": card_to_json(provenance),
+        "provenance": model_provenance_to_json(provenance),
     }
 
 
@@ -216,7 +216,7 @@ def read_json(text: str, file: str) -> Mapping[str, Any]:
 
 
 def model_from_json(data: Mapping[str, Any], file: str) -> tuple[SideModel, SideModel, ModelProvenance]:
-    """Check and build both sides and the card."""
+    """Check and build both sides and the provenance."""
     reader = Reader(file)
     reader.only(data, "", ("format", "version", "units", "sides", "provenance"))
     sides = reader.member(data, "sides", "", dict, "an object")
@@ -230,7 +230,8 @@ def model_from_json(data: Mapping[str, Any], file: str) -> tuple[SideModel, Side
         _side(reader, reader.member(sides, name, "sides", dict, "an object"), f"sides.{name}")
         for name in ("left", "right")
     ]
-    return built[0], built[1], card_from_json(reader, reader.member(data, "provenance", "", dict, "an object"))
+    provenance = reader.member(data, "provenance", "", dict, "an object")
+    return built[0], built[1], model_provenance_from_json(reader, provenance)
 
 
 def _side(reader: Reader, data: Mapping[str, Any], path: str) -> SideModel:
@@ -312,7 +313,7 @@ def _names(kind: type) -> list[str]:
     return [field.name for field in dataclasses.fields(kind)]
 
 
-def card_to_json(provenance: ModelProvenance) -> dict[str, Any]:
+def model_provenance_to_json(provenance: ModelProvenance) -> dict[str, Any]:
     """The card as JSON values."""
     out = dataclasses.asdict(provenance)
     for label, summary in (("left", provenance.left), ("right", provenance.right)):
@@ -321,7 +322,7 @@ def card_to_json(provenance: ModelProvenance) -> dict[str, Any]:
     return out
 
 
-def card_from_json(reader: Reader, data: Mapping[str, Any]) -> ModelProvenance:
+def model_provenance_from_json(reader: Reader, data: Mapping[str, Any]) -> ModelProvenance:
     """Check and build the card."""
     reader.only(data, PATH, _names(ModelProvenance))
     left, right = (_summary(reader, data.get(side), f"{PATH}.{side}") for side in ("left", "right"))
@@ -477,10 +478,10 @@ def _cells(reader: Reader, data: dict[str, Any], path: str, pairs: int) -> tuple
         raise reader.wrong(here, f"{len(texts)} strings; allowed: {allowed}")
     out: list[tuple[int, ...]] = []
     for i, text in enumerate(texts):
-        words = text.split() if isinstance(text, str) else ["?"]
-        shares = tuple(int(word) for word in words if word.isascii() and word.isdigit() and len(word) <= len(str(UNIT)))
-        b = math.isqrt(len(words))
-        if len(shares) != len(words) or not b or b * b != len(words) or sum(shares) > UNIT:
+        cells = text.split() if isinstance(text, str) else ["?"]
+        shares = tuple(int(cell) for cell in cells if cell.isascii() and cell.isdigit() and len(cell) <= len(str(UNIT)))
+        b = math.isqrt(len(cells))
+        if len(shares) != len(cells) or not b or b * b != len(cells) or sum(shares) > UNIT:
             raise reader.wrong(f"{here}[{i}]", f"{short(text)}; allowed: {allowed}")
         if out and len(out[0]) != len(shares):
             raise reader.wrong(f"{here}[{i}]", f"{len(shares)} cells; allowed: {len(out[0])}, as in the first")

@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Departures, joined_departures
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Departures, combined_departures
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError, nearest
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
@@ -444,7 +444,7 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
     provenance = merged_provenance(names, [found for _, found in tables])
     if len(tables) == 1:
         return tables[0][0], provenance
-    return joined_departures([departures for departures, _ in tables]), provenance
+    return combined_departures([departures for departures, _ in tables]), provenance
 
 
 def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:

@@ -291,7 +291,7 @@ class SideSummary:
     held_out : tuple of float
         Log-likelihood per event [nats] on events that were kept out of the fit.
     criterion : str
-        By which K was taken; ``""`` where one K was fitted as asked.
+        By which K was taken; ``""`` where one K was fitted as requested.
     reason : str
         Why this K, as text.
     failed : tuple of (int, str)

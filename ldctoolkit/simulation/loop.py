@@ -28,7 +28,7 @@ from ldctoolkit.control import (
 )
 from ldctoolkit.errors import InputError, plain
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
@@ -402,7 +402,7 @@ def _in_threads(work: Callable[[int, int], None], count: int, threads: int | Non
 def recorded_run(takeover: Takeover) -> Run:
     """The recorded paths."""
     rows, recorded = takeover.rows, takeover.recorded
-    companions = Companions(**{name: getattr(recorded, name)[rows] for name in COMPANION_UNITS})
+    companions = MetricValues(**{name: getattr(recorded, name)[rows] for name in METRIC_UNITS})
     zeros = np.zeros(takeover.m, dtype=np.int64)
     return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
 
@@ -419,17 +419,17 @@ def _run_of_scores(
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
     status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
     if score.shape[0] == 1:
-        companions = Companions(**dict.fromkeys(COMPANION_UNITS, np.full(takeover.m, np.nan)))
+        companions = MetricValues(**dict.fromkeys(METRIC_UNITS, np.full(takeover.m, np.nan)))
         return Run(takeover, score[0].copy(), status, failed, companions, 0.0, None)
     edge = takeover.setup.vehicle.edge_offset
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
-    values = dict(zip(COMPANION_UNITS, score[data.AREA + 1 :], strict=True)) | {
+    values = dict(zip(METRIC_UNITS, score[data.AREA + 1 :], strict=True)) | {
         "deepest": np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
         "dtle": -front,
         "opposite_crossing": np.maximum(score[data.OPPOSITE] - edge, 0.0),
     }
-    companions = Companions(**values)
+    companions = MetricValues(**values)
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
 
 

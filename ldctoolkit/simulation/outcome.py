@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import metrics
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus, SolverLog
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.notebook import outcome_html
@@ -79,10 +79,10 @@ class Outcome:
     window: Window
     S: FloatArray
     S_uncorrected: FloatArray
-    triggered: npt.NDArray[np.bool_]
+    triggered: BoolArray
     status: npt.NDArray[np.int8]
     t_s: FloatArray
-    companions: metrics.Companions
+    companions: metrics.MetricValues
     failed_solves: IntArray
     law_seconds: float
     trajectories: Trajectories | None
@@ -136,7 +136,7 @@ class Run:
     area: FloatArray | None
     status: npt.NDArray[np.int8]
     failed_solves: IntArray
-    companions: metrics.Companions
+    companions: metrics.MetricValues
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
@@ -145,7 +145,7 @@ class Run:
         """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""
         over = self.takeover
         scores = [over.S_uncorrected - (over.S_before if window == "control" else 0.0) for window in windows]
-        recorded = [getattr(over.recorded, name) for name in metrics.COMPANION_UNITS]
+        recorded = [getattr(over.recorded, name) for name in metrics.METRIC_UNITS]
         return np.stack([*(S for S in scores for _ in range(2)), *recorded])
 
     def fill(self, out: FloatArray, windows: Sequence[Window]) -> None:
@@ -154,7 +154,7 @@ class Run:
         if self.area is not None:
             for w, window in enumerate(windows):
                 out[2 * w, rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
-        for i, name in enumerate(metrics.COMPANION_UNITS, start=2 * len(windows)):
+        for i, name in enumerate(metrics.METRIC_UNITS, start=2 * len(windows)):
             out[i, rows] = getattr(self.companions, name)
 
     def outcome(self, window: Window) -> Outcome:
@@ -176,7 +176,7 @@ class Run:
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            companions=metrics.Companions(**dict(zip(metrics.COMPANION_UNITS, values[2:], strict=True))),
+            companions=metrics.MetricValues(**dict(zip(metrics.METRIC_UNITS, values[2:], strict=True))),
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
-from ldctoolkit.metrics import COMPANION_UNITS, JERK_WINDOW, Companions
+from ldctoolkit.metrics import JERK_WINDOW, METRIC_UNITS, MetricValues
 from ldctoolkit.option_checks import checked_number, checked_seed
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
 from ldctoolkit.plant_options import Mismatch, Tyres
@@ -177,7 +177,7 @@ class Takeover:
     scenarios: Scenarios
     setup: Setup
     y_s: float
-    valid: npt.NDArray[np.bool_]
+    valid: BoolArray
     path: UncorrectedPath
     rows: IntArray
     t_s: FloatArray
@@ -216,7 +216,7 @@ class Takeover:
         return self.full_steps + settle + (self.rest > 0.0)
 
     @functools.cached_property
-    def recorded(self) -> Companions:
+    def recorded(self) -> MetricValues:
         """Companions of the recorded path, arrays of n; NaN where not valid, 0 for what only a system can cause."""
         T = self.path.scenarios.T
         measured = {
@@ -224,8 +224,8 @@ class Takeover:
             "dtle": -self.path.front_deepest(T, self.setup.vehicle.l_f),
             "t_back": T,
         }
-        columns = {name: measured.get(name, np.zeros(T.size)) for name in COMPANION_UNITS}
-        return Companions(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
+        columns = {name: measured.get(name, np.zeros(T.size)) for name in METRIC_UNITS}
+        return MetricValues(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
 
     @functools.cached_property
     def deepest_before(self) -> FloatArray:

@@ -203,14 +203,14 @@ def mirror(subject: Subject) -> Iterator[str]:
 
 def quiet(subject: Subject) -> Iterator[str]:
     """Nothing to do, nothing done: the command is 0 on a straight road, centred."""
-    said = subject.commands(straight(subject.settings.scenarios, subject.settings.samples))
-    if said is None:
+    sent = subject.commands(straight(subject.settings.scenarios, subject.settings.samples))
+    if sent is None:
         return
-    wrong = ~(np.abs(said.delta) <= subject.settings.quiet_tolerance)
+    wrong = ~(np.abs(sent.delta) <= subject.settings.quiet_tolerance)
     if wrong.any():
         k, i = (int(place[0]) for place in np.nonzero(wrong))
-        yield f"the command is {shown(said.delta[k, i])} rad at sample {k} on a straight, centred road; allowed: 0"
-    failed = said.status != EventStatus.OK
+        yield f"the command is {shown(sent.delta[k, i])} rad at sample {k} on a straight, centred road; allowed: 0"
+    failed = sent.status != EventStatus.OK
     if failed.any():
         yield f"{int(failed.sum())} commands on a straight, centred road have the status SOLVER_FAILED; allowed: none"
 
@@ -234,19 +234,19 @@ def limits(subject: Subject) -> Iterator[str]:
     step = values.get("rate_max", np.inf) * subject.settings.dt
     room = subject.settings.limit_tolerance
     for road in (subject.bends(), corners(subject.settings.samples)):
-        said = subject.commands(road)
-        if said is None:
+        sent = subject.commands(road)
+        if sent is None:
             continue
-        before = np.vstack([road.delta_0, said.delta[:-1]])
+        before = np.vstack([road.delta_0, sent.delta[:-1]])
         back = np.abs(before) - step if np.isfinite(step) else np.zeros_like(before)
         for excess, name in (
-            (np.abs(said.delta) - np.maximum(values.get("delta_max", np.inf), back), "delta_max"),
-            (np.abs(said.delta - before) - step, "rate_max"),
+            (np.abs(sent.delta) - np.maximum(values.get("delta_max", np.inf), back), "delta_max"),
+            (np.abs(sent.delta - before) - step, "rate_max"),
         ):
             if (excess > room).any():
                 k, i = (int(place[0]) for place in np.nonzero(excess > room))
                 yield (
-                    f"the command goes from {shown(before[k, i])} to {shown(said.delta[k, i])} rad in one sample of "
+                    f"the command goes from {shown(before[k, i])} to {shown(sent.delta[k, i])} rad in one sample of "
                     f"{subject.settings.dt:g} s, at sample {k} of scenario {i}; allowed by {name} = {values[name]:g}: "
                     f"{excess[k, i]:.3g} rad less"
                 )
@@ -260,7 +260,7 @@ def inputs(subject: Subject) -> Iterator[str]:
     if law is None:
         return
     walk = Walk(law, road, subject.settings.dt, subject.name)
-    told: set[str] = set()
+    reported: set[str] = set()
     for k in range(road.samples):
         t, x, preview, delta_prev = walk.seen()
         given = {"t": t, "x": x, "preview.yaw_rate": preview.yaw_rate, "preview.heading": preview.heading}
@@ -269,8 +269,8 @@ def inputs(subject: Subject) -> Iterator[str]:
         copies = [(name, array, array.copy()) for name, array in (*given.items(), *held)]
         result = law.step(t, x, preview, delta_prev, walk.state)
         for name, array, copied in copies:
-            if name not in told and not _same(array, copied):
-                told.add(name)
+            if name not in reported and not _same(array, copied):
+                reported.add(name)
                 yield f"step changes {name} in place, at sample {k}; allowed: new arrays"
         delta, walk.state, _ = check_step(result, road.n, subject.name)
         walk.previous, walk.k = np.where(np.isfinite(delta), delta, walk.previous), k + 1
@@ -324,12 +324,12 @@ def take(subject: Subject) -> Iterator[str]:
         if not walk.take(chosen):
             return  # ended scenarios are then shown to it as zeros
         rows = rows[chosen]
-        walk.said.clear()
+        walk.sent.clear()
         first = walk.k
         walk.go_on()
-        said = Commands(np.array([walk.said[0][0]]), np.array([walk.said[0][1]]))
+        sent = Commands(np.array([walk.sent[0][0]]), np.array([walk.sent[0][1]]))
         part = Commands(whole.delta[first : first + 1, rows], whole.status[first : first + 1, rows])
-        yield from difference(part, said, f"after take, at sample {first} of the run")
+        yield from difference(part, sent, f"after take, at sample {first} of the run")
 
 
 def ended(subject: Subject) -> Iterator[str]:
@@ -360,7 +360,7 @@ def extremes(subject: Subject) -> Iterator[str]:
         for design in _variants(subject.design, one):
             label = f"{one.name} = {getattr(design, one.name)!r}"
             try:
-                said = Subject(design, subject.settings).commands(road)
+                sent = Subject(design, subject.settings).commands(road)
             except (KeyboardInterrupt, GeneratorExit):
                 raise
             except BaseException as error:  # a law may also call sys.exit
@@ -369,7 +369,7 @@ def extremes(subject: Subject) -> Iterator[str]:
                 if not (named or absent):
                     yield f"{label}: {type(error).__name__}: {error}; allowed: finite commands"
                 continue
-            yield from (f"{label}: {fault}" for fault in _not_finite(road, said))
+            yield from (f"{label}: {fault}" for fault in _not_finite(road, sent))
 
 
 def _variants(design: Controller, one: Gain) -> Iterator[Controller]:
@@ -388,15 +388,15 @@ def _variants(design: Controller, one: Gain) -> Iterator[Controller]:
                 yield dataclasses.replace(design, **{one.name: value})  # type: ignore[type-var]
 
 
-def _not_finite(road: Road, said: Commands | None) -> Iterator[str]:
-    if said is None:
+def _not_finite(road: Road, sent: Commands | None) -> Iterator[str]:
+    if sent is None:
         return
-    wrong = ~np.isfinite(said.delta)
+    wrong = ~np.isfinite(sent.delta)
     if wrong.any():
         k, i = (int(place[0]) for place in np.nonzero(wrong))
         seen = ", ".join(f"{value:.3g}" for value in road.x[k, i])
         yield (
-            f"the command is {shown(said.delta[k, i])} at {road.v[i]:.3g} m/s, x = ({seen}), sample {k} of scenario "
+            f"the command is {shown(sent.delta[k, i])} at {road.v[i]:.3g} m/s, x = ({seen}), sample {k} of scenario "
             f"{i} ({int(wrong.sum())} of {wrong.size} are not finite); allowed: finite commands"
         )
 

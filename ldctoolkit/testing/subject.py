@@ -154,7 +154,7 @@ class Walk:
         self.state: Any = law.init(road.n)
         self.previous = road.delta_0.copy()
         self.k = 0
-        self.said: list[tuple[FloatArray, npt.NDArray[np.int8]]] = []
+        self.sent: list[tuple[FloatArray, npt.NDArray[np.int8]]] = []
 
     def seen(self) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
         """What the law is shown next: arrays of its own."""
@@ -165,7 +165,7 @@ class Walk:
         """Take one sample."""
         result = self.law.step(*self.seen(), self.state)
         delta, self.state, status = check_step(result, self.road.n, self.name)
-        self.said.append((delta.copy(), status))
+        self.sent.append((delta.copy(), status))
         # as the closed loop does
         self.previous = np.where(np.isfinite(delta), delta, self.previous)
         self.k += 1
@@ -183,7 +183,10 @@ class Walk:
         """Take all samples that are left."""
         while self.k < self.road.samples:
             self.go_on()
-        return Commands(np.array([delta for delta, _ in self.said]), np.array([status for _, status in self.said]))
+        return Commands(
+            np.array([delta for delta, _ in self.sent]),
+            np.array([status for _, status in self.sent]),
+        )
 
 
 def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:

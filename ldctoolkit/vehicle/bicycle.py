@@ -47,7 +47,7 @@ class Plant:
     """
 
     model: BicycleModel
-    v: npt.NDArray[np.float64]
+    v: FloatArray
     dt: float
     step: Discretization
     lag: float = 0.0

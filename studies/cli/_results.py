@@ -227,7 +227,7 @@ def rank_summary(
         ),
         "require": list(ranking.require),
         "not_ranked": [design.id for design, missed in zip(ranking.designs, ranking.unmet, strict=True) if missed],
-        "pareto": list(ranking.pareto_figures),
+        "pareto": list(ranking.pareto_metrics),
         "pareto_front": [ranking.designs[i].id for i in range(len(ranking)) if ranking.pareto[i]],
         "confidence": ranking.confidence,
         "warnings": list(ranking.warnings),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_STYLE: Final = {Verdict.WORSE: "red", Verdict.BETTER: "green", Verdict.UNTOLD: "", Verdict.SAME: "dim"}
+_STYLE: Final = {Verdict.WORSE: "red", Verdict.BETTER: "green", Verdict.NOT_SEPARATED: "", Verdict.SAME: "dim"}
 _TOP_OF_OTHER_CASES: Final = 3
 _MOST_LISTED: Final = 20
 
@@ -36,7 +36,7 @@ def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
     for i, case in enumerate(comparison.cases):
         if len(case):
             out.print(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
-        say(out, *_told(case))
+        say(out, *_verdict_lines(case))
         out.print()
     for heading, failed in (
         ("failed only in the new study, worse:", comparison.new_failures),
@@ -100,7 +100,7 @@ def _interval(low: float, high: float) -> str:
     return f"{low:+{digits}} .. {high:+{digits}}"
 
 
-def _told(case: CaseComparison) -> Iterator[str]:
+def _verdict_lines(case: CaseComparison) -> Iterator[str]:
     same = case.count(Verdict.SAME)
     if same:
         yield f"the same within 1e-6 m s: {same} of {len(case)} designs"

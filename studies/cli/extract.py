@@ -74,7 +74,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.recordings.sources import open_recordings
-    from studies.extraction import MOST_SAID, NothingReadError, parts_folder, run_extraction
+    from studies.extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
@@ -97,8 +97,8 @@ def run(chosen: argparse.Namespace) -> int:
                 before_removal=None if page is None else _page_writer(page, target),
             )
     except NothingReadError as error:
-        if len(error.problems) > MOST_SAID:
-            tell_problems(error.problems, written=False)
+        if len(error.problems) > MOST_NAMED:
+            print_problems(error.problems, written=False)
         raise
     except KeyboardInterrupt:
         folder = parts_folder(target)
@@ -107,7 +107,7 @@ def run(chosen: argparse.Namespace) -> int:
         raise
 
     print(f"format: {recordings.reader.name} ({recordings.found})")
-    tell_problems(found.problems, written=True)
+    print_problems(found.problems, written=True)
     for warning in found.warnings:
         warn(warning)
     print_extraction(found)
@@ -151,18 +151,18 @@ def _preparation(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Pr
     )
 
 
-PROBLEMS_TOLD: Final = 20
+MOST_PROBLEMS: Final = 20
 
 
-def tell_problems(problems: Sequence[Problem], *, written: bool) -> None:
+def print_problems(problems: Sequence[Problem], *, written: bool) -> None:
     """What could not be used: the first twenty, one line each, and how many more there are.
 
     `written`: whether there is a departures table, which holds them.
     """
-    for problem in problems[:PROBLEMS_TOLD]:
+    for problem in problems[:MOST_PROBLEMS]:
         warn(str(problem))
-    if len(problems) > PROBLEMS_TOLD:
-        more = len(problems) - PROBLEMS_TOLD
+    if len(problems) > MOST_PROBLEMS:
+        more = len(problems) - MOST_PROBLEMS
         where = "; the departures table holds them all" if written else ""
         warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
 

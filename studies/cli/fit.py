@@ -76,7 +76,7 @@ def add_parser(commands: Subparsers) -> None:
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
     )  # fmt: skip
-    add("--verbose", action="store_true", help="tell of every start and pass on stderr")
+    add("--verbose", action="store_true", help="report every start and pass on stderr")
     parser.set_defaults(run=run)
     _add_sample(commands)
 
@@ -299,5 +299,5 @@ def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
     if max(left, right) > _MOST:
         raise InputError(f"{max(left, right)} departures to one side; allowed: up to {_MOST}")
     if left + right == 0:
-        raise InputError("no departures asked for: give -n, or --left and --right")
+        raise InputError("no departures requested: give -n, or --left and --right")
     return left, right

@@ -188,9 +188,9 @@ def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
     left, right = min(wanted.left, _MOST_SCENARIOS), min(wanted.right, _MOST_SCENARIOS)
     scenarios = study_model(study).sample(left, right, seed=study.seed, given=wanted.given)
     for convention in conventions:
-        said = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
+        suffix = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
         for subject in _of_convention(study, designs, scenarios, convention, chosen):
-            yield dataclasses.replace(subject, label=f"{subject.label}{said}")
+            yield dataclasses.replace(subject, label=f"{subject.label}{suffix}")
 
 
 def _of_convention(

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.notebook import CELL
 from studies.comparison.paired import (
@@ -36,7 +36,7 @@ from studies.storage.files import write_text
 PHRASES: Final = {
     Verdict.BETTER: "better",
     Verdict.WORSE: "worse",
-    Verdict.UNTOLD: "not separated",
+    Verdict.NOT_SEPARATED: "not separated",
     Verdict.SAME: "the same",
 }
 """Verdict -> how a sentence says it."""
@@ -70,10 +70,10 @@ class CaseComparison:
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Positions of the designs: worse ones first, then better, untold and unchanged ones, large changes first."""
-        rank = {verdict: i for i, verdict in enumerate((Verdict.WORSE, Verdict.BETTER, Verdict.UNTOLD, Verdict.SAME))}
+        """Positions of the designs: worse ones first, then better, not separated, unchanged; large changes first."""
+        rank = [Verdict.WORSE, Verdict.BETTER, Verdict.NOT_SEPARATED, Verdict.SAME].index
         return tuple(
-            sorted(range(len(self)), key=lambda i: (rank[self.S.verdict[i]], -abs(float(self.S.difference[i]))))
+            sorted(range(len(self)), key=lambda i: (rank(self.S.verdict[i]), -abs(float(self.S.difference[i]))))
         )
 
 
@@ -142,13 +142,13 @@ class Comparison:
         first = self.cases[0]
         if len(first):
             counts = ", ".join(f"{first.count(verdict)} {PHRASES[verdict]}" for verdict in Verdict)
-            told = f"{len(first)} design{'s' if len(first) > 1 else ''} in both, {first.case.label}: {counts}"
+            summary = f"{len(first)} design{'s' if len(first) > 1 else ''} in both, {first.case.label}: {counts}"
         else:
-            told = f"no design in both, {first.case.label}"
+            summary = f"no design in both, {first.case.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
         nothing = "not compared" if first.raced_elsewhere else "no winner"
         winners = nothing if first.winners is None else PHRASES[first.winners.verdict]
-        return f"{shared}; {told}{failed}; the new winner against the old one: {winners}."
+        return f"{shared}; {summary}{failed}; the new winner against the old one: {winners}."
 
 
 def comparison_html(comparison: Comparison, top: int = TOP) -> str:
@@ -369,7 +369,7 @@ def _shared_fresh(before: FinishedStudy, after: FinishedStudy) -> SharedScenario
 
 def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> SharedScenarios:
     """Those that every design of both could be driven on, in every case."""
-    rows: npt.NDArray[np.bool_] = np.ones(shared.n, dtype=np.bool_)
+    rows: BoolArray = np.ones(shared.n, dtype=np.bool_)
     for results, at in ((old, shared.old), (new, shared.new)):
         for case in results.cases:
             rows &= case.drivable[at]

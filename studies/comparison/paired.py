@@ -130,7 +130,7 @@ class Verdict(enum.StrEnum):
 
     BETTER = "better"
     WORSE = "worse"
-    UNTOLD = "not separated"
+    NOT_SEPARATED = "not separated"
     SAME = "same"
 
 
@@ -212,7 +212,7 @@ def _verdict(any_changed: bool, low: float, high: float) -> Verdict:
         return Verdict.SAME
     if high < -SAME:
         return Verdict.BETTER
-    return Verdict.WORSE if low > SAME else Verdict.UNTOLD
+    return Verdict.WORSE if low > SAME else Verdict.NOT_SEPARATED
 
 
 def _half_widths(values: FloatArray, side: IntArray, samples: int, seed: int, confidence: float) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup, escape
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from studies.design import NO_CONTROL
 from studies.pages.text import compact, printable, shorten, symbols_svg
 
@@ -435,7 +435,7 @@ def heat_map(
     y: tuple[str, Sequence[str]],
     *,
     ring: tuple[int, int] | None = None,
-    open_cells: npt.NDArray[np.bool_] | None = None,
+    open_cells: BoolArray | None = None,
 ) -> Chart:
     """Cells with their numbers: dark is small; a ring marks one, a cross those of `open_cells`; NaN stays empty."""
     rows, columns = values.shape
@@ -501,7 +501,7 @@ class Cloud:
     x: FloatArray
     y: FloatArray
     style: Style
-    filled: npt.NDArray[np.bool_]
+    filled: BoolArray
     tips: tuple[str, ...]
 
 

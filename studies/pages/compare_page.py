@@ -18,8 +18,8 @@ from studies.pages.settings_section import pairs
 from studies.pages.shell import (
     Cell,
     Column,
-    Line,
     Section,
+    TableRow,
     bullets,
     details,
     figure,
@@ -41,7 +41,7 @@ MOST_LISTED: Final = 100
 _STYLES: Final = {
     Verdict.BETTER: Style(2, "", "v"),
     Verdict.WORSE: Style(1, "", "^"),
-    Verdict.UNTOLD: Style(0, "", "o"),
+    Verdict.NOT_SEPARATED: Style(0, "", "o"),
     Verdict.SAME: Style(-1, "2 2.5", "|"),
 }
 
@@ -122,7 +122,7 @@ def winners_sentence(winners: Winners) -> str:
             Verdict.BETTER: f"falls by {size}{small}.",
             Verdict.WORSE: f"rises by {size}{small}.",
             Verdict.SAME: "is the same.",
-            Verdict.UNTOLD: "does not change by more than chance makes.",
+            Verdict.NOT_SEPARATED: "does not change by more than chance makes.",
         }
         return start + end[winners.verdict]
     start = f"On shared {which} scenarios the new winner, {winners.new.label}, is "
@@ -130,7 +130,7 @@ def winners_sentence(winners: Winners) -> str:
         Verdict.BETTER: f"better than the old one, {winners.old.label}, by {size}{small}.",
         Verdict.WORSE: f"worse than the old one, {winners.old.label}, by {size}{small}.",
         Verdict.SAME: f"as good as the old one, {winners.old.label}.",
-        Verdict.UNTOLD: f"not separated from the old one, {winners.old.label}.",
+        Verdict.NOT_SEPARATED: f"not separated from the old one, {winners.old.label}.",
     }
     return start + end[winners.verdict]
 
@@ -143,11 +143,11 @@ def _verdict(comparison: Comparison) -> Section:
     for case in comparison.cases:
         winners = case.winners
         if winners is None:
-            rows.append(Line((case.case.label, "\u2013", "", "", "", "", "", no_winners_sentence(case))))
+            rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", no_winners_sentence(case))))
             continue
         change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
         rows.append(
-            Line(
+            TableRow(
                 (
                     case.case.label,
                     f"{winners.scenarios:,} {'fresh' if winners.fresh else 'study'} scenarios",
@@ -229,7 +229,7 @@ def _differences(comparison: Comparison) -> Section:
     else:
         columns = [Column("Input", text=True), Column("Old \u2192 new", text=True)]
         rows = [
-            Line((key, value.replace(" -> ", " \u2192 ")))
+            TableRow((key, value.replace(" -> ", " \u2192 ")))
             for key, _, value in (one.partition(": ") for one in comparison.differences)
         ]
         body = table("What decides the numbers and differs", columns, rows)
@@ -268,7 +268,7 @@ def _case_table(comparison: Comparison, case: CaseComparison, id: str) -> Markup
             f"{difference_text(float(S.largest[i]))}{at}" if changed else "\u2013",
             f"{failed[0]:,} / {failed[1]:,}" if any(failed) else "\u2013",
         )
-        rows.append(Line(cells, later=k >= FIRST_ROWS))
+        rows.append(TableRow(cells, later=k >= FIRST_ROWS))
     return render(
         "compare.html", id=id, table=table(f"{case.case.label}: "
             f"{counts_text(case)}", columns, rows, id=id, sortable=True, head=1),

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from studies.pages.charts import Axis, Chart, Dot, Series, dots, lines
 from studies.pages.context import Context, interval, name_of
-from studies.pages.shell import Cell, Column, Line, Section, figure, paragraphs, table
+from studies.pages.shell import Cell, Column, Section, TableRow, figure, paragraphs, table
 from studies.pages.text import difference_text, number, percent, plural
 
 MOST: Final = 12
@@ -113,7 +112,7 @@ def _charts(context: Context) -> Iterator[Chart]:
         )
 
 
-def interleaved(side: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def interleaved(side: IntArray) -> IntArray:
     """An order of the scenarios in which every stretch holds left and right ones in their overall proportion."""
     place = np.empty(side.size)
     for value in np.unique(side):
@@ -122,7 +121,7 @@ def interleaved(side: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return np.lexsort((np.arange(side.size), place))
 
 
-def running_mean(values: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+def running_mean(values: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Mean of the first k values and 1.96 standard errors of it, at up to 160 counts k from 2 to n."""
     n = values.size
     if n < 2:
@@ -145,7 +144,7 @@ def _finalists(context: Context) -> Markup:
     for i in np.flatnonzero(np.isfinite(ranking.fresh_S)).tolist():
         to_first = float(ranking.fresh_difference[i])
         rows.append(
-            Line(
+            TableRow(
                 (
                     str(ranking.rank[i]) if ranking.rank[i] else "\u2013",
                     name_of(ranking.designs[i]),

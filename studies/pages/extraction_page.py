@@ -18,12 +18,12 @@ from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
 from ldctoolkit.recordings.find_departures import REASONS
-from ldctoolkit.recordings.quality import Account, Origin, joined_accounts, share_of_widths
-from ldctoolkit.recordings.sources import ReadersTogether
+from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
+from ldctoolkit.recordings.sources import CombinedReader
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Series, Style, bars, legend, lines
 from studies.pages.settings_section import pairs
-from studies.pages.shell import Column, Line, Section, bullets, details, figure, make_page, paragraphs, table
+from studies.pages.shell import Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
 from studies.pages.text import (
     PARAMETER_MEANINGS,
     compact,
@@ -139,7 +139,7 @@ class Row:
 
 def total(accounts: Sequence[Account]) -> Row | None:
     """All together; None where nothing was read."""
-    joined = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in accounts)
+    joined = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in accounts)
     return Row("All", joined[0]) if joined else None
 
 
@@ -170,7 +170,7 @@ def _natural(text: str) -> list[tuple[int, int, str]]:
 
 
 def _rows(accounts: Sequence[Account], most: int) -> tuple[Row, ...]:
-    joined = joined_accounts(accounts)
+    joined = combined_accounts(accounts)
     longest = set(range(len(joined)))
     if len(joined) > most:
         longest = set(sorted(longest, key=lambda i: -joined[i].read_ns)[: most - 1])
@@ -179,7 +179,7 @@ def _rows(accounts: Sequence[Account], most: int) -> tuple[Row, ...]:
     ]
     rest = [one for i, one in enumerate(joined) if i not in longest]
     if rest:
-        (gathered,) = joined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
+        (gathered,) = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
         rows.append(Row(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
     return tuple(rows)
 
@@ -257,7 +257,7 @@ def _verdict(extraction: Extraction, whole: Row | None) -> Section:
     if problems:
         first = f", the first {MOST_PROBLEMS} of {len(problems):,}" if len(problems) > MOST_PROBLEMS else ""
         rows = [
-            Line((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
+            TableRow((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
             for one in problems[:MOST_PROBLEMS]
         ]
         columns = [Column("File", text=True), Column("Place", text=True), Column("What", text=True)]
@@ -273,7 +273,7 @@ def _read(extraction: Extraction) -> Section:
     body = pairs(facts(extraction))
     if sources:
         columns = [Column("File", text=True), Column("Size"), Column("SHA-256", text=True)]
-        rows = [Line((shorten(one.name, 300), size(one.bytes), one.sha256[:12])) for one in sources[:MOST_FILES]]
+        rows = [TableRow((shorten(one.name, 300), size(one.bytes), one.sha256[:12])) for one in sources[:MOST_FILES]]
         first = f", the first {MOST_FILES}" if len(sources) > MOST_FILES else ""
         body += details(
             "Files", table(f"{plural(len(sources), 'file')}{first}; twelve digits of each SHA-256", columns, rows)
@@ -319,12 +319,12 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def _reader(name: str) -> RecordingReader | ReadersTogether | None:
+def _reader(name: str) -> RecordingReader | CombinedReader | None:
     try:
         readers = tuple(map(recording_reader, name.split(" + ")))
     except LdcError:  # a reader that is not installed here: its defaults are not known
         return None
-    return readers[0] if len(readers) == 1 else ReadersTogether(readers)
+    return readers[0] if len(readers) == 1 else CombinedReader(readers)
 
 
 def _nominal(extraction: Extraction) -> str:
@@ -363,7 +363,7 @@ def _amounts(rows: Sequence[Row], head: str, whole: Row | None = None) -> Markup
         account, (left, right) = row.account, row.departures
         valid = account.hours_valid
         out.append(
-            Line(
+            TableRow(
                 (
                     shorten(row.title, 200),
                     f"{account.recordings:,}",
@@ -412,7 +412,7 @@ def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     for reason in reasons:
         left, right = whole.refusals(0)[reason], whole.refusals(1)[reason]
         lines_.append(
-            Line(
+            TableRow(
                 (
                     reason.replace("_", " "),
                     MEANINGS[reason],
@@ -431,7 +431,7 @@ def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     if len(rows) > 1:
         heads = [Column("Source", text=True), *(Column(reason.replace("_", " ")) for reason in reasons)]
         cells = [
-            Line((shorten(row.title, 200), *(f"{row.refusals(0)[r]:,} / {row.refusals(1)[r]:,}" for r in reasons)))
+            TableRow((shorten(row.title, 200), *(f"{row.refusals(0)[r]:,} / {row.refusals(1)[r]:,}" for r in reasons)))
             for row in rows
         ]
         body += details("By source", table("Refused by source and reason: left / right", heads, cells))
@@ -475,7 +475,7 @@ def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
                 "Share per bin [%]",
             )
         )
-        lines_.append(Line((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells)))
+        lines_.append(TableRow((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells)))
     left, right = side_counts(extraction)
     key = legend(
         [(f"left, {plural(left, 'departure')}", SIDE["left"]), (f"right, {plural(right, 'departure')}", SIDE["right"])]
@@ -507,7 +507,7 @@ def _medians(extraction: Extraction, rows: Sequence[Row]) -> Markup:
             compact(float(f"{np.median(getattr(departures, n)[own]):.3g}")) if own.any() else "\u2013"
             for n in PARAMETER_NAMES
         ]
-        out.append(Line((shorten(row.title, 200), f"{int(own.sum()):,}", *cells)))
+        out.append(TableRow((shorten(row.title, 200), f"{int(own.sum()):,}", *cells)))
     columns = [
         Column("Source", text=True),
         Column("Departures"),
@@ -540,7 +540,7 @@ def _widths(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> S
         [chart], f"Share of the valid samples in bins of 0.1 m{scaled}; median {number(_median_width(whole), 2)} m."
     )
     if len(rows) > 1:
-        out = [Line((shorten(row.title, 200), number(_median_width(row), 2))) for row in rows]
+        out = [TableRow((shorten(row.title, 200), number(_median_width(row), 2))) for row in rows]
         body += details(
             "By source", table("Median lane width", [Column("Source", text=True), Column("Median", "m")], out)
         )

@@ -22,8 +22,8 @@ from studies.pages.settings_section import pairs
 from studies.pages.shell import (
     Cell,
     Column,
-    Line,
     Section,
+    TableRow,
     bullets,
     details,
     figure,
@@ -265,7 +265,7 @@ def _calibration(sides: tuple[Side, ...]) -> Section:
                 compact(float(f"{one.position:.3g}")),
             ]
             series.append(Series(side.key, one.u, 100.0 * one.difference, SIDE[side.key]))
-        rows.append(Line(tuple(cells)))
+        rows.append(TableRow(tuple(cells)))
         if series:
             y = Axis.around("Difference [%]", *(one.y for one in series), [0.0])
             charts.append(
@@ -337,7 +337,7 @@ def _components(sides: tuple[Side, ...]) -> Section:
                 outside,
                 f"{c.condition:.3g}",
             )
-            rows.append(Line(cells))
+            rows.append(TableRow(cells))
     return Section("components", "Components", table("Components, the heaviest first", columns, rows))
 
 
@@ -357,7 +357,7 @@ def _selection(sides: tuple[Side, ...]) -> Section:
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event"),
                    *(Column(title) for title, _, _ in criteria)]  # fmt: skip
         rows = [
-            Line(
+            TableRow(
                 (
                     str(K),
                     number(summary.bic[i], 1),

@@ -15,7 +15,7 @@ from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.pages.charts import Axis, Chart, Series, heat_map, lines
 from studies.pages.context import Context, metric_text
-from studies.pages.shell import Column, Line, Section, figure, paragraphs, table
+from studies.pages.shell import Column, Section, TableRow, figure, paragraphs, table
 from studies.pages.text import compact, number, unit_text
 from studies.sensitivity.sensitivity import BlockSensitivity
 
@@ -180,7 +180,7 @@ def _sensitivity(blocks: Sequence[BlockSensitivity]) -> Markup:
             known = math.isfinite(found.total[j])
             low, high = (found.total_low, found.total_high) if known else (found.first_low, found.first_high)
             rows.append(
-                Line(
+                TableRow(
                     (
                         controller_class(block.law).title,
                         block.names[j],

@@ -17,7 +17,7 @@ from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_margin
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import Condition, mixture_conditions
 from studies.pages.context import Context
-from studies.pages.shell import Cell, Column, Line, Section, bullets, details, paragraphs, table
+from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, paragraphs, table
 from studies.pages.text import PARAMETER_UNIT_TEXT as UNITS
 from studies.pages.text import compact, figure, number, percent, plural
 
@@ -227,5 +227,5 @@ def _table(found: tuple[SideMatch, ...]) -> Markup:
                 Cell("\u2013") if gap is None else Cell(number(100 * gap.value, 1), bad=gap.beyond)
                 for gap in (one.to_model, one.to_source)
             ]
-            rows.append(Line((f"{one.name}{unit}", side.key, figure(one.median), figure(one.source_median), *gaps)))
+            rows.append(TableRow((f"{one.name}{unit}", side.key, figure(one.median), figure(one.source_median), *gaps)))
     return table("Kolmogorov distances; set off: more than chance makes", columns, rows)

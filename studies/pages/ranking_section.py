@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 from studies.pages.context import Context, gains_text, interval, law_title, metric_text
-from studies.pages.shell import Cell, Column, Line, Section, bullets, render, table
+from studies.pages.shell import Cell, Column, Section, TableRow, bullets, render, table
 from studies.pages.text import compact, number, percent, plural
 from studies.ranking.verdict import judged
 
@@ -64,7 +64,7 @@ def _shown_first(place: int, named: bool) -> bool:
     return named or place < FIRST_ROWS
 
 
-def _line(context: Context, i: int, named: bool) -> Line:
+def _line(context: Context, i: int, named: bool) -> TableRow:
     ranking, design = context.ranking, context.ranking.designs[i]
     missed = {miss.requirement.metric.name for miss in ranking.missed[i]}
     cells: list[Cell | str] = [
@@ -85,7 +85,7 @@ def _line(context: Context, i: int, named: bool) -> Line:
     cells.append(Cell(judged(ranking, i), bad=bool(missed)))
     kinds = ["winner" if i == ranking.winner else "", "baseline" if i == ranking.baseline else ""]
     kinds += ["kept"] if named else ["far"] if i >= FIRST_ROWS else []
-    return Line(tuple(cells), " ".join(filter(None, kinds)), later=not _shown_first(i, named))
+    return TableRow(tuple(cells), " ".join(filter(None, kinds)), later=not _shown_first(i, named))
 
 
 def _set_of_best(context: Context) -> str:
@@ -141,12 +141,10 @@ def limits_section(context: Context) -> Section:
         met = one.met(context.values(one.metric.name))
         own = Cell(value(one.metric.name, i), bad=not met[i], good=bool(met[i]))
         limit = f"{_operator(one.operator)} {_limit_text(one.metric.name, one.limit)}"
-        asked = (
-            one.set if any(one.text == other.text for other in ranking.requirements) else f"{one.set} (not required)"
-        )
-        rows.append(
-            Line((one.metric.title, limit, asked or "own", own, value(one.metric.name, without), f"{int(met.sum()):,}"))
-        )
+        required = any(one.text == other.text for other in ranking.requirements)
+        origin = (one.set or "own") if required else f"{one.set} (not required)"
+        cells = one.metric.title, limit, origin, own, value(one.metric.name, without), f"{int(met.sum()):,}"
+        rows.append(TableRow(cells))
     named = _named_metrics(context)
     body = render(
         "limits.html",
@@ -186,5 +184,5 @@ def _named_metrics(context: Context) -> Markup:
         except LookupError:
             continue
         if any(math.isfinite(value) for value in values):
-            rows.append(Line((one.title, *(metric_text(name, value) for value in values))))
+            rows.append(TableRow((one.title, *(metric_text(name, value) for value in values))))
     return table("All metrics", columns, rows)

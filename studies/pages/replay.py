@@ -105,7 +105,7 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     own = [i for i, design in enumerate(ranking.designs) if design.law == PAPER_LAW][:1]
     reasons = (
         (context.shown_name.removeprefix("the "), [context.shown]),
-        ("asked for", [place_of[i] for i in wanted if i in place_of]),
+        ("requested", [place_of[i] for i in wanted if i in place_of]),
         ("baseline", [] if ranking.baseline is None else [ranking.baseline]),
         ("best of its law", [*context.best_of_each_law[1:6], *own]),
         ("Table I of the paper", paper),
@@ -115,7 +115,7 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     for why, places in reasons:
         for place in places:
             passive = ranking.designs[place].is_baseline and place != context.shown
-            if not passive and (why == "asked for" or len(kept) < MOST_DESIGNS):
+            if not passive and (why == "requested" or len(kept) < MOST_DESIGNS):
                 kept.setdefault(place, Chosen(place, why))
     return tuple(kept.values())
 
@@ -125,7 +125,7 @@ def picked_departures(context: Context, designs: Sequence[Chosen], count: int = 
     n = context.scenarios.n
     roles: dict[int, list[str]] = {}
     for row in rows_of_numbers(context.scenarios, context.report.departures):
-        roles[row] = ["asked for"]
+        roles[row] = ["requested"]
     for row, role in _named(context, designs):
         roles.setdefault(row, []).append(role)
     S = context.S(designs[0].place)

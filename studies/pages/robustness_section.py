@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from studies.pages.charts import Axis, Chart, Series, lines
 from studies.pages.context import Context, law_title, name_of
-from studies.pages.shell import Cell, Column, Line, Section, bullets, details, figure, paragraphs, table
+from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
 from studies.pages.text import number, percent, plural, signed
 from studies.robustness import Robustness
 
@@ -98,7 +98,7 @@ def _table(context: Context, found: Robustness, shown: list[int]) -> Markup:
             change = "" if not p else "\u2013" if not math.isfinite(share) else f"{signed(100.0 * share, 0)}\u00a0%"
             lost = int(found.diverged[p, i])
             cells += [Cell(number(S), bad=worse), change, Cell(str(lost) if lost else "0", bad=bool(lost))]
-        rows.append(Line(tuple(cells)))
+        rows.append(TableRow(tuple(cells)))
     return table("Mean S on other plants; set off: worse than no control there, or diverged", columns, rows)
 
 

@@ -63,7 +63,7 @@ class Cell:
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class TableRow:
     """One row; `kind` is a class of the style sheet, `later` hides it until all rows are requested."""
 
     cells: tuple[Cell | str, ...]
@@ -74,7 +74,7 @@ class Line:
 def table(
     caption: str,
     columns: Sequence[Column],
-    rows: Iterable[Line],
+    rows: Iterable[TableRow],
     *,
     id: str = "",
     sortable: bool = False,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ldctoolkit.metrics import METRICS
 from studies.pages.context import Context, metric_text, name_of
-from studies.pages.shell import Cell, Column, Line, Section, figure, paragraphs, table
+from studies.pages.shell import Cell, Column, Section, TableRow, figure, paragraphs, table
 from studies.pages.text import number, plural
 from studies.pages.verdict_section import cloud_legend, trade_off
 
@@ -26,12 +26,12 @@ def section(context: Context) -> Section:
     )
     front = np.flatnonzero(ranking.pareto)
     sentence = (
-        f"Pareto front over {', '.join(METRICS[name].title for name in ranking.pareto_figures)}: "
+        f"Pareto front over {', '.join(METRICS[name].title for name in ranking.pareto_metrics)}: "
         f"{plural(front.size, 'design')} that no other ranked design beats in one metric without being worse "
         "in another."
-        if ranking.pareto_figures and ranking.ranked
+        if ranking.pareto_metrics and ranking.ranked
         else "There is no Pareto front: no design is ranked."
-        if ranking.pareto_figures
+        if ranking.pareto_metrics
         else ""
     )
     body = paragraphs(sentence) + figure(
@@ -41,13 +41,13 @@ def section(context: Context) -> Section:
         cloud_legend(context),
     )
     if front.size:
-        names = [name for name in ranking.pareto_figures if name != "S"]
+        names = [name for name in ranking.pareto_metrics if name != "S"]
         columns = [
             Column("Rank"), Column("Design", text=True), Column("Mean S", "m\u00b7s"),
             *(Column(METRICS[name].title, METRICS[name].shown_unit) for name in names),
         ]  # fmt: skip
         rows = [
-            Line(
+            TableRow(
                 (
                     str(ranking.rank[i]),
                     name_of(ranking.designs[i]),

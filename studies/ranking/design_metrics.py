@@ -78,7 +78,7 @@ _MOST_THREADS: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
-class ReleaseFigures:
+class ReleaseMetrics:
     """Metrics of d designs, arrays of d, one attribute for each of `ldctoolkit.metrics.RELEASE_METRICS`.
 
     What is taken over interventions is NaN where a design never intervened.
@@ -92,9 +92,9 @@ class ReleaseFigures:
 
         def __getattr__(self, name: str) -> FloatArray: ...
 
-    def take(self, order: Sequence[int] | npt.NDArray[np.int64]) -> ReleaseFigures:
+    def take(self, order: Sequence[int] | IntArray) -> ReleaseMetrics:
         """The same for some of the designs, in the order given."""
-        return ReleaseFigures(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
+        return ReleaseMetrics(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
 
 
 def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
@@ -214,7 +214,7 @@ def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
     return of_start
 
 
-def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
+def tail_metrics(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
     """Quantile of every row, and mean of its worst (100 - percent) %, the last value by its share of them.
 
     The latter is CVaR (R. Rockafellar, S. Uryasev, J. Banking and Finance 26, 2002).
@@ -240,7 +240,7 @@ def tail_figures(values: FloatArray, percent: int = 95) -> tuple[FloatArray, Flo
 
 
 @dataclasses.dataclass(frozen=True)
-class CaseFigures:
+class CaseMetrics:
     """Figures of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
     crashed) at least as bad as without control, and never left out. Scenarios that cannot be driven under some
     design have no S: they are left out for all designs and counted in `invalid`.
@@ -268,7 +268,7 @@ class CaseFigures:
     beyond_delta_max: IntArray
     invalid: IntArray
     failed_solves: IntArray  # (d,) Commands that were not finite, or came from a fallback
-    release: ReleaseFigures  # What is reported beside S
+    release: ReleaseMetrics  # What is reported beside S
 
 
 @dataclasses.dataclass(frozen=True)
@@ -305,20 +305,20 @@ Margins = Mapping[str, tuple[float, float, float, float]]
 _BESIDE = ("gain_margin", "phase_margin", "S_worst", "comfortable_worst")
 
 
-def case_figures(
+def case_metrics(
     drivable: DrivableCase,
     designs: Sequence[Design],
     D_y: float,
     margins: Margins | None = None,
     setup: Setup | None = None,
-) -> CaseFigures:
+) -> CaseMetrics:
     """Metrics of the designs of a case, in its order. Without `setup`, friction allows every recorded path."""
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
     S, S_left, S_right = (_mean(counted, side) for side in rows)
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
-    S_p95, S_cvar95 = tail_figures(counted)
+    S_p95, S_cvar95 = tail_metrics(counted)
     taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
     passive = [i for i, design in enumerate(designs) if design.is_baseline]
     kept = taken["within_dtle"][passive[0]] if passive else np.mean(-scenarios.d_y >= DTLE_LIMIT)
@@ -333,7 +333,7 @@ def case_figures(
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
         return result
 
-    return CaseFigures(
+    return CaseMetrics(
         S=S,
         S_left=S_left,
         S_right=S_right,
@@ -352,7 +352,7 @@ def case_figures(
         beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
-        release=ReleaseFigures(**taken),
+        release=ReleaseMetrics(**taken),
     )
 
 
@@ -365,10 +365,10 @@ def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
     return result
 
 
-def in_order(figures: CaseFigures, order: IntArray) -> dict[str, Any]:
+def in_order(figures: CaseMetrics, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
-    values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseFigures)}
-    return {name: v.take(order) if isinstance(v, ReleaseFigures) else v[order] for name, v in values.items()}
+    values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseMetrics)}
+    return {name: v.take(order) if isinstance(v, ReleaseMetrics) else v[order] for name, v in values.items()}
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:

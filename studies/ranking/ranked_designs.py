@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from studies.design import Design
-from studies.ranking.design_metrics import CaseFigures, DrivableCase, mean_reduction
+from studies.ranking.design_metrics import CaseMetrics, DrivableCase, mean_reduction
 from studies.ranking.inference import (
     SAME,
     Inference,
@@ -211,9 +211,9 @@ SCORE: Final = (
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class RankedDesigns(CaseFigures, Inference, FreshScores):
+class RankedDesigns(CaseMetrics, Inference, FreshScores):
     """Designs of one case, best first; every array has one entry a design in that order. Beside the fields below it
-    has those of `CaseFigures` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
+    has those of `CaseMetrics` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
     set of best) and of `FreshScores` (the finalists and the winner).
     """
 
@@ -230,10 +230,10 @@ class RankedDesigns(CaseFigures, Inference, FreshScores):
     # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
     baseline: int | None  # Position of the design behind `baseline_difference`
-    # (d,) Ranked designs that no other ranked design beats in one figure of `pareto_figures` without being worse in
+    # (d,) Ranked designs that no other ranked design beats in one figure of `pareto_metrics` without being worse in
     # another
     pareto: BoolArray
-    pareto_figures: tuple[str, ...]
+    pareto_metrics: tuple[str, ...]
     scenarios: int  # Study scenarios that could be driven under every design
     D_y: float  # [m]
     bootstrap: int  # Resamples

@@ -24,7 +24,7 @@ from studies.design import Design
 from studies.ranking.design_metrics import (
     DrivableCase,
     Margins,
-    case_figures,
+    case_metrics,
     find_baseline,
     in_order,
     pareto_costs,
@@ -197,11 +197,11 @@ class Ranking(RankedDesigns):
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
-        pareto_figures = tuple(metric(name).name for name in pareto)
+        pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
         margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
-        figures = case_figures(drivable, results.designs, D_y, margins, setup)
+        figures = case_metrics(drivable, results.designs, D_y, margins, setup)
         missed = missed_by(requirements, figures)
         order = np.lexsort((figures.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
@@ -238,7 +238,7 @@ class Ranking(RankedDesigns):
                 search,
                 [
                     tuple(miss.requirement.text for miss in some)
-                    for some in missed_by(requirements, case_figures(again, results.fresh.designs, D_y, margins, setup))
+                    for some in missed_by(requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup))
                 ],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,
@@ -254,8 +254,8 @@ class Ranking(RankedDesigns):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
         warnings += warnings_of_sample(drivable.scenarios.side, inference)
         front = np.zeros(len(order), dtype=np.bool_)
-        if pareto_figures and ranked:
-            front[:ranked] = pareto_front(pareto_costs(pareto_figures, figures)[order[:ranked]])
+        if pareto_metrics and ranked:
+            front[:ranked] = pareto_front(pareto_costs(pareto_metrics, figures)[order[:ranked]])
         S = taken["S"][:ranked]
         rank = np.zeros(len(order), dtype=np.int64)
         rank[:ranked] = np.searchsorted(S, S, side="left") + 1
@@ -272,7 +272,7 @@ class Ranking(RankedDesigns):
             limits=limits,
             baseline=position,
             pareto=front,
-            pareto_figures=pareto_figures,
+            pareto_metrics=pareto_metrics,
             scenarios=len(drivable.scenarios),
             D_y=D_y,
             bootstrap=bootstrap,

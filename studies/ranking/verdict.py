@@ -473,9 +473,9 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
         yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."
-    if ranking.pareto_figures and ranking.pareto.any():
+    if ranking.pareto_metrics and ranking.pareto.any():
         yield (
-            f"Pareto front over {', '.join(ranking.pareto_figures)}: {int(ranking.pareto.sum())} designs, "
+            f"Pareto front over {', '.join(ranking.pareto_metrics)}: {int(ranking.pareto.sum())} designs, "
             "see ranking.csv."
         )
     if ranking.failed:

@@ -21,7 +21,7 @@ from ldctoolkit.vehicle import Convention
 from studies.design import NO_CONTROL, Design
 from studies.results import FailedRun, RunKey, TaskResult
 from studies.running.executors.processes import Ended, Executor, Fault
-from studies.running.tasks import Done, Faults, Job, Piece, Prefixes, SimulationTask, Simulator, Task
+from studies.running.tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task
 from studies.storage.run_table import RunTable
 from studies.storage.store import Store
 from studies.study_file import Study
@@ -61,21 +61,21 @@ class Lines:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._name, self._total, self._done = "", 0, 0
-        self._started = self._told = time.monotonic()
+        self._started = self._reported = time.monotonic()
 
     def stage(self, name: str, total: int) -> None:
         """Write the first line of a stage."""
         self._name, self._total, self._done = name, total, 0
         self._started = time.monotonic()
-        self._tell()
+        self._report()
 
     def advance(self, runs: int) -> None:
         """Write a line if the last one is old, or this is the stage's last."""
         self._done += runs
-        if self._done >= self._total or time.monotonic() - self._told > _LINE_EVERY:
-            self._tell()
+        if self._done >= self._total or time.monotonic() - self._reported > _LINE_EVERY:
+            self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         now = time.monotonic()
         seconds = now - self._started
         rate = self._done / seconds if self._done and seconds > 0 else None
@@ -89,7 +89,7 @@ class Lines:
         }
         self._stream.write(json.dumps(line) + "\n")
         self._stream.flush()
-        self._told = now
+        self._reported = now
 
     def close(self) -> None:
         """Nothing more."""
@@ -139,27 +139,27 @@ def default_progress(show: bool | None) -> Progress:
 
 
 class InOrder:
-    """Holds results back until those of all earlier pieces of the same design are there.
+    """Holds results back until those of all earlier batches of the same design are there.
 
-    Of a design that fails on a piece, exactly the pieces before it are handed on, whatever ran at the same time.
+    Of a design that fails on a batch, exactly the batches before it are handed on, whatever ran at the same time.
     """
 
     def __init__(self) -> None:
         self._wanted: dict[RunKey, deque[int]] = defaultdict(deque)
         self._early: dict[RunKey, dict[int, TaskResult]] = {}
 
-    def expect(self, keys: Iterable[RunKey], piece: int) -> None:
-        """A piece of some designs will come, after those that were announced before."""
+    def expect(self, keys: Iterable[RunKey], batch: int) -> None:
+        """A batch of some designs will come, after those that were announced before."""
         for key in keys:
-            self._wanted[key].append(piece)
+            self._wanted[key].append(batch)
 
-    def take(self, piece: int, result: TaskResult) -> Iterator[TaskResult]:
+    def take(self, batch: int, result: TaskResult) -> Iterator[TaskResult]:
         """Results that can be handed on, now that these are there."""
-        now = [i for i, key in enumerate(result.keys) if self._wanted[key] and self._wanted[key][0] == piece]
-        ready = set(now)
+        now = [i for i, key in enumerate(result.keys) if self._wanted[key] and self._wanted[key][0] == batch]
+        arrived = set(now)
         for i, key in enumerate(result.keys):
-            if i not in ready:
-                self._early.setdefault(key, {})[piece] = result.take([i])
+            if i not in arrived:
+                self._early.setdefault(key, {})[batch] = result.take([i])
         if not now:
             return
         yield result if len(now) == len(result.keys) else result.take(now)
@@ -172,17 +172,17 @@ class InOrder:
 
 
 class Merge:
-    """Keeps results of parts of pieces until the rest is there."""
+    """Keeps results of parts of batches until the rest is there."""
 
     def __init__(self) -> None:
         self._parts: dict[tuple[RunKey, int], list[TaskResult]] = {}
 
     def add(self, task: Task, result: TaskResult) -> TaskResult | None:
-        """Take in results of one design on a part of a piece; the whole piece, once it is complete."""
-        key = (result.keys[0], task.piece)
+        """Take in results of one design on a part of a batch; the whole batch, once it is complete."""
+        key = (result.keys[0], task.batch)
         parts = self._parts.setdefault(key, [])
         parts.append(result)
-        if sum(part.rows.size for part in parts) < task.piece_size:
+        if sum(part.rows.size for part in parts) < task.batch_size:
             return None
         del self._parts[key]
         return dataclasses.replace(
@@ -201,18 +201,18 @@ SECONDS_A_TASK: Final = 0.5
 
 _FIRST_RUNS: Final = 2000  # scenario runs in the first task of a law, before its pace is known
 _MOST_RUNS: Final = 400_000  # scenario runs in a task at most: results are in memory on both sides
-_AHEAD: Final = 2  # tasks a worker that are under way or wait in the executor
+_PREFETCH: Final = 2  # tasks a worker that are under way or wait in the executor
 
 STATUS_OF: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late": EventStatus.TIMED_OUT}
 """What becomes of the scenario at fault."""
 
 
-class Lane:
-    """Designs of one law that still have to run on one piece of scenarios."""
+class WorkQueue:
+    """Designs of one law that still have to run on one batch of scenarios."""
 
-    def __init__(self, convention: Convention, piece: Piece, designs: Iterable[Design]) -> None:
+    def __init__(self, convention: Convention, batch: ScenarioBatch, designs: Iterable[Design]) -> None:
         self.convention = convention
-        self.piece = piece
+        self.batch = batch
         # designs of one threshold share a takeover
         self.designs = deque(sorted(designs, key=lambda design: design.y_s))
 
@@ -223,7 +223,7 @@ class Lane:
 
 
 class Dispatcher:
-    """Runs lanes of designs through an executor."""
+    """Runs work queues of designs through an executor."""
 
     def __init__(
         self,
@@ -249,56 +249,56 @@ class Dispatcher:
         self._in_order = InOrder()
         self._failed: dict[RunKey, int] = {}
 
-    def run(self, lanes: Sequence[Lane]) -> None:
+    def run(self, queues: Sequence[WorkQueue]) -> None:
         """Run everything; returns when nothing is left."""
-        for lane in lanes:
-            self._in_order.expect(((design.id, lane.convention) for design in lane.designs), lane.piece.number)
-        queue = self._tasks(deque(lanes))
-        following = next(queue, None)
+        for queue in queues:
+            self._in_order.expect(((design.id, queue.convention) for design in queue.designs), queue.batch.number)
+        tasks = self._tasks(deque(queues))
+        following = next(tasks, None)
         while following or self._again or self._alone or self._under_way:
             if self._alone:
                 # a task that may have killed its worker runs with no other beside it, so that there is no doubt
                 if not self._under_way:
                     self._start(self._alone.popleft())
             else:
-                most = 1 if self._executor.workers == 1 else _AHEAD * self._executor.workers
+                most = 1 if self._executor.workers == 1 else _PREFETCH * self._executor.workers
                 while self._under_way < most and (self._again or following):
                     if self._again:
                         self._start(self._again.popleft())
                     elif following:
                         self._start(following)
-                        following = next(queue, None)
+                        following = next(tasks, None)
             came = self._executor.wait()
             self._faults.came_back(came)
             for ended in came:
                 self._under_way -= 1
                 self._take(ended)
 
-    def _tasks(self, lanes: deque[Lane]) -> Iterator[SimulationTask]:
-        while lanes:
-            lane = lanes[0]
-            if not lane.designs:
-                lanes.popleft()
+    def _tasks(self, queues: deque[WorkQueue]) -> Iterator[SimulationTask]:
+        while queues:
+            queue = queues[0]
+            if not queue.designs:
+                queues.popleft()
                 continue
-            count = self._block_size or self._fitting(lane)
+            count = self._block_size or self._fitting(queue)
             designs: list[Design] = []
-            while lane.designs and len(designs) < count:
-                design = lane.designs.popleft()
-                # a design that has failed on an earlier piece is out
-                if self._failed.get((design.id, lane.convention), lane.piece.number) >= lane.piece.number:
+            while queue.designs and len(designs) < count:
+                design = queue.designs.popleft()
+                # a design that has failed on an earlier batch is out
+                if self._failed.get((design.id, queue.convention), queue.batch.number) >= queue.batch.number:
                     designs.append(design)
             if designs:
-                rows = lane.piece.rows
+                rows = queue.batch.rows
                 scenarios = self._scenarios.take(rows)
                 yield SimulationTask(
-                    self._job, lane.convention, tuple(designs), rows, scenarios, lane.piece.number, rows.size
+                    self._job, queue.convention, tuple(designs), rows, scenarios, queue.batch.number, rows.size
                 )
 
-    def _fitting(self, lane: Lane) -> int:
+    def _fitting(self, queue: WorkQueue) -> int:
         """Designs that take about half a second."""
-        pace = self._seconds_a_run.get(lane.law)
+        pace = self._seconds_a_run.get(queue.law)
         runs = _FIRST_RUNS if pace is None else min(_MOST_RUNS, SECONDS_A_TASK / max(pace, 1e-9))
-        return max(1, int(runs / lane.piece.rows.size))
+        return max(1, int(runs / queue.batch.rows.size))
 
     def _start(self, task: SimulationTask) -> None:
         self._under_way += 1
@@ -332,7 +332,7 @@ class Dispatcher:
         reason = self._faults.record(key, int(task.rows[0]), fault)
         if reason:
             self._faults.check_workers(self._executor, self._harmless(task))
-            self._fail(FailedRun(key, task.piece, reason))
+            self._fail(FailedRun(key, task.batch, reason))
             self._alone = deque(self._without(key, self._alone))
             self._again = deque(self._without(key, self._again))
         else:
@@ -353,24 +353,24 @@ class Dispatcher:
         """A task that drives no one, on one scenario."""
         nobody = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
         return dataclasses.replace(
-            task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), piece_size=1
+            task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), batch_size=1
         )
 
     def _give(self, task: Task, done: Done) -> None:
-        """Hand on whole pieces; parts of one wait for the rest."""
+        """Hand on whole batches; parts of one wait for the rest."""
         for run in done.failed:
             self._fail(run)
         if not done.result.keys:
             return
         whole = done.result if task.whole else self._merge.add(task, done.result)
         if whole is not None:
-            for result in self._in_order.take(task.piece, whole):
+            for result in self._in_order.take(task.batch, whole):
                 self._collect(Done(result))
 
     def _fail(self, run: FailedRun) -> None:
         before = self._failed.get(run.key)
-        if before is None or run.piece < before:
-            self._failed[run.key] = run.piece
+        if before is None or run.batch < before:
+            self._failed[run.key] = run.batch
             self._collect(Done(_nothing(self._job), (run,)))
 
 
@@ -448,19 +448,19 @@ class Campaign:
 
         Whatever happens, what was finished is stored before this returns.
         """
-        lanes = self._lanes(designs, size)
-        if not lanes:
+        queues = self._queues(designs, size)
+        if not queues:
             self._forget_failures(designs)
             return
-        for key in {(design.id, lane.convention): None for lane in lanes for design in lane.designs}:
+        for key in {(design.id, queue.convention): None for queue in queues for design in queue.designs}:
             self._remember_faults(key)
-        self._progress.stage(stage, sum(len(lane.designs) * lane.piece.rows.size for lane in lanes))
+        self._progress.stage(stage, sum(len(queue.designs) * queue.batch.rows.size for queue in queues))
         dispatcher = Dispatcher(
             self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size
         )
         with ThreadPoolExecutor(1) as self._writer:
             try:
-                dispatcher.run(lanes)
+                dispatcher.run(queues)
             finally:
                 self._flush()
                 self._written()
@@ -474,23 +474,23 @@ class Campaign:
             for row in self.table.rows_with(key, status):
                 self._faults.record(key, int(row), fault)
 
-    def _lanes(self, designs: Sequence[Design], size: int) -> list[Lane]:
-        """What is missing: convention by convention, law by law, piece by piece."""
+    def _queues(self, designs: Sequence[Design], size: int) -> list[WorkQueue]:
+        """What is missing: convention by convention, law by law, batch by batch."""
         laws: dict[str, list[Design]] = {}
         for design in designs:
             laws.setdefault(design.law, []).append(design)
-        lanes = []
+        queues = []
         for convention in self.study.simulation.convention:
             for law, same in laws.items():
                 covered = 0
-                for piece in self.prefixes.pieces(controller_class(law).batch):
-                    covered += piece.rows.size
+                for batch in self.prefixes.batches(controller_class(law).batch):
+                    covered += batch.rows.size
                     if covered > size:
                         break
-                    todo = [d for d in same if not self.table.has((d.id, convention), piece.rows)]
+                    todo = [d for d in same if not self.table.has((d.id, convention), batch.rows)]
                     if todo:
-                        lanes.append(Lane(convention, piece, todo))
-        return lanes
+                        queues.append(WorkQueue(convention, batch, todo))
+        return queues
 
     def _collect(self, done: Done) -> None:
         if done.result.keys:

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, register, registry
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import raised
-from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
 from ldctoolkit.vehicle import Convention
@@ -103,10 +103,10 @@ _WORTH_A_ROUND = 1.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Piece:
+class ScenarioBatch:
     """Scenarios that are driven as one batch."""
 
-    number: int  # its place among the pieces of its batch size
+    number: int  # its place among the batches of its size
     rows: IntArray  # (m,): row numbers of the scenarios, rising
 
 
@@ -121,15 +121,15 @@ class Prefixes:
         """Row numbers of the first `size` scenarios, rising: about the same share of each side."""
         return prefix_rows(self.side, size)
 
-    def pieces(self, batch: int) -> tuple[Piece, ...]:
-        """All scenarios in pieces of at most `batch`, none across the end of a prefix."""
-        found: list[Piece] = []
+    def batches(self, size: int) -> tuple[ScenarioBatch, ...]:
+        """All scenarios in batches of at most `size`, none across the end of a prefix."""
+        found: list[ScenarioBatch] = []
         for first, last in zip((0, *self.stops), self.stops, strict=False):
             before = self.rows(first) if first else np.zeros(0, dtype=np.int64)
             new = np.setdiff1d(self.rows(last), before, assume_unique=True)
-            count = -(-new.size // batch)
+            count = -(-new.size // size)
             # even shares of both sides would change no number; stretches are simpler to name
-            found += [Piece(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
+            found += [ScenarioBatch(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
         return tuple(found)
 
 
@@ -174,7 +174,7 @@ class Job:
     def columns(self) -> tuple[str, ...]:
         """Names of the floating-point columns of a result."""
         scores = [f"{name}_{window}" for window in self.windows for name in ("S", "S_uncorrected")]
-        return (*scores, *COMPANION_UNITS)
+        return (*scores, *METRIC_UNITS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -186,14 +186,14 @@ class Task:
     designs: tuple[Design, ...]  # k designs of one law, by rising y_s
     rows: IntArray  # (m,): row numbers of the scenarios in the study
     scenarios: Scenarios  # these m scenarios
-    piece: int  # number of the piece that they are, or a part of
-    piece_size: int  # number of scenarios of the whole piece
+    batch: int  # number of the batch that they are, or a part of
+    batch_size: int  # number of scenarios of the whole batch
     number: int = dataclasses.field(default_factory=lambda: next(_numbers))  # of this task in this process
 
     @property
     def whole(self) -> bool:
-        """Whether the scenarios are all of the piece."""
-        return self.rows.size == self.piece_size
+        """Whether the scenarios are the whole batch."""
+        return self.rows.size == self.batch_size
 
     @property
     def runs(self) -> int:
@@ -230,7 +230,7 @@ class Done:
 _DEPARTURES = 6
 
 _SAME = 1e-9  # of S: sums in another order, in a batch of another size, are no state
-_SAME_COMPANION = 1e-6  # of the companions: peaks and rates magnify what S averages
+_SAME_METRIC = 1e-6  # of the companions: peaks and rates magnify what S averages
 
 
 def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
@@ -241,17 +241,17 @@ def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
 
 def kept_state(
     columns: Sequence[str],
-    values: npt.NDArray[np.float64],
+    values: FloatArray,
     status: npt.NDArray[np.int8],
     failed_solves: npt.NDArray[np.int32],
     again: Sequence[Outcome],
 ) -> str:
     """A sentence if departures have other numbers when they are driven once more; empty if they do not."""
     scores = [numbers for outcome in again for numbers in (outcome.S, outcome.S_uncorrected)]
-    second = [*scores, *(getattr(again[0].companions, name) for name in COMPANION_UNITS)]
+    second = [*scores, *(getattr(again[0].companions, name) for name in METRIC_UNITS)]
     same = (status == again[0].status) & (failed_solves == again[0].failed_solves)
     for column, (name, numbers) in enumerate(zip(columns, second, strict=True)):
-        most = _SAME_COMPANION if name in COMPANION_UNITS else _SAME
+        most = _SAME_METRIC if name in METRIC_UNITS else _SAME
         same &= np.isclose(values[column], numbers, rtol=most, atol=most, equal_nan=True)
     if same.all():
         return ""
@@ -280,7 +280,7 @@ Key = tuple[float, Convention, bytes]
 class Simulator:
     """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share.
 
-    Every design of a `SteeringLaw` drives a few departures of its first piece once more, and fails if they do not give
+    Every design of a `SteeringLaw` drives a few departures of its first batch once more, and fails if they do not give
     the numbers that are stored. So its fate does not depend on the order, the tasks or the workers, with one exception
     that no check can rule out: a law with hidden state of the whole process, which settles before this design runs or
     changes only after it, behaves here as what ran before in the same process made it.
@@ -289,7 +289,7 @@ class Simulator:
     def __init__(self, job: Job) -> None:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
-        self._few: dict[Key, tuple[npt.NDArray[np.int64], Takeover]] = {}
+        self._few: dict[Key, tuple[IntArray, Takeover]] = {}
 
     def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
@@ -318,13 +318,13 @@ class Simulator:
                 # which design it was is not known: one after the other, the one that raises is named
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)
-            if task.piece == 0:
+            if task.batch == 0:
                 for i in range(first, last):
                     if i not in reasons and room.law_seconds[i]:
                         self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
         result = room.result(time.perf_counter() - started)
-        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.piece, why) for i, why in reasons.items())
+        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.batch, why) for i, why in reasons.items())
         return Done(result if len(ran) == len(task.designs) else result.take(ran), failed)
 
     def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
@@ -419,8 +419,8 @@ class _Room:
         self.commands[i] = self._commands
 
     def some(
-        self, i: int, rows: npt.NDArray[np.int64]
-    ) -> tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.int8], npt.NDArray[np.int32]]:
+        self, i: int, rows: IntArray
+    ) -> tuple[tuple[str, ...], FloatArray, npt.NDArray[np.int8], npt.NDArray[np.int32]]:
         """Columns, values, status and failed solves of one design in some scenarios."""
         return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
 

@@ -146,11 +146,11 @@ class Profile:
         if len(self.values) < 2 or self.values[best] not in self.open_ends:
             return None
         if best != self.at:
-            told = self.high[best] < 0 and self.difference[best] < -_SAME
+            separated = self.high[best] < 0 and self.difference[best] < -_SAME
         else:
             inner = best + 1 if best == 0 else best - 1
-            told = self.low[inner] > 0 and self.difference[inner] > _SAME
-        return self.values[best] if told else None
+            separated = self.low[inner] > 0 and self.difference[inner] > _SAME
+        return self.values[best] if separated else None
 
 
 def winner_profile(
@@ -266,8 +266,8 @@ class ProfilePoint:
 
 def profile_points(results: StudyResults, study: Study, winner: Design, points: int) -> Iterator[ProfilePoint]:
     """Every value of every dimension that is to be looked at, the winner's own among them."""
-    asked = () if study.search is not None else study.designs
-    family = [design for design in dict.fromkeys((*results.designs, *asked)) if design.law == winner.law]
+    written = () if study.search is not None else study.designs
+    family = [design for design in dict.fromkeys((*results.designs, *written)) if design.law == winner.law]
     held = frozenset(results.designs)
     kinds = {gain.name: gain for gain in controller_class(winner.law).gains()}
     for name in (THRESHOLD, *(gain for gain, _ in winner.gains)):
@@ -277,8 +277,8 @@ def profile_points(results: StudyResults, study: Study, winner: Design, points: 
             continue
         have = [value for value in used if value == own or moved(winner, name, value) in held]
         gain = kinds.get(name)
-        words = any(isinstance(value, str | bool) for value in used)
-        if points and words:
+        options = any(isinstance(value, str | bool) for value in used)
+        if points and options:
             have = used
         elif points:
             log = gain is not None and gain.scale == "log"
@@ -286,7 +286,7 @@ def profile_points(results: StudyResults, study: Study, winner: Design, points: 
             held_numbers = [float(value) for value in have]
             have += _between([float(value) for value in used], held_numbers, points, log=log, whole=whole)
         if len(have) > 1:
-            ordered = have if words else sorted(have, key=float)
+            ordered = have if options else sorted(have, key=float)
             yield from (ProfilePoint(name, value, moved(winner, name, value)) for value in ordered)
 
 

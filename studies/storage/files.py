@@ -20,7 +20,7 @@ from ldctoolkit import EventStatus, LdcError, Scenarios
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
-from ldctoolkit.metrics import COMPANION_COLUMNS
+from ldctoolkit.metrics import METRIC_COLUMNS
 from ldctoolkit.simulation import Window
 from ldctoolkit.whole_file import whole_file
 from studies.results import TaskResult
@@ -179,9 +179,9 @@ def ahead(
 PATTERN = "part-*.parquet"
 
 _ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back inside by the end
-_FORMER = {COMPANION_COLUMNS["opposite_crossing"]: "overshoot_m"}  # column of a part -> what earlier versions called it
+_FORMER = {METRIC_COLUMNS["opposite_crossing"]: "overshoot_m"}  # column of a part -> what earlier versions called it
 
-_ADDED = (COMPANION_COLUMNS["a_y_added_peak"], COMPANION_COLUMNS["jerk_added_peak"])
+_ADDED = (METRIC_COLUMNS["a_y_added_peak"], METRIC_COLUMNS["jerk_added_peak"])
 """Columns that earlier versions did not record: NaN throughout."""
 
 _DIGITS = 16
@@ -190,7 +190,7 @@ _DIGITS = 16
 def float_columns(windows: Sequence[Window]) -> dict[str, str]:
     """Name of a result's column -> its column in a part, in the order of `TaskResult.values`."""
     scores = {f"{name}_{window}": f"{name}_{window}_m_s" for window in windows for name in ("S", "S_uncorrected")}
-    return scores | COMPANION_COLUMNS
+    return scores | METRIC_COLUMNS
 
 
 def schema(windows: Sequence[Window]) -> dict[str, Any]:
@@ -310,7 +310,7 @@ def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> Non
     """Refuse what is no number in a scenario that was driven."""
     driven = status != EventStatus.INVALID
     for column in columns:
-        good = column.is_not_nan() if column.name == COMPANION_COLUMNS[_ENDLESS] else column.is_finite()
+        good = column.is_not_nan() if column.name == METRIC_COLUMNS[_ENDLESS] else column.is_finite()
         if column.name in _ADDED and column.is_nan().all():
             continue
         if not good.all() and not good.to_numpy()[driven].all():

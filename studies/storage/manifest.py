@@ -54,7 +54,7 @@ def read_designs(path: Path) -> tuple[Design, ...]:
         designs = tuple(
             Design(law, y_s, tuple(json.loads(gains).items())) for _, law, y_s, gains, _ in table.iter_rows()
         )
-        wrong = [d.id for d, told in zip(designs, table["design"], strict=True) if d.id != told]
+        wrong = [d.id for d, stored in zip(designs, table["design"], strict=True) if d.id != stored]
     except (ValueError, AttributeError) as error:
         raise StoreError(f"{path}: broken: {error}") from None
     if wrong:

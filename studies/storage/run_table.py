@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
-from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, Companions
+from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
@@ -237,7 +237,7 @@ class RunTable:
     def _make_room(self, size: int) -> None:
         shape = (len(self._conventions), size, self.n)
         before = len(self.designs)
-        companions = 0 if self._stored else len(COMPANION_UNITS)
+        companions = 0 if self._stored else len(METRIC_UNITS)
         fresh: dict[str, Any] = {
             "_S": np.empty((len(self._windows), *shape)),
             "_companions": np.empty((companions, *shape)),
@@ -264,11 +264,11 @@ class RunTable:
             for result in (self._kept or {}).pop(design.id, ()):
                 self.put(result)
 
-    _S: npt.NDArray[np.float64]
-    _companions: npt.NDArray[np.float64]
+    _S: FloatArray
+    _metrics: FloatArray
     _status: npt.NDArray[np.int8]
     _failed_solves: npt.NDArray[np.int32]
-    _there: npt.NDArray[np.bool_]
+    _there: BoolArray
 
     def has(self, key: RunKey, rows: IntArray) -> bool:
         """Whether a run's results in some scenarios are there."""
@@ -307,7 +307,7 @@ class RunTable:
             for w in range(len(self._windows)):
                 self._uncorrected[w, at[0]].put(at[1], rows, values[2 * w + 1])
             if self._stored is None:
-                self._companions[:, *at, rows] = values[scores:]
+                self._metrics[:, *at, rows] = values[scores:]
             self._status[*at, rows] = result.status[i]
             if self._there[*at, rows].any() or result.failed_solves[i].any():
                 self._failed_solves[*at, rows] = result.failed_solves[i]
@@ -327,7 +327,7 @@ class RunTable:
         wanted = list(self.designs if designs is None else designs)
         at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
         some_there = self._there[:, at] if rows is None else self._there[:, at][:, :, rows]
-        there: npt.NDArray[np.bool_] = np.all(some_there, axis=2)
+        there: BoolArray = np.all(some_there, axis=2)
         lost: dict[RunKey, str] = {}
         for c, convention in enumerate(self._conventions):
             for i in np.flatnonzero(~there[c]):
@@ -361,7 +361,7 @@ class RunTable:
                     S=some(self._S[w, c]),
                     S_uncorrected=self._uncorrected[w, c].take(None if whole else at, rows),
                     status=some(self._status[c]),
-                    companions=Companions(**self._companions_of(ran, case.convention, rows, some)),
+                    companions=MetricValues(**self._metrics_of(ran, case.convention, rows, some)),
                     failed_solves=some(self._failed_solves[c]),
                     law_time=np.array([np.nan if one is None else one.per_command for one in known]),
                 )
@@ -373,24 +373,22 @@ class RunTable:
             failed=failed,
         )
 
-    def _companions_of(
+    def _metrics_of(
         self, designs: Sequence[Design], convention: Convention, rows: IntArray | None, some: Callable[[Any], Any]
     ) -> dict[str, Any]:
         """Companions by name: arrays, or columns that are read from the parts."""
         if self._stored is None:
             c = self._conventions.index(convention)
-            return {name: some(self._companions[i, c]) for i, name in enumerate(COMPANION_UNITS)}
+            return {name: some(self._metrics[i, c]) for i, name in enumerate(METRIC_UNITS)}
         keys = [(design.id, convention) for design in designs]
-        return {
-            name: StoredColumn(self._stored, column, keys, self.n, rows) for name, column in COMPANION_COLUMNS.items()
-        }
+        return {name: StoredColumn(self._stored, column, keys, self.n, rows) for name, column in METRIC_COLUMNS.items()}
 
     def _incomplete(
         self,
         designs: Sequence[Design],
-        there: npt.NDArray[np.bool_],
+        there: BoolArray,
         lost: Mapping[RunKey, str],
-        some_there: npt.NDArray[np.bool_],
+        some_there: BoolArray,
     ) -> str:
         """How many designs wait for results that did not fail, and how much is there of all."""
         waits = {

@@ -71,8 +71,8 @@ def model_notes(
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
     if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
         return notes
-    said = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
-    return (*notes, f"{WARNING}{said} in a lane of w_l = {vehicle.w_l:g} m")
+    text = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
+    return (*notes, f"{WARNING}{text} in a lane of w_l = {vehicle.w_l:g} m")
 
 
 def with_recorded_widths(study: Study, model: ScenarioModel, vehicle_width: float | None = None) -> Study:
@@ -140,12 +140,12 @@ def _box(side: SideModel, summary: SideSummary | None) -> str:
     if summary is None or not summary.bounds_from:
         return ""
     origins = {name: (low, high) for name, low, high in summary.bounds_from}
-    words = []
+    texts = []
     for name, low, high in zip(side.names, *side.bounds(), strict=True):
         one, other = origins.get(name, ("", ""))
         ends = " to ".join("open" if math.isinf(end) else f"{end:.4g}" for end in (low, high))
-        words.append(f"{name} {ends} ({one if one == other else f'{one}, {other}'})")
-    return f"bounds {'; '.join(words)}"
+        texts.append(f"{name} {ends} ({one if one == other else f'{one}, {other}'})")
+    return f"bounds {'; '.join(texts)}"
 
 
 def _mapped(side: SideModel) -> str:

@@ -18,7 +18,7 @@ import scipy.stats
 from closed_loop import machine
 
 from ldctoolkit import Scenarios
-from ldctoolkit.metrics import Companions
+from ldctoolkit.metrics import MetricValues
 from studies import Case, CaseResults, Design, Ranking, StudyResults
 
 SHAPES = ((1_000, 1_000), (100, 10_000), (10_000, 100))
@@ -36,8 +36,8 @@ def invented(d: int, n: int) -> StudyResults:
         S=S,
         S_uncorrected=np.broadcast_to(depth, S.shape),
         status=np.zeros((d, n), dtype=np.int8),
-        companions=Companions(**{field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
-                                 for field in dataclasses.fields(Companions)}),
+        companions=MetricValues(**{field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
+                                 for field in dataclasses.fields(MetricValues)}),
         failed_solves=np.zeros((d, n), dtype=np.int32),
         law_time=np.zeros(d),
     )  # fmt: skip

@@ -11,11 +11,11 @@ import numpy as np
 from controllers import LQR
 from helpers.bits import assert_same_bits
 from ldctoolkit import Controller, LinearLaw, LinearSteps, Outcome, Plant, Preview, Scenarios, Setup, SteeringLaw
-from ldctoolkit.metrics import COMPANION_UNITS
+from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Run, Takeover
 
-METRICS = tuple(COMPANION_UNITS)  # names of what a run measures for each scenario beside S
+METRICS = tuple(METRIC_UNITS)  # names of what a run measures for each scenario beside S
 
 
 def takeover(

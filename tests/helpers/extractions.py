@@ -8,7 +8,7 @@ from ldctoolkit.departures import LEFT, RIGHT, Departures, ExtraColumn, rebuild_
 from ldctoolkit.recordings import Criteria, Extraction, Provenance, Refused, SourceFile
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, drawn_of
+from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, example_events
 from ldctoolkit.recordings.recording import Label, Problem
 
 
@@ -43,7 +43,7 @@ def make_drawn(departures: Departures, sources: list[str], rng: np.random.Genera
         v=signals.v + departures.sigma_v[owner] * rng.standard_normal(owner.size),
         c=signals.c + 1e-4 * rng.standard_normal(owner.size),
     )
-    return drawn_of(departures, noisy, sources)
+    return example_events(departures, noisy, sources)
 
 
 def make_account(

@@ -209,7 +209,7 @@ def drive(
         t_s=t_s, S=absolute_area(departure), S_recorded=S_recorded, x_T=loop.x_T, x_end=loop.rows_x[-1],
         t=np.array(loop.rows_t), x=np.array(loop.rows_x), delta=np.array(loop.rows_delta), a_y=np.array(loop.rows_a_y),
         seen=np.array(loop.seen), commands=path.side * np.array(loop.commands), margin=loop.margin,
-        companions=_companions(path, departure, loop) if rtol < 1e-12 else {},
+        companions=_metrics(path, departure, loop) if rtol < 1e-12 else {},
     )  # fmt: skip
 
 
@@ -636,7 +636,7 @@ def _first_inside(path: Path, pieces: list[Piece]) -> float:
     return math.inf
 
 
-def _companions(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, float]:
+def _metrics(path: Path, departure: list[Piece], loop: _Loop) -> dict[str, float]:
     t, a_before, a_after, delta = (np.array(column) for column in zip(*loop.nodes, strict=True))
     own = np.array(loop.own).T
 

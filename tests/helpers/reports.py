@@ -11,7 +11,7 @@ import numpy.typing as npt
 from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import Page, whole
 from ldctoolkit import BicycleModel, Scenarios, Setup, VehicleParameters, simulate
-from ldctoolkit.metrics import COMPANION_UNITS, Companions
+from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from studies.design import Design
 from studies.pages.context import Context, ReportInput
 from studies.pages.report import report_page
@@ -50,9 +50,9 @@ def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], 
         columns = {name: np.stack([getattr(o, name) for o in outcomes])
                    for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
         companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
-                      for name in COMPANION_UNITS}  # fmt: skip
+                      for name in METRIC_UNITS}  # fmt: skip
         scored.append(
-            CaseResults(case, **columns, companions=Companions(**companions), law_time=np.zeros(len(designs)))
+            CaseResults(case, **columns, companions=MetricValues(**companions), law_time=np.zeros(len(designs)))
         )
     return StudyResults(designs, scenarios, tuple(scored))
 

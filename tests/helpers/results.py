@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from helpers.bits import assert_same_bits
 from ldctoolkit import Outcome, Scenarios
-from ldctoolkit.metrics import Companions
+from ldctoolkit.metrics import MetricValues
 from studies import Case, CaseResults, Design, StudyResults
 
 DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
@@ -20,7 +20,7 @@ def case_of(
     metrics: Mapping[str, npt.ArrayLike] | None = None,
 ) -> CaseResults:  # fmt: skip
     """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
-    given = dict.fromkeys((field.name for field in dataclasses.fields(Companions)), 0.0) | dict(metrics or {})
+    given = dict.fromkeys((field.name for field in dataclasses.fields(MetricValues)), 0.0) | dict(metrics or {})
     companions: dict[str, Any] = {
         name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()
     }
@@ -29,7 +29,7 @@ def case_of(
         S=S,
         S_uncorrected=np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
         status=np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
-        companions=Companions(**companions),
+        companions=MetricValues(**companions),
         failed_solves=np.zeros(S.shape, dtype=np.int32),
         law_time=np.full(len(S), np.nan),
     )
@@ -41,9 +41,9 @@ def case_of_outcomes(outcomes: Sequence[Outcome], case: Case = DEPARTURE) -> Cas
         name: np.stack([getattr(one, name) for one in outcomes])
         for name in ("S", "S_uncorrected", "status", "failed_solves")
     }
-    names = [field.name for field in dataclasses.fields(Companions)]
+    names = [field.name for field in dataclasses.fields(MetricValues)]
     companions = {name: np.stack([getattr(one.companions, name) for one in outcomes]) for name in names}
-    return CaseResults(case, **arrays, companions=Companions(**companions), law_time=np.zeros(len(outcomes)))
+    return CaseResults(case, **arrays, companions=MetricValues(**companions), law_time=np.zeros(len(outcomes)))
 
 
 def scenarios_of(n: int, left: int | None = None) -> Scenarios:

@@ -11,8 +11,8 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import Plant
@@ -173,7 +173,7 @@ _SIZES: Final = {
 ) = range(34)  # fmt: skip
 
 
-def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> npt.NDArray[np.float64]:
+def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window: float) -> FloatArray:
     """The numbers of a run that hold for every scenario; `plant` is what a design knows."""
     actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
     whole = math.floor(actuator.delay / dt + 1e-9)

@@ -50,7 +50,7 @@ for (const table of document.querySelectorAll("table[data-sortable]")) {
       const name = part.split(/[<>=]/)[0].toLowerCase();
       if (/[<>=]/.test(part) && !keys.includes(name)) unknown = name;
     }
-    // without a search: the first rows of the order shown, until all are asked for
+    // without a search: the first rows of the order shown, until all are requested
     const all = table.classList.contains("all") || parts.length > 0;
     [...body.rows].forEach((row, i) => row.classList.toggle("later", !all && i >= first && !row.classList.contains("kept")));
     if (parts.length) [...body.rows].forEach((row) => row.classList.remove("later"));

@@ -70,8 +70,8 @@ class Connection:
     def _check_versions(self) -> None:
         """Before anything runs; a worker that comes later checks itself, with each task."""
         with self.asking():
-            asked = functools.partial(versions, tuple(name for name, _ in self.versions))
-            answers = self.client.run(asked, on_error="return")
+            request = functools.partial(versions, tuple(name for name, _ in self.versions))
+            answers = self.client.run(request, on_error="return")
         for worker, there in answers.items():
             if isinstance(there, OSError):
                 continue  # it has gone

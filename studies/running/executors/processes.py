@@ -372,7 +372,7 @@ class ProcessExecutor:
                 raise error
         self._tasks.clear()
         self._pool = None
-        under_way, late = _last_words(Path(_notes_folder()))
+        under_way, late = _last_output(Path(_notes_folder()))
         suspects = [task for task in lost if task.number in under_way]
         for task in lost:
             fault: Fault | None = None
@@ -401,7 +401,7 @@ def _notes_folder() -> str:
     return _folder.name
 
 
-def _last_words(folder: Path) -> tuple[set[int], set[int]]:
+def _last_output(folder: Path) -> tuple[set[int], set[int]]:
     """Numbers of the tasks that were under way in workers, and those of them that were over their time."""
     under_way, late = set(), set()
     for path in folder.iterdir():

@@ -15,7 +15,7 @@ from helpers.examples import examples
 from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, ExtraColumn
 from ldctoolkit.recordings import Account, Criteria, Label, PartResult, Preparation, Recording, Refused
-from ldctoolkit.recordings.departures_table import joined_results
+from ldctoolkit.recordings.departures_table import combined_results
 from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results, table_of
 from ldctoolkit.recordings.find_departures import REASONS, find_departures
 from ldctoolkit.recordings.quality import WIDTH_BINS, share_of_widths
@@ -93,11 +93,11 @@ def test_equals_the_count_by_hand(seed, count):
         )
         assert (account.read_ns, account.valid_ns) == (round(hand["read"] * 1e9), round(hand["valid"] * 1e9))
         assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == dict(hand["widths"])
-        told = Counter()
+        reported = Counter()
         for row, side in enumerate(("left", "right")):
-            told[side, "departure"] = int(account.departures[row])
-            told.update({(side, reason): int(account.refused[row, i]) for i, reason in enumerate(REASONS)})
-        assert (+told, account.candidates.sum()) == (hand["found"], sum(hand["found"].values()))
+            reported[side, "departure"] = int(account.departures[row])
+            reported.update({(side, reason): int(account.refused[row, i]) for i, reason in enumerate(REASONS)})
+        assert (+reported, account.candidates.sum()) == (hand["found"], sum(hand["found"].values()))
 
 
 def alike(found: Any) -> Any:
@@ -123,7 +123,7 @@ def test_any_split_gives_the_same_bits(data, seed, step):
         ]
     finally:
         MODULE.BATCH = before
-    split = joined_results(parts)
+    split = combined_results(parts)
     for name in ("departures", "accounts", "drawn", "problems"):
         assert_same_bits(getattr(alike(whole), name), getattr(alike(split), name))
     one, two = (merge_results(results, CRITERIA, preparation) for results in ([whole], parts))

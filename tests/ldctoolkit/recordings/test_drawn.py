@@ -8,7 +8,7 @@ import pytest
 
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, reduce_signals
 from ldctoolkit.recordings import Criteria, Drawn, Preparation, Recording
-from ldctoolkit.recordings.departures_table import joined_results
+from ldctoolkit.recordings.departures_table import combined_results
 from ldctoolkit.recordings.extract import extract_items
 from ldctoolkit.recordings.quality import KEPT
 
@@ -102,9 +102,9 @@ def test_any_split_keeps_the_same(cuts):
     whole = extract_items(recordings, CRITERIA, Preparation()).drawn
     ends = zip([0, *cuts], [*cuts, 40], strict=True)
     parts = [extract_items(recordings[a:b], CRITERIA, Preparation()) for a, b in ends]
-    assert signatures(joined_results(parts).drawn) == signatures(whole)
+    assert signatures(combined_results(parts).drawn) == signatures(whole)
     # in any order: the same ones, but for the order of the sources
-    turned = signatures(joined_results(parts[::-1]).drawn)
+    turned = signatures(combined_results(parts[::-1]).drawn)
     assert [sorted(one) for one in turned] == [sorted(one) for one in signatures(whole)]
 
 

@@ -110,9 +110,9 @@ def test_the_advice_is_for_the_recorded_yaw_rate(true, given, words, advice):
     wrong = drive(yaw_rate=true * bends())
     (found,) = (text for text in warnings(wrong, yaw_rate_factor=given) if "GPS" in text)
     assert words in found
-    told = re.search(r"--yaw-rate-factor (-?[\d.]+)[ ,)]", found)[1]
-    assert told == advice
-    assert warnings(wrong, yaw_rate_factor=float(told)) == ()
+    reported = re.search(r"--yaw-rate-factor (-?[\d.]+)[ ,)]", found)[1]
+    assert reported == advice
+    assert warnings(wrong, yaw_rate_factor=float(reported)) == ()
 
 
 @pytest.mark.parametrize("step", [None, 0.1, 0.5])
@@ -258,7 +258,7 @@ def test_notes_are_counted():
 def test_warnings_do_not_depend_on_the_split(monkeypatch):
     """The sums behind them are the same to the last bit, however recordings are searched together."""
     from ldctoolkit.recordings import Criteria
-    from ldctoolkit.recordings.departures_table import joined_results
+    from ldctoolkit.recordings.departures_table import combined_results
     from ldctoolkit.recordings.extract import extract_items
 
     rng = np.random.default_rng(7)
@@ -270,6 +270,6 @@ def test_warnings_do_not_depend_on_the_split(monkeypatch):
     monkeypatch.setattr(sys.modules["ldctoolkit.recordings.extract"], "BATCH", 7000)
     for cut in (1, 3, 6):
         parts = [extract_items(some, Criteria(), Preparation()) for some in (recordings[:cut], recordings[cut:])]
-        split = joined_results(parts).evidence
+        split = combined_results(parts).evidence
         for field in dataclasses.fields(whole):
             np.testing.assert_array_equal(getattr(split, field.name), getattr(whole, field.name))

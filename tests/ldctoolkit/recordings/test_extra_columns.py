@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from helpers.recordings import drive
-from ldctoolkit.departures import Departures, ExtraColumn, joined_columns, joined_departures
+from ldctoolkit.departures import Departures, ExtraColumn, combined_columns, combined_departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
     Label,
@@ -86,7 +86,7 @@ def test_tables_with_different_columns_are_joined():
     one = extract(drive("a", labels=labels(driver="D1"))).departures
     two = extract(drive("b", labels=labels(road="city")), nominal_lane_width=3.6).departures
     none = extract(drive("c", lane_offset=np.zeros(100))).departures
-    joined = joined_departures([one, none, two])
+    joined = combined_departures([one, none, two])
     assert joined.recording.tolist() == ["a", "b"]
     back = columns_of(joined)
     assert list(back) == ["driver", "lane_scale", "road"]
@@ -97,11 +97,11 @@ def test_tables_with_different_columns_are_joined():
 def test_numbers_and_text_under_one_name():
     """Text wins; a number that is not known is empty text, as it is where the column is missing."""
     text, numbers = ExtraColumn("x", np.array(["a"])), ExtraColumn("x", np.array([0.5, np.nan]))
-    (joined,) = joined_columns([((text,), 1), ((numbers,), 2), ((), 1)])
+    (joined,) = combined_columns([((text,), 1), ((numbers,), 2), ((), 1)])
     assert joined.values.tolist() == ["a", "0.5", "", ""]
-    (joined,) = joined_columns([((numbers,), 2), ((), 1)])
+    (joined,) = combined_columns([((numbers,), 2), ((), 1)])
     np.testing.assert_array_equal(joined.values, [0.5, np.nan, np.nan])
-    assert joined_columns([((), 3)]) == ()
+    assert combined_columns([((), 3)]) == ()
 
 
 def test_foreign_columns_of_a_table(tmp_path):

@@ -36,7 +36,7 @@ def extract(recording: Recording, step: float | None) -> Extraction:
     return extract_departures([recording], vehicle_width=VEHICLE, preparation=Preparation(step))
 
 
-def told(found: Extraction) -> dict[str, tuple[int, int]]:
+def reported(found: Extraction) -> dict[str, tuple[int, int]]:
     """Refused candidates by reason: left, right."""
     (account,) = found.accounts
     counts = {reason: (int(a), int(b)) for reason, a, b in zip(REASONS, *account.refused.tolist(), strict=True)}
@@ -58,7 +58,7 @@ def test_a_jump_of_the_offset_by_a_lane_width(side, step, start):
     way = crossing(side, start)
     found = extract(drive(way, handed_over(way)), step)
     assert len(found.departures) == 0
-    assert told(found) == {"lane_change": one_of(side)}
+    assert reported(found) == {"lane_change": one_of(side)}
 
 
 @both_sides
@@ -67,7 +67,7 @@ def test_the_reason_outranks_how_long_it_took(side, step):
     """An old lane kept for longer than a departure may last, and a turn signal on: still a lane change."""
     way = crossing(side) - crossing(side, start=24.0)
     signal = np.full(T.size, side)
-    assert told(extract(drive(way, way, turn_signal=signal), step)) == {"lane_change": one_of(side)}
+    assert reported(extract(drive(way, way, turn_signal=signal), step)) == {"lane_change": one_of(side)}
 
 
 @both_sides
@@ -76,14 +76,14 @@ def test_a_lane_column(side, step):
     """It alone decides: a change of it is a lane change, a great offset in the same lane is not."""
     way = crossing(side)
     lane = np.where(np.abs(way) > 0.5 * WIDTH, 2, 1)
-    assert told(extract(drive(way, handed_over(way), lane=lane), step)) == {"lane_change": one_of(side)}
+    assert reported(extract(drive(way, handed_over(way), lane=lane), step)) == {"lane_change": one_of(side)}
     # a small step of the offset where lanes merge
     merge = crossing(side, reach=0.3 * WIDTH) - crossing(side, start=15.0, reach=0.3 * WIDTH)
     found = extract(drive(merge, merge, lane=np.where(T > 13.0, 2, 1)), step)
-    assert told(found) == {"lane_change": one_of(side)}
+    assert reported(found) == {"lane_change": one_of(side)}
     back = crossing(side, reach=0.8 * WIDTH) - crossing(side, start=15.0, reach=0.8 * WIDTH)
     found = extract(drive(back, back, lane=np.ones(T.size, dtype=np.int64)), step)
-    assert (told(found), len(found.departures)) == ({}, 1)
+    assert (reported(found), len(found.departures)) == ({}, 1)
 
 
 @both_sides
@@ -96,7 +96,7 @@ def test_the_turn_signal(side, step, shown, when, intended):
     way = crossing(side, reach=0.4 * WIDTH) - crossing(side, start=14.0, reach=0.4 * WIDTH)
     signal = np.where((when[0] <= T) & (when[1] > T), side if shown == "towards" else -side, 0)
     found = extract(drive(way, way, turn_signal=signal), step)
-    assert told(found) == ({"intended": one_of(side)} if intended else {})
+    assert reported(found) == ({"intended": one_of(side)} if intended else {})
     assert len(found.departures) == (not intended)
 
 
@@ -106,5 +106,5 @@ def test_sides_of_several(step):
     way = crossing(LEFT, 2.0) + crossing(LEFT, 8.0) + crossing(RIGHT, 14.0)
     drift = crossing(RIGHT, 22.0, 2.0, 1.2) - crossing(RIGHT, 25.0, 2.0, 1.2)
     found = extract(drive(way, handed_over(way) + drift), step)
-    assert (told(found), found.departures.side.tolist()) == ({"lane_change": (2, 1)}, [RIGHT])
+    assert (reported(found), found.departures.side.tolist()) == ({"lane_change": (2, 1)}, [RIGHT])
     assert found.accounts[0].departures.tolist() == [0, 1]

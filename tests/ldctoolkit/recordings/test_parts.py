@@ -85,9 +85,9 @@ class Shown(Part):
 
 
 @pytest.mark.parametrize(("shown", "told"), [("april/x.made", "april/x.made"), ("", "0-x.made"), (None, "0-x.made")])
-def test_a_part_is_told_under_the_name_that_it_shows(shown, told):
+def test_a_part_is_told_under_the_name_that_it_shows(shown, reported):
     result = extract_part(Shown("0-x.made", ("!",), shown=shown), Criteria(1.8), Preparation(0.1))
-    assert [problem.file for problem in result.problems] == [told]
+    assert [problem.file for problem in result.problems] == [reported]
 
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -152,10 +152,10 @@ def test_the_guides_reader(guide):
         "source": ["a.lane", "b.lane"],
         "driver": ["Ann", "Bob"],
     }
-    told = [str(problem) for problem in found.problems]
-    assert told[0] == "notes.lane, line 1: no line 'driver NAME'; it is left out"
-    assert [words.partition(":")[0] for words in told[1:3]] == ["b.lane, line 11", "b.lane, line 21"]
-    assert "bad.lane: cannot be read" in told[3] or "bad.lane: cannot be read" in told[1]
+    reported = [str(problem) for problem in found.problems]
+    assert reported[0] == "notes.lane, line 1: no line 'driver NAME'; it is left out"
+    assert [words.partition(":")[0] for words in reported[1:3]] == ["b.lane, line 11", "b.lane, line 21"]
+    assert "bad.lane: cannot be read" in reported[3] or "bad.lane: cannot be read" in reported[1]
     assert [file.name for file in found.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
 
 

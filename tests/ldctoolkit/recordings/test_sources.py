@@ -237,9 +237,9 @@ def test_a_broken_table_beside_a_good_pair(given: str, kind: str, tmp_path: Path
     opened = open_recordings([tmp_path / name for name in files] if given == "files" else tmp_path)
     assert opened.found == ("spmd-das1: 1 of DataLane, 1 of DataWsu; spmd-das2: 1 of HV_Primary by name alone")
     assert [file.name for file in opened.source.files] == ["DataLane.csv", "DataWsu.csv"]
-    told = [str(problem) for problem in opened.source.problems if problem.what.startswith("spmd-das2: no trip")]
-    assert len(told) == 1
-    assert words in told[0]
+    reported = [str(problem) for problem in opened.source.problems if problem.what.startswith("spmd-das2: no trip")]
+    assert len(reported) == 1
+    assert words in reported[0]
     assert {problem.file for problem in opened.source.problems} == {"HV_Primary.csv"}
     found = extract_departures(opened)
     assert [account.origin.source for account in found.accounts] == ["DataLane.csv"]

@@ -260,10 +260,10 @@ def test_what_is_wrong_with_a_text(save: Save, name: str, block_bytes: int) -> N
         message = message.split(" (")[0]
     path = save(content)
     try:
-        told = [str(one) for one in read(path, block_bytes=block_bytes)[1]]
+        reported = [str(one) for one in read(path, block_bytes=block_bytes)[1]]
     except RecordingError as error:
-        told = [str(error)]
-    assert any(text.startswith("drive.csv") and message in text for text in told), told
+        reported = [str(error)]
+    assert any(text.startswith("drive.csv") and message in text for text in reported), reported
 
 
 @pytest.mark.parametrize(
@@ -281,8 +281,8 @@ def test_what_is_wrong_with_a_text(save: Save, name: str, block_bytes: int) -> N
 def test_bad_parquet_columns(tmp_path: Path, change: pl.Expr, message: str) -> None:
     frame = pl.read_csv(PLAIN.encode(), schema_overrides={"t": pl.Float64})
     frame.with_columns(change).write_parquet(tmp_path / "drive.parquet")
-    told = [str(one) for one in read(tmp_path / "drive.parquet")[1]]
-    assert any(text.startswith("drive.parquet") and message in text for text in told), told
+    reported = [str(one) for one in read(tmp_path / "drive.parquet")[1]]
+    assert any(text.startswith("drive.parquet") and message in text for text in reported), reported
 
 
 def test_broken_gzip_and_parquet(save: Save, tmp_path: Path) -> None:
@@ -295,10 +295,10 @@ def test_broken_gzip_and_parquet(save: Save, tmp_path: Path) -> None:
             columns[: len(columns) // 2], b"", b"PAR1" + b"x" * 50 + b"PAR1",
         ],
     }  # fmt: skip
-    for told, parts in broken.items():
+    for reported, parts in broken.items():
         for part in parts:
-            with pytest.raises(RecordingError, match=f"^{re.escape(told)}"):
-                list(read_recordings(save(part, told.partition(":")[0]), format="table"))
+            with pytest.raises(RecordingError, match=f"^{re.escape(reported)}"):
+                list(read_recordings(save(part, reported.partition(":")[0]), format="table"))
 
 
 WHOLE: dict[str, tuple[str, bytes, str]] = {

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from helpers.recordings import drive
-from ldctoolkit.recordings.extract import few_usable, table_of, warnings_in_words
-from ldctoolkit.recordings.quality import no_evidence, unit_counts, unit_warnings
+from ldctoolkit.recordings.extract import few_usable, quality_warnings, table_of
+from ldctoolkit.recordings.quality import no_statistics, unit_counts, unit_warnings
 from ldctoolkit.recordings.recording import usable_samples
 
 
-def told(**changes: Any) -> str:
-    plain = dataclasses.replace(no_evidence(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
+def reported(**changes: Any) -> str:
+    plain = dataclasses.replace(no_statistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
     arrays = {name: np.array(value) for name, value in changes.items()}
-    return "; ".join(warnings_in_words(dataclasses.replace(plain, **arrays), 1.8, None))
+    return "; ".join(quality_warnings(dataclasses.replace(plain, **arrays), 1.8, None))
 
 
 @pytest.mark.parametrize(
@@ -36,8 +36,8 @@ def told(**changes: Any) -> str:
     ],
 )
 def test_evidence(name, silent, warned, words):
-    assert told(**{name: silent}) == ""
-    assert words in told(**{name: warned})
+    assert reported(**{name: silent}) == ""
+    assert words in reported(**{name: warned})
 
 
 def test_a_quarter_of_the_samples_is_enough():

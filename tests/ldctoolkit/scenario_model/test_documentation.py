@@ -16,7 +16,7 @@ def test_the_code_runs(capsys):
     space = {}
     for code in re.findall(r"```python\n(.*?)```", PAGE, flags=re.S):
         exec(compile(code, "scenario-model.md", "exec"), space)
-    assert (capsys.readouterr().out, len(space["motorway"])) == ("K = 1, as asked\n", 400)
+    assert (capsys.readouterr().out, len(space["motorway"])) == ("K = 1, as requested\n", 400)
 
 
 def test_every_key_of_a_file_is_described():

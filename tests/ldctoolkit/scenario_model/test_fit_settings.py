@@ -199,7 +199,7 @@ def test_the_card_tells_how_the_model_was_made(departures, tmp_path):
 
 def test_one_number_of_components_is_not_called_a_choice(departures):
     asked = fit_scenario_model(departures(40), components=1).provenance.left
-    assert (asked.criterion, asked.reason, asked.held_out) == ("", "K = 1, as asked", ())
+    assert (asked.criterion, asked.reason, asked.held_out) == ("", "K = 1, as requested", ())
     few = fit_scenario_model(departures(32), components=range(1, 5)).provenance
     assert few.left.n_components == (1,)
     assert few.left.reason == "K = 1, the only one of the range that the events carry"

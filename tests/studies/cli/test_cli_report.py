@@ -1,4 +1,4 @@
-"""``ldc report`` with departures and designs that are asked for."""
+"""``ldc report`` with departures and designs that are requested."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def test_departures_and_designs_are_put_into_the_page(folder: Path) -> None:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     data = json.loads(found[1])["departures"]
     assert [one["number"] for one in data["departures"][:2]] == ["249", "7"]
-    assert all("asked for" in one["name"] for one in data["departures"][:2])
-    assert "asked for" in [design["why"] for design in data["designs"]]
+    assert all("requested" in one["name"] for one in data["departures"][:2])
+    assert "requested" in [design["why"] for design in data["designs"]]
 
 
 @pytest.mark.slow

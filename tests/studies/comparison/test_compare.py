@@ -189,7 +189,7 @@ def test_the_fewest_changed_scenarios_that_an_interval_needs(rows: int, confiden
         assert np.isfinite(found.low).tolist() == np.isfinite(found.high).tolist() == [known] * rows
         assert found.changed.tolist() == [changed] * rows
         assert (found.high > found.difference).tolist() == [known] * rows
-        assert known or found.verdict == (Verdict.UNTOLD,) * rows
+        assert known or found.verdict == (Verdict.NOT_SEPARATED,) * rows
 
 
 def test_verdicts_at_the_tolerance_of_a_solver() -> None:
@@ -204,7 +204,7 @@ def test_verdicts_at_the_tolerance_of_a_solver() -> None:
     half = np.tile([0.0, 2e-6], 20)
     found = paired_differences(old[:2], np.stack([half, -half]), side, seed=1, bootstrap=50)
     assert 0 < found.low[0] < 1e-6 < found.high[0]
-    assert found.verdict == (Verdict.UNTOLD, Verdict.UNTOLD)
+    assert found.verdict == (Verdict.NOT_SEPARATED, Verdict.NOT_SEPARATED)
 
 
 def test_a_constant_shift_needs_no_interval(scores: np.ndarray) -> None:
@@ -299,7 +299,7 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
             bootstrap=300,
         )
         winners = comparison.cases[0].winners
-        alarms += winners.verdict is not Verdict.UNTOLD
+        alarms += winners.verdict is not Verdict.NOT_SEPARATED
     assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
 
 

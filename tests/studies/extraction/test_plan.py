@@ -13,7 +13,7 @@ import pytest
 import ldctoolkit
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.sources import FoundParts, ReadersTogether, recording_reader
+from ldctoolkit.recordings.sources import CombinedReader, FoundParts, recording_reader
 from studies.extraction import _program, plan_of
 
 HOME = Path(ldctoolkit.__file__).parent
@@ -90,7 +90,7 @@ def test_a_readers_own_code_is_reached(somebodys: tuple[Path, Path], how: str) -
     module: Any = sys.modules[somebodys[0].stem]
     reader: Any = module.Reader()
     if how == "together":
-        reader = ReadersTogether((recording_reader("table"), reader))
+        reader = CombinedReader((recording_reader("table"), reader))
     elif how == "module":
         reader = module
         for name in ("name", "title", "vehicle_width", "step"):

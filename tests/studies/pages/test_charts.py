@@ -25,7 +25,7 @@ from studies.pages.charts import (
     nice_step,
     scatter,
 )
-from studies.pages.shell import Cell, Column, Line, details, packed, script_json, table
+from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
 from studies.pages.text import number, symbols
 
 BLUE = Style(0, "", "o")
@@ -129,7 +129,7 @@ def test_law_styles_differ() -> None:
 
 def test_tables_escape_and_sort_by_numbers() -> None:
     columns = [Column("A", text=True), Column("S", "m", key="S")]
-    rows = [Line(("<b>", Cell("0.5", 0.5, bad=True)), "winner", later=True)]
+    rows = [TableRow(("<b>", Cell("0.5", 0.5, bad=True)), "winner", later=True)]
     made = str(table("c", columns, rows, id="t", sortable=True))
     assert "&lt;b&gt;" in made
     assert '<tr class="winner later">' in made

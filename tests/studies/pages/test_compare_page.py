@@ -29,7 +29,7 @@ S = PairedDifferences(
     changed=np.array([0, 5, 4, 2]),
     largest=np.array([0.0, 0.75, -0.6, 0.01]),
     largest_at=np.array([0, 2, 1, 4]),
-    verdict=(Verdict.SAME, Verdict.WORSE, Verdict.BETTER, Verdict.UNTOLD),
+    verdict=(Verdict.SAME, Verdict.WORSE, Verdict.BETTER, Verdict.NOT_SEPARATED),
 )
 WORSE = Winners(DESIGNS[1], DESIGNS[1], 1.0, 1.25, 0.25, 0.2, 0.3, Verdict.WORSE, 7, fresh=False)
 CASE = CaseComparison(Case("departure", "consistent"), DESIGNS, S, (3, 1, 0, 2), (4, 0, 5, 6), WORSE)
@@ -84,7 +84,7 @@ def test_a_difference_without_practical_weight_says_so() -> None:
     ("verdict", "text"),
     [
         (Verdict.BETTER, "is better than the old one, LQR, ys=0.1 m, by 0.2500"),
-        (Verdict.UNTOLD, "is not separated from the old one, LQR, ys=0.1 m"),
+        (Verdict.NOT_SEPARATED, "is not separated from the old one, LQR, ys=0.1 m"),
         (Verdict.SAME, "is as good as the old one, LQR, ys=0.1 m"),
     ],
 )

@@ -58,8 +58,8 @@ def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
     given = dataclasses.replace(report, departures=(7, 93), shown_designs=(wanted.id[:8],))
     data = data_of(given)
     assert [one["number"] for one in data["departures"][:2]] == ["7", "93"]
-    assert "asked for" in data["departures"][0]["name"]
-    assert "asked for" in [one["why"] for one in data["designs"]]
+    assert "requested" in data["departures"][0]["name"]
+    assert "requested" in [one["why"] for one in data["designs"]]
 
 
 def test_asked_for_but_not_there(results: StudyResults) -> None:

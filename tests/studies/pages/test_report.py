@@ -228,7 +228,7 @@ def test_the_front_has_one_number(page: Page, report: ReportInput) -> None:
     """11 designs in one place and 52 in another."""
     words = page.words("trade-offs")
     count = int(report.rankings[0].pareto.sum())
-    if report.rankings[0].pareto_figures:
+    if report.rankings[0].pareto_metrics:
         assert f"{count} design" in words
     assert "front of these two metrics alone" in words
 

@@ -13,7 +13,7 @@ import scipy.stats
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
-from ldctoolkit.metrics import RELEASE_METRICS, Companions
+from ldctoolkit.metrics import RELEASE_METRICS, MetricValues
 from studies import Case, Design, Ranking, StudyResults
 from studies.ranking.inference import bootstrap_means, percentile_interval
 from studies.ranking.ranking import write_csv
@@ -24,7 +24,7 @@ def results_of(
 ) -> StudyResults:
     """Every metric its own positive numbers of a plausible size."""
     generator = np.random.default_rng(7)
-    metrics = {f.name: generator.gamma(2.0, 1.0, S.shape) for f in dataclasses.fields(Companions)}
+    metrics = {f.name: generator.gamma(2.0, 1.0, S.shape) for f in dataclasses.fields(MetricValues)}
     metrics["deepest"] = np.tile(np.linspace(0.0, 1.0, S.shape[1]), (len(S), 1))
     metrics["dtle"] = 0.3 - metrics["dtle"]
     metrics["opposite_crossing"] = np.maximum(0.0, metrics["opposite_crossing"] - 2.0)
@@ -146,7 +146,7 @@ def quantile(values: list[float], share: float) -> float:
 def by_hand(results: StudyResults, i: int) -> dict[str, float]:
     """The columns beside S of one design, one scenario after the other."""
     case, d_y = results.cases[0], results.scenarios.d_y
-    values = {f.name: [float(x) for x in getattr(case.companions, f.name)[i]] for f in dataclasses.fields(Companions)}
+    values = {f.name: [float(x) for x in getattr(case.companions, f.name)[i]] for f in dataclasses.fields(MetricValues)}
     n = len(d_y)
     acted = [k for k in range(n) if case.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
 
@@ -233,7 +233,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     case = results.cases[0]
     case.status[1, [3, 200]] = EventStatus.INVALID
     case.status[2, 399] = EventStatus.INVALID
-    for array in (case.S, *(getattr(case.companions, f.name) for f in dataclasses.fields(Companions))):
+    for array in (case.S, *(getattr(case.companions, f.name) for f in dataclasses.fields(MetricValues))):
         array[1, [3, 200]] = array[2, 399] = np.nan
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
@@ -299,7 +299,9 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     order = np.array([4, 8, 0, 2, 6, 1, 7, 3, 5])
     case = results.cases[0]
     parts = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")}
-    companions = Companions(**{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(Companions)})
+    companions = MetricValues(
+        **{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(MetricValues)}
+    )
     turned = dataclasses.replace(case, **parts, companions=companions)
     other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}

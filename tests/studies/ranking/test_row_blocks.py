@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from helpers.results import case_of
 from ldctoolkit import EventStatus
 from studies import CaseResults
-from studies.ranking.design_metrics import tail_figures
+from studies.ranking.design_metrics import tail_metrics
 from studies.ranking.inference import bootstrap_deviations, row_blocks, row_means
 
 
@@ -20,7 +20,7 @@ def test_no_row_depends_on_the_rows_beside_it() -> None:
     few = np.ascontiguousarray(values[some])
     np.testing.assert_array_equal(row_means(values)[some], row_means(few))
     np.testing.assert_array_equal(row_means(values, some), row_means(few))
-    for whole, alone in zip(tail_figures(values), tail_figures(few), strict=True):
+    for whole, alone in zip(tail_metrics(values), tail_metrics(few), strict=True):
         np.testing.assert_array_equal(whole[some], alone)
     whole = bootstrap_deviations(values, side, samples=8, seed=1)
     np.testing.assert_array_equal(whole[:, some], bootstrap_deviations(few, side, samples=8, seed=1))

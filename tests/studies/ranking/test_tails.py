@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.ranking.design_metrics import masked_max, masked_mean, masked_quantile, tail_figures
+from studies.ranking.design_metrics import masked_max, masked_mean, masked_quantile, tail_metrics
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))
 def test_tails_are_those_of_the_definition(n: int, seed: int, percent: int) -> None:
     """Rockafellar and Uryasev: the least of c + mean(max(x - c, 0)) / (1 - share), at one of the values."""
     values = np.random.default_rng(seed).gamma(0.5, 1.0, (3, n)).round(1)  # many equal ones
-    quantile, cvar = tail_figures(values, percent)
+    quantile, cvar = tail_metrics(values, percent)
     for row, q, worst in zip(values, quantile, cvar, strict=True):
         wanted = min(c + np.maximum(row - c, 0.0).mean() / (1 - percent / 100) for c in row)
         # 1 - share is known to 1e-14 of itself, sums to a few roundings
@@ -26,7 +26,7 @@ def test_tails_are_those_of_the_definition(n: int, seed: int, percent: int) -> N
 def test_tails_by_literals() -> None:
     """Of 1 to 30 m s the worst 5 % are one and a half: 30, and half of 29; of 20 and of 40 they are whole numbers."""
     for n, quantile, cvar in ((30, 28.55, (30 + 0.5 * 29) / 1.5), (20, 19.05, 20.0), (40, 38.05, 39.5), (1, 1.0, 1.0)):
-        found = tail_figures(np.random.default_rng(n).permutation(np.arange(1.0, n + 1))[None])
+        found = tail_metrics(np.random.default_rng(n).permutation(np.arange(1.0, n + 1))[None])
         assert [one.item() for one in found] == pytest.approx([quantile, cvar], rel=1e-12), n
 
 

@@ -22,7 +22,7 @@ from ldctoolkit import (
     simulate,
 )
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
-from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS
+from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
 from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 from studies.plant_table import simulation_settings
@@ -58,7 +58,7 @@ def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyRe
             np.testing.assert_array_equal(case.S[i], outcome.S)
             np.testing.assert_array_equal(case.S_uncorrected[i], outcome.S_uncorrected)
             np.testing.assert_array_equal(case.status[i], outcome.status)
-            for name in COMPANION_UNITS:
+            for name in METRIC_UNITS:
                 exact = getattr(outcome.companions, name)
                 np.testing.assert_array_equal(getattr(case.companions, name)[i], exact)
 
@@ -126,7 +126,7 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     (one,), (other,) = (list((tmp_path / folder / "results").iterdir()) for folder in ("a", "b"))
     assert (one.name, one.read_bytes()) == (other.name, other.read_bytes())
     schema = pl.read_parquet_schema(one)
-    assert [schema[column] for column in COMPANION_COLUMNS.values()] == [pl.Float64()] * len(COMPANION_COLUMNS)
+    assert [schema[column] for column in METRIC_COLUMNS.values()] == [pl.Float64()] * len(METRIC_COLUMNS)
     assert schema["S_departure_m_s"] == pl.Float64()
     assert not [name for name in schema if "second" in name]
 

@@ -238,9 +238,9 @@ def test_failed_designs_are_never_asked_again_and_do_not_stop_the_search() -> No
 def test_what_is_told_wrongly_is_refused_and_changes_nothing() -> None:
     search = Search(make(ONE_LAW, trials=8, batch=2))
     first, second = search.ask()
-    with pytest.raises(InputError, match=f"the last batch is not told yet: {first.id}, {second.id}"):
+    with pytest.raises(InputError, match=f"the last batch has no values yet: {first.id}, {second.id}"):
         search.ask()
-    with pytest.raises(InputError, match=f"design {second.id} was asked and is missing"):
+    with pytest.raises(InputError, match=f"design {second.id} was proposed and is missing"):
         search.tell({first.id: (1.0,)})
     with pytest.raises(InputError, match=r"design 'x' is not in the last batch; allowed: "):
         search.tell({first.id: (1.0,), second.id: (1.0,), "x": (1.0,)})

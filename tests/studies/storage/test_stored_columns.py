@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
-from ldctoolkit.metrics import COMPANION_COLUMNS, COMPANION_UNITS, RELEASE_METRICS
+from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, RELEASE_METRICS
 from studies import Study, StudyResults, read_results, run_study
 from studies.ranking.ranking import rank_study
 from studies.running import campaign
@@ -65,7 +65,7 @@ def table_of(folder: Path, results: StudyResults, case: int, column: str) -> Any
 
 def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> None:
     for c, case in enumerate(stored.cases):
-        for name, column in COMPANION_COLUMNS.items():
+        for name, column in METRIC_COLUMNS.items():
             values: Any = getattr(case.companions, name)
             assert isinstance(values, StoredColumn)
             np.testing.assert_array_equal(np.asarray(values), table_of(folder, stored, c, column))
@@ -132,7 +132,7 @@ def test_some_scenarios_of_a_case_stay_in_the_folder(stored: StudyResults) -> No
     case, rows = stored.cases[2], np.arange(N) % 3 > 0
     some = case.take(rows).take(np.arange(int(rows.sum())) > 1)
     kept = np.flatnonzero(rows)[2:]
-    for name in COMPANION_UNITS:
+    for name in METRIC_UNITS:
         column: Any = getattr(some.companions, name)
         assert isinstance(column, StoredColumn)
         assert column.shape == (len(stored.designs), kept.size)
@@ -190,10 +190,10 @@ def test_a_folder_of_an_earlier_version_is_read_and_ranked(
     shutil.copytree(folder, tmp_path / "old")
     added = ("a_y_added_peak", "jerk_added_peak")
     for part in (tmp_path / "old" / "results").iterdir():
-        table = pl.read_parquet(part).drop(COMPANION_COLUMNS[name] for name in added)
+        table = pl.read_parquet(part).drop(METRIC_COLUMNS[name] for name in added)
         table.rename({"opposite_crossing_m": "overshoot_m"}).write_parquet(part)
     old, new = read_results(tmp_path / "old"), read_results(folder)
-    for name in COMPANION_UNITS:
+    for name in METRIC_UNITS:
         values, wanted = (np.asarray(getattr(one.cases[0].companions, name)) for one in (old, new))
         np.testing.assert_array_equal(values, wanted + (np.nan if name in added else 0.0))
     before, now = rank_study(old, study)[0], rank_study(new, study)[0]

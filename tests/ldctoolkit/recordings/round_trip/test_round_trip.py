@@ -21,8 +21,8 @@ def extracted(folder, drive, noise, **options):
 
 
 def check(distances, largest=LARGEST):
-    told = {side: dict(zip(PARAMETER_NAMES, row.round(4).tolist(), strict=True)) for side, row in distances.items()}
-    assert max(row.max() for row in distances.values()) < largest, told
+    reported = {side: dict(zip(PARAMETER_NAMES, row.round(4).tolist(), strict=True)) for side, row in distances.items()}
+    assert max(row.max() for row in distances.values()) < largest, reported
 
 
 def errors(found, drive):

@@ -9,14 +9,14 @@ import pytest
 from helpers import das1
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
-from ldctoolkit.recordings.departures_table import PartResult, joined_results
+from ldctoolkit.recordings.departures_table import PartResult, combined_results
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1
 
 
 def extracted(source: FoundParts[Das1Part]) -> PartResult:
     criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
-    return joined_results(extract_part(part, criteria, preparation) for part in source.parts)
+    return combined_results(extract_part(part, criteria, preparation) for part in source.parts)
 
 
 def read_all(source: FoundParts[Das1Part]) -> tuple[list[Recording], list[Problem]]:

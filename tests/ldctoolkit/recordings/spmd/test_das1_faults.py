@@ -321,8 +321,8 @@ def test_a_file_that_cannot_be_used(tables: tuple[Path, Path], spoil: Callable[[
 def test_a_header_without_rows(tables: tuple[Path, Path], both: bool) -> None:
     for path in tables[: 1 + both]:
         path.write_bytes(path.read_bytes().split(b"\n")[0] + b"\n")
-    told = r"DataLane\.csv: no usable row" + r"; DataWsu\.csv: no usable row" * both
-    with pytest.raises(RecordingError, match=rf"^spmd-das1: no trip of a table DataLane was found; {told}$"):
+    reported = r"DataLane\.csv: no usable row" + r"; DataWsu\.csv: no usable row" * both
+    with pytest.raises(RecordingError, match=rf"^spmd-das1: no trip of a table DataLane was found; {reported}$"):
         READER.open(tables)
 
 

@@ -94,8 +94,8 @@ def test_against_plain_python(lines: list[str], end: str, ended: bool, part_byte
         source = SpmdDas2(part_bytes=part_bytes).open([path])
         items = [item for part in source.parts for item in part.read()]
     found = {item.name: item for item in items if isinstance(item, Recording)}
-    told = [*source.problems, *(item for item in items if isinstance(item, Problem))]
-    assert {one.place for one in told if "backwards" not in one.what and "goes on here" not in one.what} == {
+    reported = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    assert {one.place for one in reported if "backwards" not in one.what and "goes on here" not in one.what} == {
         f"line {line}" for line in faulty
     }
     assert set(found) == set(expected)

@@ -94,8 +94,8 @@ def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> Non
     pieces = [read_cells(b"".join(some), COLUMNS, COLUMNS) for some in (lines[:at], lines[at:])]
     for name in COLUMNS:
         np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
-    told = [(f.row + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
-    assert [(fault.row, fault.what) for fault in whole.faults] == told
+    reported = [(f.row + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
+    assert [(fault.row, fault.what) for fault in whole.faults] == reported
 
 
 PLAIN = st.one_of(

@@ -208,8 +208,8 @@ def test_two_odd_times_cost_two_lines(changed, made, sound, tmp_path):
     trip = made()
     trip.lane[list(changed), 0] = list(changed.values())
     problems, found = read(trip.write(tmp_path))
-    told = f"the time runs backwards: 900.0 s before {sound.t[701 + (701 in changed)]} s; 2 lines are left out"
-    assert problems == [f"/{LANE}, line 701: {told}"]
+    reported = f"the time runs backwards: 900.0 s before {sound.t[701 + (701 in changed)]} s; 2 lines are left out"
+    assert problems == [f"/{LANE}, line 701: {reported}"]
     np.testing.assert_array_equal(found.t, np.delete(sound.t, list(changed)))
 
 

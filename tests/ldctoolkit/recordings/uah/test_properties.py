@@ -50,6 +50,6 @@ def test_against_plain_python(lines, end, last):
     rows = np.array(expected)
     kept = rising_rows(rows[:, 0])
     np.testing.assert_array_equal(values, rows[kept])
-    told = [problem for problem in problems if "time runs" not in problem.what]
-    assert [problem.place for problem in told][:5] == [f"line {line}" for line in faulty[:5]]
-    assert len(problems) - len(told) == (not kept.all())
+    reported = [problem for problem in problems if "time runs" not in problem.what]
+    assert [problem.place for problem in reported][:5] == [f"line {line}" for line in faulty[:5]]
+    assert len(problems) - len(reported) == (not kept.all())
