@@ -208,10 +208,11 @@ class _Run:
         table = store.load(study.designs, repair=True)
         for message in store.broken:
             _log.warning(message)
+        n = len(scenarios)
         campaign = Campaign(
             study,
             scenarios,
-            Prefixes(scenarios.side, _stops(study, len(scenarios))),
+            Prefixes(scenarios.side, (schedule(n) if study.race else (n,))),
             store,
             table,
             self.executor,
@@ -246,10 +247,6 @@ class _Run:
             return run_race(campaign)
         campaign.complete(study.designs, len(campaign.scenarios), stage)
         return study.designs, None
-
-
-def _stops(study: Study, n: int) -> tuple[int, ...]:
-    return schedule(n) if study.race else (n,)
 
 
 def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:

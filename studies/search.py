@@ -14,7 +14,7 @@ import numpy as np
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue
 from studies.design import Design
-from studies.design_space import Choices, Dimension, LawSpace, Span, rounded
+from studies.design_space import Dimension, LawSpace, Span, rounded
 from studies.ranking.design_metrics import pareto_front
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric, metric_values, requirements_of
@@ -109,16 +109,11 @@ def _suggest(trial: Any, name: str, dimension: Dimension) -> GainValue:
     if isinstance(dimension, Span):
         return _suggest_number(trial, name, dimension)
     values = dimension.values
-    if _ordered(dimension):
+    if len(dimension.values) > 2 and not any(isinstance(value, str | bool) for value in dimension.values):
         place: int = trial.suggest_int(name, 0, len(values) - 1)
         return sorted(values)[place]
     chosen: int = trial.suggest_categorical(name, range(len(values)))
     return values[chosen]
-
-
-def _ordered(choices: Choices) -> bool:
-    """Whether the values are numbers, so many that a sampler can use their order."""
-    return len(choices.values) > 2 and not any(isinstance(value, str | bool) for value in choices.values)
 
 
 def _suggest_number(trial: Any, name: str, span: Span) -> float:

@@ -254,11 +254,6 @@ def in_processes(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def may_start_processes() -> bool:
-    """Whether this process is allowed to have children."""
-    return not multiprocessing.current_process().daemon
-
-
 def _stored(array: FloatArray, path: Path) -> Path:
     np.save(path, array, allow_pickle=False)
     return path
@@ -483,7 +478,7 @@ def _run(
 ) -> list[Outcome]:
     """All fits, in the order of the models; the longest begin first where several run at a time."""
     workers = 1
-    if may_start_processes():
+    if not multiprocessing.current_process().daemon:
         size = events.x.size * sum(model.n_components for model in models)
         workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), len(models))
     queue = list(models)

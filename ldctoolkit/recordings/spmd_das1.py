@@ -248,17 +248,13 @@ def _named(path: Path) -> str:
     return "DataLane" if match[1].lower() == "lane" else "DataWsu"
 
 
-def _unknown(columns: Sequence[str]) -> str:
-    shown = ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
-    return f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
-
-
 def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     """Which table a file is, and what is odd about it."""
     header = read_header(path)
     kind = _kind(header.columns)
     if not kind:
-        return None, _unknown(header.columns)
+        shown = ", ".join(header.columns[:8]) + (", ..." if len(header.columns) > 8 else "")
+        return None, f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
     check_columns(header.columns, KEY, _COLUMNS[kind])
     note = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
     return TableLayout(header.columns, header.begin, kind=kind), note if _named(path) not in ("", kind) else ""

@@ -78,12 +78,8 @@ def layout_of(path: Path) -> TableLayout | None:
         check_columns(header.columns, KEY, REQUIRED, OPTIONAL)
         usual = [name.lower() for name in header.columns] == [name.lower() for name in POSITIONS[: len(header.columns)]]
         cells = tuple(sorted({*CELLS, len(header.columns)})) if usual else (len(header.columns),)
-        return TableLayout(_padded(header.columns, cells), header.begin, cells=cells)
+        return TableLayout((*header.columns, *POSITIONS[len(header.columns) : max(cells)]), header.begin, cells=cells)
     return _without_header(path)
-
-
-def _padded(columns: Sequence[str], cells: Sequence[int]) -> tuple[str, ...]:
-    return (*columns, *POSITIONS[len(columns) : max(cells)])
 
 
 def _without_header(path: Path) -> TableLayout | None:

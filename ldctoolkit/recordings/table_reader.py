@@ -431,14 +431,6 @@ def header_names(path: Path) -> tuple[str, ...]:
     return tuple(part.strip().strip('"').strip() for part in line.split(","))
 
 
-def check_header(path: Path) -> None:
-    """Refuse a file whose header lacks a column, or that has no rows at all."""
-    if is_parquet(path):
-        check_columns(parquet_names(path))
-    elif next(csv_blocks(path, HEADER_BYTES), None) is None:
-        raise TableFault("", NO_ROWS)
-
-
 def repeated_names(
     paths: Sequence[Path], shown: Sequence[str]
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
@@ -618,7 +610,11 @@ class TableReader:
                     what = f"the suffix is not known; allowed: {', '.join(SUFFIXES)}"
                 else:
                     file = source_file(path, shown)
-                    check_header(path)
+                    # refuse a file whose header lacks a column, or that has no rows at all
+                    if is_parquet(path):
+                        check_columns(parquet_names(path))
+                    elif next(csv_blocks(path, HEADER_BYTES), None) is None:
+                        raise TableFault("", NO_ROWS)
                     first = known.setdefault(file.sha256, shown)
                     if first == shown:
                         found[path] = file

@@ -93,11 +93,6 @@ def check_columns(
             raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
 
 
-def is_plain(columns: Sequence[str]) -> bool:
-    """Whether columns are those of a plain recording table, whatever the file's name."""
-    return {"recording", "lane_offset"}.issubset(columns)
-
-
 Key = tuple[int, int]
 T = TypeVar("T")
 
@@ -350,7 +345,7 @@ def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Cal
         kind, plain = "", False
         try:
             kind = kind_of(path)
-            plain = is_plain(read_header(path).columns)
+            plain = {"recording", "lane_offset"}.issubset(read_header(path).columns)
         except RecordingError:
             pass  # opening it tells what is wrong
         if kind:

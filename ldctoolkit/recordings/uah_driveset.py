@@ -438,7 +438,9 @@ class TripFolder:
     def _recording(self, lane: FloatArray, gps: FloatArray, angles: FloatArray | None) -> Recording:
         t, x, width, state = lane.T.copy()  # one piece of memory a column
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST)
-        speed = _speed(gps, t)
+        # speed at the times `t` [m/s]
+        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < LARGEST)  # a phone without a speed says less than 0
+        speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
         course_t, course = _course(gps)
         yaw_rate, measured, notes = _yaw_rate(t, valid, angles, course_t, course)
         return Recording(
@@ -475,12 +477,6 @@ class TripFolder:
                 what = f"{_percent(known, lanes)} of the samples with a lane have a yaw rate, from yaw angle or course"
                 file = self.accelerometers or self.gps
                 yield Problem(f"{self.shown}/{file}", "", f"{what} ({span}); the others are left out")
-
-
-def _speed(gps: FloatArray, t: FloatArray) -> FloatArray:
-    """Speed at the times `t` [m/s]."""
-    known = (gps[:, 1] >= 0.0) & (gps[:, 1] < LARGEST)  # a phone without a speed says less than 0
-    return values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
 
 
 def _course(gps: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -242,7 +242,7 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
     # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
     signs = np.concatenate([np.eye(6), -np.eye(6)])
     pulses = np.concatenate([np.zeros((1, 6)), signs * PULSE, LARGER * signs * PULSE])
-    answers = _answers(controller, plant, pulses)  # (samples, 25, n)
+    answers = _after(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)  # (samples, 25, n)
     finite = np.isfinite(answers).all(axis=(0, 1))
     answers = np.where(finite, answers, 0.0)
     small, large = (0.5 * (answers[:, i : i + 6] - answers[:, i + 6 : i + 12]) for i in (1, 13))
@@ -257,11 +257,6 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
         nonlinearity=np.asarray(nonlinearity, dtype=np.float64),
         unexplained=np.array([rest for _, rest in fits]),
     )
-
-
-def _answers(controller: Controller, plant: Plant, pulses: FloatArray) -> FloatArray:
-    """Commands after a pulse at the first sample, (samples, pulses, n)."""
-    return _after(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)
 
 
 def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> FloatArray:

@@ -140,7 +140,12 @@ def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatAr
     inside = np.exp(1j * omega * dt)[None, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
     states = np.linalg.solve(inside, np.broadcast_to(B[:, None] + 0j, (*inside.shape[:2], *B.shape[1:])))
     L = (C[:, None] @ states)[..., 0, 0]
-    gain[stable], phase[stable] = _gain_margin(L), _phase_margin(L)
+    # where the gain of L (s, m) is 1
+    size, angle = np.log(np.maximum(np.abs(L), 1e-300)), np.unwrap(np.angle(-L), axis=1)
+    crossing = size[:, :-1] * size[:, 1:] < 0
+    part = np.divide(size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing)
+    at = np.abs(np.angle(np.exp(1j * (angle[:, :-1] + part * (angle[:, 1:] - angle[:, :-1])))))
+    gain[stable], phase[stable] = _gain_margin(L), np.asarray(np.where(crossing, at, np.inf).min(axis=1))
     return gain, phase
 
 
@@ -153,15 +158,6 @@ def _gain_margin(L: npt.NDArray[np.complex128]) -> FloatArray:
     at = np.column_stack([at, -re[:, -1:]])  # L is real at the Nyquist frequency
     factors = np.divide(1.0, at, out=np.full_like(at, np.inf), where=at > 0)
     return np.asarray(np.where(factors > 1.0, factors, np.inf).min(axis=1))
-
-
-def _phase_margin(L: npt.NDArray[np.complex128]) -> FloatArray:
-    """Where the gain of L (s, m) is 1."""
-    size, angle = np.log(np.maximum(np.abs(L), 1e-300)), np.unwrap(np.angle(-L), axis=1)
-    crossing = size[:, :-1] * size[:, 1:] < 0
-    part = np.divide(size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing)
-    at = np.abs(np.angle(np.exp(1j * (angle[:, :-1] + part * (angle[:, 1:] - angle[:, :-1])))))
-    return np.asarray(np.where(crossing, at, np.inf).min(axis=1))
 
 
 _WEIGHTS = ("q_y", "q_y_rate", "q_psi", "q_psi_rate")

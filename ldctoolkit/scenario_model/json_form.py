@@ -175,12 +175,17 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
 
 def model_to_json(left: SideModel, right: SideModel, provenance: ModelProvenance) -> dict[str, Any]:
     """The whole file as JSON values."""
+    # the card as JSON values
+    out = dataclasses.asdict(provenance)
+    for label, summary in (("left", provenance.left), ("right", provenance.right)):
+        if summary is not None:
+            out[label]["source_summary"] = source_summary_to_json(summary.source_summary)
     return {
         "format": FORMAT,
         "version": VERSION,
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
-        "provenance": model_provenance_to_json(provenance),
+        "provenance": out,
     }
 
 
@@ -311,15 +316,6 @@ PATH: Final = "provenance"
 
 def _names(kind: type) -> list[str]:
     return [field.name for field in dataclasses.fields(kind)]
-
-
-def model_provenance_to_json(provenance: ModelProvenance) -> dict[str, Any]:
-    """The card as JSON values."""
-    out = dataclasses.asdict(provenance)
-    for label, summary in (("left", provenance.left), ("right", provenance.right)):
-        if summary is not None:
-            out[label]["source_summary"] = source_summary_to_json(summary.source_summary)
-    return out
 
 
 def model_provenance_from_json(reader: Reader, data: Mapping[str, Any]) -> ModelProvenance:

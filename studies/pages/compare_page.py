@@ -146,6 +146,8 @@ def _verdict(comparison: Comparison) -> Section:
             rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", no_winners_sentence(case))))
             continue
         change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
+        phrase = PHRASES[winners.verdict]
+        small = winners.verdict in (Verdict.BETTER, Verdict.WORSE) and abs(winners.difference) < THRESHOLD
         rows.append(
             TableRow(
                 (
@@ -157,7 +159,7 @@ def _verdict(comparison: Comparison) -> Section:
                     change,
                     interval_text(winners.low, winners.high),
                     Cell(
-                        _practical(winners),
+                        (f"{phrase}, too little to matter" if small else phrase),
                         bad=winners.verdict is Verdict.WORSE,
                         good=winners.verdict is Verdict.BETTER,
                     ),
@@ -188,12 +190,6 @@ def _verdict(comparison: Comparison) -> Section:
         )
     body += bullets(comparison.warnings, "warnings")
     return Section("verdict", "Verdict", body, printed=True)
-
-
-def _practical(winners: Winners) -> str:
-    phrase = PHRASES[winners.verdict]
-    small = winners.verdict in (Verdict.BETTER, Verdict.WORSE) and abs(winners.difference) < THRESHOLD
-    return f"{phrase}, too little to matter" if small else phrase
 
 
 def counts_text(case: CaseComparison) -> str:

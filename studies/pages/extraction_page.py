@@ -148,11 +148,6 @@ def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[Row, 
     return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
 
 
-def label_names(accounts: Sequence[Account]) -> tuple[str, ...]:
-    """Labels that any recording has, in the order in which they first come."""
-    return tuple(dict.fromkeys(label.name for one in accounts for label in one.origin.labels))
-
-
 def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[Row, ...]:
     """One row a value of a label, D2 before D10; recordings without it come last. `most` as in `by_source`."""
 
@@ -384,7 +379,7 @@ def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[R
     if whole is None:
         return Section("sides", "Hours and departures", paragraphs("Nothing was read from these recordings."))
     body = _amounts(rows, "Source", whole if len(rows) > 1 else None)
-    names = label_names(extraction.accounts)
+    names = tuple(dict.fromkeys(label.name for one in extraction.accounts for label in one.origin.labels))
     for name in names[:MOST_LABELS]:
         body += _amounts(by_label(extraction.accounts, name), printable(name).capitalize())
     if len(names) > MOST_LABELS:
@@ -438,15 +433,6 @@ def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     return Section("refusals", "Refused", body)
 
 
-def _edges(values: FloatArray) -> FloatArray:
-    """Edges of bins over nearly all values."""
-    known = values[np.isfinite(values)]
-    low, high = np.quantile(known, (0.002, 0.998)) if known.size >= 500 else (known.min(), known.max())
-    if high <= low:
-        low, high = low - 0.5, high + 0.5
-    return np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
-
-
 def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
     departures = extraction.departures
     if not departures.n:
@@ -454,7 +440,12 @@ def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
     charts, lines_ = [], []
     for name in PARAMETER_NAMES:
         values = np.asarray(getattr(departures, name), dtype=np.float64)
-        edges = _edges(values)
+        # edges of bins over nearly all values
+        known = values[np.isfinite(values)]
+        low, high = np.quantile(known, (0.002, 0.998)) if known.size >= 500 else (known.min(), known.max())
+        if high <= low:
+            low, high = low - 0.5, high + 0.5
+        edges = np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
         shares, cells = [], []
         for side, which in (("left", LEFT), ("right", RIGHT)):
             own = values[departures.side == which]

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_type_hints
 
@@ -436,7 +436,9 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    gains = _gain_columns(rankings, race)
+    dropped = () if race is None else race.dropped
+    laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
+    gains = list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
     text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
     if race is not None:
@@ -447,12 +449,6 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None =
     writer.writeheader()
     writer.writerows(rows)
     write_text(Path(path), text.getvalue())
-
-
-def _gain_columns(rankings: Iterable[Ranking], race: Race | None) -> list[str]:
-    dropped = () if race is None else race.dropped
-    laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
-    return list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:

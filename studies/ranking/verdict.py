@@ -6,7 +6,7 @@ import dataclasses
 import html
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
@@ -328,12 +328,6 @@ def markdown_text(text: str) -> str:
     return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
 
 
-def markdown_table(headings: Sequence[str], right: Sequence[bool], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are escaped already."""
-    rule = ["---:" if number else "---" for number in right]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
-
-
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
 MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 
@@ -524,7 +518,10 @@ def _blocks(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) 
     columns = ranking_columns(first)
     headings = [markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns]
     rows = ([markdown_text(cell) for cell in ranking_cells(first, place)] for place in places)
-    yield markdown_table(headings, [not one.left for one in columns], rows)
+    # a table; cells are escaped already
+    right = [not one.left for one in columns]
+    rule = ["---:" if number else "---" for number in right]
+    yield "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
     if len(places) < len(first):
         yield f"{len(places):,} of {len(first):,} designs; all of them are in `ranking.csv`.\n"
     window = "the whole departure" if first.case.window == "departure" else "the time under control"
