@@ -10,8 +10,6 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     InstanceOf,
     SerializerFunctionWrapHandler,
@@ -19,25 +17,13 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from ldctoolkit import Controller, LdcError, controller_class
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
+from ldctoolkit.validation import Part, fail
 from studies.design import Design
-
-
-class Part(BaseModel):
-    """A table of a study file: no unknown keys, no silent conversions, finite numbers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def fail(path: str, message: str) -> PydanticCustomError:
-    """What a validator raises: the key path below the validated value, and what is wrong."""
-    return PydanticCustomError("study", "{message}", {"path": path, "message": message})
-
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 

@@ -11,7 +11,7 @@ from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.option_checks import declaration_of, kind_of
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.setup import simulation_options
-from studies.design_space import fail
+from ldctoolkit.validation import fail
 
 _ALWAYS_SHOWN: Final = ("tyres", "sensors.kalman", "residuals")
 """Tables whose defaults say something as soon as the table is used."""

@@ -370,7 +370,7 @@ class ScenarioModel:
 
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:
-        return cls(*form.model_from_json(form.read_json(text, file), file))
+        return cls(*form.model_from_json(text, file))
 
 
 def bundled_models() -> tuple[str, ...]:

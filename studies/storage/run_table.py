@@ -240,7 +240,7 @@ class RunTable:
         companions = 0 if self._stored else len(METRIC_UNITS)
         fresh: dict[str, Any] = {
             "_S": np.empty((len(self._windows), *shape)),
-            "_companions": np.empty((companions, *shape)),
+            "_metrics": np.empty((companions, *shape)),
             "_status": np.empty(shape, dtype=np.int8),
             # zeros take no memory until something else is written
             "_failed_solves": np.zeros(shape, dtype=np.int32),

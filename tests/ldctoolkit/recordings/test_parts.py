@@ -84,10 +84,10 @@ class Shown(Part):
     shown: Any = ""
 
 
-@pytest.mark.parametrize(("shown", "told"), [("april/x.made", "april/x.made"), ("", "0-x.made"), (None, "0-x.made")])
-def test_a_part_is_told_under_the_name_that_it_shows(shown, reported):
+@pytest.mark.parametrize(("shown", "name"), [("april/x.made", "april/x.made"), ("", "0-x.made"), (None, "0-x.made")])
+def test_a_part_is_told_under_the_name_that_it_shows(shown, name):
     result = extract_part(Shown("0-x.made", ("!",), shown=shown), Criteria(1.8), Preparation(0.1))
-    assert [problem.file for problem in result.problems] == [reported]
+    assert [problem.file for problem in result.problems] == [name]
 
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"

@@ -408,7 +408,7 @@ def test_processes_that_cannot_start_are_told(monkeypatch: pytest.MonkeyPatch) -
             executor.start(a_task())
 
 
-def test_last_words_are_read_by_the_line(tmp_path: Path) -> None:
+def test_last_output_are_read_by_the_line(tmp_path: Path) -> None:
     """A late task's dump names files, whose paths may hold words of a note."""
     dump = (
         'Timeout (0:00:04)!\nThread 0x1 (most recent call first):\n  File "/home/task 7/done\'s task 9", line 3 in f\n'
@@ -417,7 +417,7 @@ def test_last_words_are_read_by_the_line(tmp_path: Path) -> None:
     (tmp_path / "2").write_text("task 4\ndone\n")
     (tmp_path / "3").write_text("task 4\ndone\ntask 5\n")
     (tmp_path / "4").write_text("")
-    assert processes._last_words(tmp_path) == ({12, 5}, {12})
+    assert processes._last_output(tmp_path) == ({12, 5}, {12})
     assert not list(tmp_path.iterdir())
 
 
