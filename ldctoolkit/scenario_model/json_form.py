@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
@@ -32,7 +34,6 @@ VERSION: Final = 3
 
 _HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
 _WHOLE_DIGITS: Final = 18  # longest whole number of a file: it must fit a float and 64 bits
-_PROVENANCE: Final = TypeAdapter(ModelProvenance)
 
 
 def side_to_json(side: SideModel) -> dict[str, Any]:
@@ -52,14 +53,25 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
 
 
 def model_to_json(left: SideModel, right: SideModel, provenance: ModelProvenance) -> dict[str, Any]:
-    """The whole file as JSON values."""
+    """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
+    content = dataclasses.asdict(provenance)
+    for summary in _summaries(content):
+        summary["cells"] = [" ".join(map(str, row)) for row in summary["cells"]]
     return {
         "format": FORMAT,
         "version": VERSION,
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
-        "provenance": _PROVENANCE.dump_python(provenance),
+        "provenance": content,
     }
+
+
+def _summaries(provenance: Any) -> Iterator[dict[str, Any]]:
+    for side in ("left", "right") if isinstance(provenance, dict) else ():
+        fitted = provenance.get(side)
+        summary = fitted.get("source_summary") if isinstance(fitted, dict) else None
+        if isinstance(summary, dict):
+            yield summary
 
 
 def content_hash(left: SideModel, right: SideModel) -> str:
@@ -124,6 +136,9 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         newer = isinstance(version, int) and version > VERSION
         hint = ": the file is newer, update ldctoolkit" if newer else ""
         raise ModelError(f"{file}: version: {short(version)}; this program reads version {VERSION}{hint}")
+    for summary in _summaries(data.get("provenance")):
+        if isinstance(cells := summary.get("cells"), list):
+            summary["cells"] = [_shares(text) for text in cells]
     try:
         # as JSON: lists are tuples there, which strict Python values are not
         found = _File.model_validate_json(json.dumps(data))
@@ -134,6 +149,12 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         _built(found.sides.right, f"{file}: sides.right"),
         found.provenance,
     )
+
+
+def _shares(text: Any) -> Any:
+    """The shares of a pair's cells; what is no text of whole numbers stays, for the check to name it."""
+    cells = text.split() if isinstance(text, str) else []
+    return list(map(int, cells)) if all(cell.isascii() and cell.isdigit() for cell in cells) and cells else str(text)
 
 
 def _parameter(name: str) -> str:
@@ -224,7 +245,7 @@ class _File(Part):
 
     @field_validator("provenance")
     @classmethod
-    def _summaries(cls, provenance: ModelProvenance) -> ModelProvenance:
+    def _checked(cls, provenance: ModelProvenance) -> ModelProvenance:
         for name, side in (("left", provenance.left), ("right", provenance.right)):
             if side is not None:
                 _check_side(side, name)

@@ -21,8 +21,6 @@ from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
-from ldctoolkit.scenario_model import json_form as form
-from ldctoolkit.scenario_model.json_form import read_text
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import whole_file
@@ -232,7 +230,9 @@ class ScenarioModel:
     @property
     def content_hash(self) -> str:
         """SHA-256 of all that sampling depends on; the same for two fits that gave the same numbers."""
-        return form.content_hash(self.left_side, self.right_side)
+        from ldctoolkit.scenario_model import json_form  # loads pydantic, which not every command needs
+
+        return json_form.content_hash(self.left_side, self.right_side)
 
     def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
         """Draw scenarios, left ones first.
@@ -332,9 +332,11 @@ class ScenarioModel:
             If the file cannot be written, the provenance holds values that JSON does not know, or `load` would refuse
             the file.
         """
+        from ldctoolkit.scenario_model import json_form
+
         target = Path(path)
         try:
-            data = form.model_to_json(self.left_side, self.right_side, self.provenance)
+            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance)
             text = json.dumps(data, indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
@@ -366,11 +368,15 @@ class ScenarioModel:
             Broken JSON (with line and column), another format or version, or a value that does not fit (with its key
             path).
         """
+        from ldctoolkit.scenario_model.json_form import read_text
+
         return cls._parse(read_text(Path(path)), str(path))
 
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:
-        return cls(*form.model_from_json(text, file))
+        from ldctoolkit.scenario_model import json_form
+
+        return cls(*json_form.model_from_json(text, file))
 
 
 def bundled_models() -> tuple[str, ...]:

@@ -7,17 +7,15 @@ import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from pydantic import BeforeValidator, PlainSerializer
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
-from ldctoolkit.validation import fail, short
 from ldctoolkit.version import __version__
 
 PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
@@ -94,21 +92,6 @@ _EVENTS_PER_CELL: Final = 20
 _MOST_LOOKED_AT: Final = 50_000
 
 
-def _cells_of(texts: Any) -> Any:
-    try:
-        return tuple(tuple(map(int, text.split())) for text in texts)
-    except (TypeError, ValueError, AttributeError):
-        raise fail("", f"{short(texts)}; allowed: strings of whole numbers") from None
-
-
-# a file holds the cells of a pair as one string, a tenth of the size of a list
-_Cells = Annotated[
-    tuple[tuple[int, ...], ...],
-    BeforeValidator(_cells_of),
-    PlainSerializer(lambda pairs: [" ".join(map(str, row)) for row in pairs]),
-]
-
-
 @dataclasses.dataclass(frozen=True)
 class SourceSummary:
     """Quantiles, rank correlations and coarse joint shares of one side's departures.
@@ -147,7 +130,7 @@ class SourceSummary:
     effective: float
     quantiles: tuple[tuple[float, ...], ...]
     rank_correlations: tuple[float, ...]
-    cells: _Cells
+    cells: tuple[tuple[int, ...], ...]
 
     @property
     def probabilities(self) -> FloatArray:

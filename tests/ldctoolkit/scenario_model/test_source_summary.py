@@ -135,9 +135,9 @@ def test_both_sides_take_less_than_60_kb():
         ({"rank_correlations": [1.001]}, r"rank_correlations\[0\]: 1.001; allowed: -1 to 1"),
         ({"cells": []}, "cells: 0 strings"),
         ({"cells": ["1 2 3"]}, r"cells\[0\]: '1 2 3'; allowed"),
-        ({"cells": ["1 2 3 x"]}, r"cells: \['1 2 3 x'\]; allowed: strings of whole numbers"),
+        ({"cells": ["1 2 3 x"]}, r"cells\[0\]: '1 2 3 x'; allowed: a list"),
         ({"cells": ["9000 0 0 1001"]}, r"cells\[0\].*sum to 10000 at most"),
-        ({"cells": [[1, 2, 3, 4]]}, "allowed: strings of whole numbers"),
+        ({"cells": [[1, 2, 3, 4]]}, r"cells\[0\]"),
     ],
 )
 def test_a_wrong_value_is_named(tmp_path, change, message):
