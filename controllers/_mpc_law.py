@@ -376,12 +376,7 @@ class MPCLaw(SteeringLaw):
         return state.calls
 
     def step(
-        self,
-        t: FloatArray,
-        x: FloatArray,
-        preview: Preview,
-        delta_prev: FloatArray,
-        state: MPCState,
+        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: MPCState
     ) -> tuple[FloatArray, MPCState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
         from controllers import _mpc_kernel as kernel

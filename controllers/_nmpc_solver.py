@@ -348,8 +348,7 @@ class Workspace:
         ahead, roll, value, linearise = _functions(N, soft)
         self._ahead = _Call(ahead, [self.x_0, *self._one, self.c])
         self._roll = _Call(
-            roll,
-            [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c],
+            roll, [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c]
         )
         self._value = _Call(value, [self.X_try, self.U_try, *known])
         pressed = [self.m_0, self.m_1, self.m_y] if soft else []

@@ -40,8 +40,7 @@ from controllers.riccati import regulator
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 
-# units of the soft limits' violations: m/s^2, m/s^3, m
-_SCALES = (1.0, 10.0, 0.1)
+_SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
 _SPEED = 8  # place of v in a column
 
 
@@ -215,12 +214,7 @@ class NonlinearMPCLaw(SteeringLaw):
         )
 
     def step(
-        self,
-        t: FloatArray,
-        x: FloatArray,
-        preview: Preview,
-        delta_prev: FloatArray,
-        state: NonlinearMPCState,
+        self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: NonlinearMPCState
     ) -> tuple[FloatArray, NonlinearMPCState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
         d, N, n = self.design, self.design.horizon, delta_prev.size

@@ -278,13 +278,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
         aliases=("dtle_0p3_share",),
     ),
     Metric("within_dtle_gain", "1", "more", "within_dtle_gain", "The same, more than without control", "lane", 1),
-    _share(
-        "needless",
-        "Needless interventions",
-        "interventions",
-        (),
-        lambda by: needless_share(by.acted, by.d_y),
-    ),
+    _share("needless", "Needless interventions", "interventions", (), lambda by: needless_share(by.acted, by.d_y)),
     _share(
         "opposite_crossed_share",
         "Opposite line crossed",

@@ -293,11 +293,7 @@ def _saltelli(sample: SampleSettings, dimensions: int) -> FloatArray:
     except ImportError:
         message = "design.sample.method: 'saltelli' needs SALib, which is not installed"
         raise InputError(f'{message}; install the extra: pip install "ldctoolkit[sensitivity]"') from None
-    cube = {
-        "num_vars": dimensions,
-        "names": [str(i) for i in range(dimensions)],
-        "bounds": [[0.0, 1.0]] * dimensions,
-    }
+    cube = {"num_vars": dimensions, "names": [str(i) for i in range(dimensions)], "bounds": [[0.0, 1.0]] * dimensions}
     points = sobol.sample(cube, sample.count, calc_second_order=False, seed=sample.seed)
     return np.asarray(points, dtype=np.float64)
 

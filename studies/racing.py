@@ -84,12 +84,7 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     if not study.ranking.require:
         return np.arange(len(mean))
     figures = Ranking.of(
-        results,
-        results.cases[0],
-        bootstrap=100,
-        setup=study.setup(),
-        D_y=study.report.D_y,
-        vehicles=study.vehicles,
+        results, results.cases[0], bootstrap=100, setup=study.setup(), D_y=study.report.D_y, vehicles=study.vehicles
     )
     worst = np.full(len(mean), -np.inf)
     for one in requirements_of(study.ranking.require, study.plant):

@@ -20,12 +20,7 @@ from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
 
-FAILED_STATUSES: Final = (
-    EventStatus.SOLVER_FAILED,
-    EventStatus.DIVERGED,
-    EventStatus.TIMED_OUT,
-    EventStatus.CRASHED,
-)
+FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
 
 RunKey = tuple[str, str]  # identifier of a design and a convention: what one simulation is called

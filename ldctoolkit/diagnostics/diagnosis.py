@@ -99,11 +99,7 @@ _SETTINGS: Final = {"n_init": 2, "tol": 1e-5, "max_iter": 100}
 
 
 def compare_transforms(
-    mixture: BoundedGaussianMixture,
-    names: tuple[str, ...],
-    x: FloatArray,
-    weight: FloatArray | None,
-    seed: int,
+    mixture: BoundedGaussianMixture, names: tuple[str, ...], x: FloatArray, weight: FloatArray | None, seed: int
 ) -> Comparison:
     """Fit both mixtures to one random half of the events and score them on the other half."""
     rng = np.random.default_rng([seed, 2])

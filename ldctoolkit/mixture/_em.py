@@ -178,12 +178,7 @@ def _split(
 
 
 def _mergers(
-    weight: FloatArray,
-    stats: Statistics,
-    now: TruncatedNormal,
-    shares_now: FloatArray,
-    strength: float,
-    points: int,
+    weight: FloatArray, stats: Statistics, now: TruncatedNormal, shares_now: FloatArray, strength: float, points: int
 ) -> tuple[list[tuple[int, int]], FloatArray, FloatArray, FloatArray, FloatArray]:
     """Pairs, the components in their place with ln P, and what the mergers gain at least (a loss, as a rule)."""
     K = now.mu.shape[0]

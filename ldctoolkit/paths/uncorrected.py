@@ -75,8 +75,7 @@ FEWEST_MODES: Final = 3
 
 MOST_MODES: Final = 100
 
-# paths that are looked at together
-_AT_ONCE: Final = 1024
+_AT_ONCE: Final = 1024  # paths that are looked at together
 
 # rows that cannot be driven give NaN in silence: they are marked elsewhere
 _quiet = np.errstate(divide="ignore", invalid="ignore", over="ignore")

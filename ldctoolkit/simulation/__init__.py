@@ -4,14 +4,4 @@ from ldctoolkit.simulation.loop import drive, drive_many, simulate
 from ldctoolkit.simulation.outcome import Outcome, Run, Trajectories, Window
 from ldctoolkit.simulation.takeover import BOUND, Takeover
 
-__all__ = [
-    "BOUND",
-    "Outcome",
-    "Run",
-    "Takeover",
-    "Trajectories",
-    "Window",
-    "drive",
-    "drive_many",
-    "simulate",
-]
+__all__ = ["BOUND", "Outcome", "Run", "Takeover", "Trajectories", "Window", "drive", "drive_many", "simulate"]

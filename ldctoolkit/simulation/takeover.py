@@ -91,8 +91,7 @@ class TrueVehicles:
         return e_psi, yaw_error, delta
 
 
-# fixed-point steps from the small angles to the large ones of saturating tyres
-_ITERATIONS = 8
+_ITERATIONS = 8  # fixed-point steps from the small angles to the large ones of saturating tyres
 
 _DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # quantities with a factor, in the order of the random numbers
 
@@ -121,11 +120,9 @@ def true_vehicles(
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
 
-# a remainder shorter than this is rounding of T - t_s, not a step to be driven
-_SHORTEST_STEP = 1e-12
+_SHORTEST_STEP = 1e-12  # a remainder shorter than this is rounding of T - t_s, not a step to be driven
 
-# step [s] of the difference quotient of the recorded speed
-_SPEED_STEP = 1e-4
+_SPEED_STEP = 1e-4  # step [s] of the difference quotient of the recorded speed
 
 # longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
 # and the law's own poles are no slower at high speed

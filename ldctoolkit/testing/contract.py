@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import ClassVar, Final
 
 from ldctoolkit.control import Controller
@@ -12,25 +12,28 @@ from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.testing import law_checks
 from ldctoolkit.testing.subject import Check, ContractSettings, Subject
 
-CHECKS: Final[dict[str, Check]] = {
-    "declared": law_checks.declared,
-    "frozen": law_checks.frozen,
-    "picklable": law_checks.picklable,
-    "bounds": law_checks.bounds,
-    "toml": law_checks.toml,
-    "interface": law_checks.interface,
-    "repeatable": law_checks.repeatable,
-    "mirror": law_checks.mirror,
-    "quiet": law_checks.quiet,
-    "finite": law_checks.finite,
-    "limits": law_checks.limits,
-    "inputs": law_checks.inputs,
-    "state": law_checks.state,
-    "batch": law_checks.batch,
-    "take": law_checks.take,
-    "ended": law_checks.ended,
-    "extremes": law_checks.extremes,
+_TESTS: Final[dict[str, str]] = {
+    "declared": "everything_it_takes_is_declared",
+    "frozen": "designs_are_frozen",
+    "picklable": "designs_reach_worker_processes",
+    "bounds": "bounds_are_enforced",
+    "toml": "gains_round_trip_through_toml",
+    "interface": "shapes_types_and_the_plant",
+    "repeatable": "same_input_same_output",
+    "mirror": "mirrored_input_gives_the_mirrored_command",
+    "quiet": "quiet_on_a_straight_centred_road",
+    "finite": "commands_are_finite",
+    "limits": "declared_limits_are_kept",
+    "inputs": "inputs_are_left_as_they_are",
+    "state": "runs_share_no_state",
+    "batch": "scenarios_do_not_depend_on_each_other",
+    "take": "take_changes_no_command",
+    "ended": "ended_scenarios_do_no_harm",
+    "extremes": "extreme_gains_give_finite_commands",
 }
+"""Check -> its test in a `ControllerContract`, behind ``test_``."""
+
+CHECKS: Final[dict[str, Check]] = {name: getattr(law_checks, name) for name in _TESTS}
 """Name -> check; the first line of a check's documentation states what it requires."""
 
 
@@ -208,70 +211,14 @@ class ControllerContract:
             raise InputError(f"{type(self).__name__}.controller: missing; allowed: controller = MyLaw")
         check_controller_contract(given, self.designs, checks=(check,), settings=self.settings)
 
-    def test_everything_it_takes_is_declared(self) -> None:
-        """Check `declared`."""
-        self._keeps("declared")
 
-    def test_designs_are_frozen(self) -> None:
-        """Check `frozen`."""
-        self._keeps("frozen")
+def _test(check: str) -> Callable[[ControllerContract], None]:
+    def test(self: ControllerContract) -> None:
+        self._keeps(check)
 
-    def test_designs_reach_worker_processes(self) -> None:
-        """Check `picklable`."""
-        self._keeps("picklable")
+    test.__doc__ = f"Check `{check}`."
+    return test
 
-    def test_bounds_are_enforced(self) -> None:
-        """Check `bounds`."""
-        self._keeps("bounds")
 
-    def test_gains_round_trip_through_toml(self) -> None:
-        """Check `toml`."""
-        self._keeps("toml")
-
-    def test_shapes_types_and_the_plant(self) -> None:
-        """Check `interface`."""
-        self._keeps("interface")
-
-    def test_same_input_same_output(self) -> None:
-        """Check `repeatable`."""
-        self._keeps("repeatable")
-
-    def test_mirrored_input_gives_the_mirrored_command(self) -> None:
-        """Check `mirror`."""
-        self._keeps("mirror")
-
-    def test_quiet_on_a_straight_centred_road(self) -> None:
-        """Check `quiet`."""
-        self._keeps("quiet")
-
-    def test_commands_are_finite(self) -> None:
-        """Check `finite`."""
-        self._keeps("finite")
-
-    def test_declared_limits_are_kept(self) -> None:
-        """Check `limits`."""
-        self._keeps("limits")
-
-    def test_inputs_are_left_as_they_are(self) -> None:
-        """Check `inputs`."""
-        self._keeps("inputs")
-
-    def test_runs_share_no_state(self) -> None:
-        """Check `state`."""
-        self._keeps("state")
-
-    def test_scenarios_do_not_depend_on_each_other(self) -> None:
-        """Check `batch`."""
-        self._keeps("batch")
-
-    def test_take_changes_no_command(self) -> None:
-        """Check `take`."""
-        self._keeps("take")
-
-    def test_ended_scenarios_do_no_harm(self) -> None:
-        """Check `ended`."""
-        self._keeps("ended")
-
-    def test_extreme_gains_give_finite_commands(self) -> None:
-        """Check `extremes`."""
-        self._keeps("extremes")
+for _check, _name in _TESTS.items():
+    setattr(ControllerContract, f"test_{_name}", _test(_check))

@@ -183,10 +183,7 @@ class Walk:
         """Take all samples that are left."""
         while self.k < self.road.samples:
             self.go_on()
-        return Commands(
-            np.array([delta for delta, _ in self.sent]),
-            np.array([status for _, status in self.sent]),
-        )
+        return Commands(np.array([delta for delta, _ in self.sent]), np.array([status for _, status in self.sent]))
 
 
 def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:

@@ -3,12 +3,4 @@
 from ldctoolkit.vehicle.bicycle import BicycleModel, Convention, Plant, SteadyState, VehicleParameters
 from ldctoolkit.vehicle.discretization import Discretization, discretize
 
-__all__ = [
-    "BicycleModel",
-    "Convention",
-    "Discretization",
-    "Plant",
-    "SteadyState",
-    "VehicleParameters",
-    "discretize",
-]
+__all__ = ["BicycleModel", "Convention", "Discretization", "Plant", "SteadyState", "VehicleParameters", "discretize"]

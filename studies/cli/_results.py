@@ -150,12 +150,7 @@ def print_race(race: Race) -> None:
 
 
 def write_ranking(
-    folder: Path,
-    study: Study,
-    manifest: Manifest,
-    results: StudyResults,
-    rankings: Sequence[Ranking],
-    found: Verdict,
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: Sequence[Ranking], found: Verdict
 ) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"

@@ -19,18 +19,7 @@ from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
 from studies.pages.settings_section import pairs
-from studies.pages.shell import (
-    Cell,
-    Column,
-    Section,
-    TableRow,
-    bullets,
-    details,
-    figure,
-    make_page,
-    paragraphs,
-    table,
-)
+from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
 from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, signed, symbols
 from studies.storage.files import write_text
 from studies.storage.stored_model import WARNING, model_notes

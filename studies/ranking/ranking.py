@@ -209,12 +209,7 @@ class Ranking(RankedDesigns):
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
         inference = infer(
-            drivable.counted,
-            drivable.scenarios.side,
-            ranked=ranked,
-            baseline=position,
-            rows=order,
-            **chance,
+            drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
         warnings = list(_warnings(drivable, results.designs))
         if (np.isnan(figures.release.a_y_added_peak_mean) & np.isfinite(figures.release.a_y_peak_mean)).any():

@@ -228,11 +228,7 @@ def _stable_light(ranking: RankedDesigns, place: int) -> Light:
     if math.isnan(gain):
         return Light("Stable", "warning", f"{never}; it has no linear loop whose margins are known.")
     shown = "no limit" if math.isinf(gain) else f"{gain:.1f}"
-    return Light(
-        "Stable",
-        "good",
-        f"{never}; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.",
-    )
+    return Light("Stable", "good", f"{never}; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.")
 
 
 def _limits_light(ranking: RankedDesigns, place: int) -> Light:

@@ -428,14 +428,7 @@ class _Room:
         """All of it."""
         keys = tuple((design.id, self.task.convention) for design in self.task.designs)
         return TaskResult(
-            keys,
-            self.task.rows,
-            self.values,
-            self.status,
-            self.failed_solves,
-            self.law_seconds,
-            self.commands,
-            seconds,
+            keys, self.task.rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands, seconds
         )
 
 

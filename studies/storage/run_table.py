@@ -214,13 +214,7 @@ class RunTable:
     """Room for the runs of a study, taken once, so that no run is in memory twice."""
 
     def __init__(
-        self,
-        study: Study,
-        n: int,
-        designs: Sequence[Design],
-        *,
-        keep: bool = False,
-        stored: PartIndex | None = None,
+        self, study: Study, n: int, designs: Sequence[Design], *, keep: bool = False, stored: PartIndex | None = None
     ) -> None:
         self._study = study
         self.n = n
@@ -384,11 +378,7 @@ class RunTable:
         return {name: StoredColumn(self._stored, column, keys, self.n, rows) for name, column in METRIC_COLUMNS.items()}
 
     def _incomplete(
-        self,
-        designs: Sequence[Design],
-        there: BoolArray,
-        lost: Mapping[RunKey, str],
-        some_there: BoolArray,
+        self, designs: Sequence[Design], there: BoolArray, lost: Mapping[RunKey, str], some_there: BoolArray
     ) -> str:
         """How many designs wait for results that did not fail, and how much is there of all."""
         waits = {

@@ -110,10 +110,7 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
         text = f"{key}: {value}" if key else str(value)
         if value not in ("", None):
             yield text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
-    for name, side, summary in (
-        ("left", model.left_side, origin.left),
-        ("right", model.right_side, origin.right),
-    ):
+    for name, side, summary in (("left", model.left_side, origin.left), ("right", model.right_side, origin.right)):
         count = len(side.mixture.weights_)
         yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
         yield from (f"{name}: {text}" for text in (_box(side, summary), _mapped(side)) if text)

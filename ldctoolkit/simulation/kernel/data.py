@@ -72,8 +72,7 @@ EFFORT: Final = score_column("effort")
 TRAVEL: Final = score_column("travel")
 SCORES: Final = 1 + len(SCENARIO_METRICS)
 
-# columns of a path's entry
-P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6
+P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6  # columns of a path's entry
 
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time, then of past commands
 LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7

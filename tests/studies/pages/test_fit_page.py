@@ -117,9 +117,7 @@ def test_warnings_do_not_contradict_each_other() -> None:
 
 def test_no_warnings(model: ScenarioModel, found: ModelDiagnostics) -> None:
     quiet = dataclasses.replace(
-        found,
-        left=dataclasses.replace(found.left, warnings=()),
-        right=dataclasses.replace(found.right, warnings=()),
+        found, left=dataclasses.replace(found.left, warnings=()), right=dataclasses.replace(found.right, warnings=())
     )
     assert "No warnings: no check of this page found anything." in verdicts(model, quiet)
 
