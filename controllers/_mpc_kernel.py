@@ -15,7 +15,7 @@ The QP of a scenario, in corrections e (M,) and slacks s, one a kind of soft lim
 Multipliers are positive at an upper bound. At a solution e = -C' multipliers, and the magnitudes of the multipliers of
 one kind sum to at most its weight where s = 0, to weight (1 + s) where s > 0. A guess is a set of rows held at their
 bounds; it gives e and the multipliers by one small linear system, and it *is* the solution if these conditions hold,
-whatever it came from. A guess that fails is mended, for a limited number of times: rows with a multiplier of the wrong
+whatever it came from. A guess that fails is corrected, a limited number of times: rows with a multiplier of the wrong
 sign are let go, the row that is violated most is held (after the primal-dual active set method; M. Hintermueller,
 K. Ito, K. Kunisch, *The primal-dual active set strategy as a semismooth Newton method*, SIAM J. Optim. 13(3), 2003).
 
@@ -224,7 +224,7 @@ def _respond(response: FloatArray, scale: float, G: FloatArray, out: FloatArray)
 _PROVED: Final = 1e-10  # largest violation of a condition by a guess that counts as the solution
 _ROUNDING: Final = 1e-14
 """Where multipliers are large, as those of a soft limit that cannot be met, this share of the largest term counts."""
-_MORE_MENDINGS: Final = 4  # a guess is mended three times as often as there are moves, and this much more
+_MORE_CORRECTIONS: Final = 4  # a guess is corrected three times as often as there are moves, and this much more
 
 
 @numba.njit(**OPTIONS)
@@ -243,7 +243,7 @@ def prove(
     """Mend a guess until it proves itself; False if it does not within a few rounds."""
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
-    for _ in range(3 * M + _MORE_MENDINGS):
+    for _ in range(3 * M + _MORE_CORRECTIONS):
         count = 0
         for row in range(R):
             if side[row] != 0:

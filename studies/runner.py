@@ -74,7 +74,7 @@ def run_study(
         Designs in one task; chosen from the law's pace by default. No number depends on it.
     time_limit : float [s]
         A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
-        process, where nobody could go on.
+        process, which could not go on.
 
     Returns
     -------

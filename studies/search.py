@@ -326,12 +326,12 @@ class Search:
         for name in self._untold:
             if name not in values:
                 raise InputError(f"tell: design {name} was proposed and is missing")
-        for name, told in values.items():
+        for name, given in values.items():
             if name not in self._untold:
                 raise InputError(f"tell: design {name!r} is not in the last batch; {nearest(name, self._untold)}")
-            if told is not None and len(told) != len(self._signs):
+            if given is not None and len(given) != len(self._signs):
                 allowed = f"allowed: {len(self._signs)}, one for each objective"
-                raise InputError(f"tell: design {name}: {len(told)} values; {allowed}")
+                raise InputError(f"tell: design {name}: {len(given)} values; {allowed}")
         missed = self._checked_margins(values, margins)
         self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
         self._margins |= missed
@@ -349,11 +349,11 @@ class Search:
         if margins is None:
             return dict.fromkeys(self._untold, met)
         found = {name: met if values[name] is None else margins.get(name, ()) for name in self._untold}
-        for name, told in found.items():
-            if len(told) != self._requirements or any(math.isnan(margin) for margin in told):
+        for name, given in found.items():
+            if len(given) != self._requirements or any(math.isnan(margin) for margin in given):
                 allowed = f"allowed: {self._requirements} numbers, one for each requirement"
-                raise InputError(f"tell: design {name}: margins {tuple(told)!r}; {allowed}")
-        return {name: tuple(float(margin) for margin in told) for name, told in found.items()}
+                raise InputError(f"tell: design {name}: margins {tuple(given)!r}; {allowed}")
+        return {name: tuple(float(margin) for margin in given) for name, given in found.items()}
 
     def _as_costs(self, values: Values | None) -> Values | None:
         if values is None or any(math.isnan(value) for value in values):

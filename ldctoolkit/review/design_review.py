@@ -253,7 +253,7 @@ def bend_notes(numbers: LoopNumbers) -> Iterator[Finding]:
     if wrong.any():
         text = (
             f"At {numbers.v[i]:.3g} m/s the law is not linear in a steady bend: its command there differs by "
-            f"{100 * numbers.bend_error[i]:.3g} % from what small deviations foretell. Offsets in the bend are left "
+            f"{100 * numbers.bend_error[i]:.3g} % from what small deviations predict. Offsets in the bend are left "
             f"out ({int(wrong.sum())} of {wrong.size} speeds)."
         )
         yield Finding("note", "bend_not_linear", text, float(numbers.bend_error[i]), BEND_ERROR, float(numbers.v[i]))
@@ -397,7 +397,7 @@ def review(
     dt : float [s]
         Sample time, > 0.
     options : PlantOptions, optional
-        Actuator and camera of the plant; what the review leaves out is told in a note.
+        Actuator and camera of the plant; what the review leaves out is stated in a note.
     speeds : (n,) [m/s]
         Where to look.
     a_y : float [m/s^2]

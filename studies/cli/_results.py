@@ -17,7 +17,7 @@ from studies.ranking.verdict import (
     Verdict,
     listed_places,
     more_lines,
-    other_case,
+    other_cases,
     ranking_cells,
     ranking_columns,
     verdict_lines,
@@ -108,9 +108,9 @@ def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> Non
               emoji=False, highlight=False)  # fmt: skip
     for line in (*others, *more_lines(first)):
         out.print(line, markup=False, emoji=False, highlight=False)
-    for one in rankings[1:]:
-        out.print(other_case(one), markup=False, emoji=False, highlight=False)
-    for warning in dict.fromkeys(text for one in rankings for text in one.warnings):
+    for line in other_cases(rankings):
+        out.print(line, markup=False, emoji=False, highlight=False)
+    for warning in first.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
     _print_failed(first)

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from ldctoolkit import Scenarios, Setup, controller_class
+from ldctoolkit import Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import METRICS
 from studies.design import Design
 from studies.pages.charts import Style, law_styles
-from studies.pages.text import compact, number
+from studies.pages.text import number, true_minus
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric_values
-from studies.ranking.verdict import Verdict, verdict
+from studies.ranking.verdict import Verdict, design_name, verdict
 from studies.results import CaseResults, StudyResults
 
 if TYPE_CHECKING:
@@ -188,20 +188,9 @@ def metric_text(name: str, value: float, *, unit: bool = True) -> str:
     return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
 
 
-def law_title(design: Design) -> str:
-    """Title of a design's law."""
-    return controller_class(design.law).title
-
-
-def gains_text(design: Design) -> str:
-    """Gains that differ from their defaults."""
-    return ", ".join(f"{name} = {compact(value)}" for name, value in design.changed)
-
-
 def name_of(design: Design) -> str:
     """A design in a sentence: law, threshold, gains."""
-    gains = gains_text(design)
-    return f"{law_title(design)}, y_s = {compact(design.y_s)} m{', ' if gains else ''}{gains}"
+    return true_minus(design_name(design))
 
 
 def interval(low: float, high: float, digits: int = 3) -> str:

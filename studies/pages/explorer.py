@@ -14,10 +14,11 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
 from studies.pages.charts import RECORDED, Axis, Chart, Style, ecdf, legend
-from studies.pages.context import MOST_CURVES, Context, law_title, name_of, side_rows
+from studies.pages.context import MOST_CURVES, Context, name_of, side_rows
 from studies.pages.replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
 from studies.pages.shell import Section, figure, packed, paragraphs, render
 from studies.pages.text import compact, number, percent, plural
+from studies.ranking.verdict import law_title
 from studies.results import status_among
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
-from studies.pages.context import Context, gains_text, interval, law_title, metric_text
+from studies.pages.context import Context, interval, metric_text
 from studies.pages.shell import Cell, Column, Section, TableRow, bullets, render, table
-from studies.pages.text import compact, number, percent, plural
-from studies.ranking.verdict import judged
+from studies.pages.text import compact, number, percent, plural, true_minus
+from studies.ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, other_cases, set_of_best_line
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
 FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and those that are printed
-
-METRIC_COLUMNS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
 
 
 def section(context: Context) -> Section:
@@ -27,12 +24,11 @@ def section(context: Context) -> Section:
     named = [place for place in (ranking.winner, ranking.baseline) if place is not None]
     kept = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
     places = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
-    by_name = {"S": "S", "y_s": "y_s", "reduction": "reduction", "a_y": "a_y", "jerk": "jerk", "needless": "needless"}
     level = percent(ranking.confidence, 0)
     columns = [
         Column("Rank", key="rank"),
         Column("Law", text=True),
-        Column("y_s", "m", key=by_name["y_s"], about="Trigger threshold"),
+        Column("y_s", "m", key="y_s", about="Trigger threshold"),
         Column("Gains", text=True, about="Gains that differ from their defaults"),
         Column("Mean S", "m\u00b7s", key="S"),
         Column(f"{level} interval", "m\u00b7s", about="Of mean S, for all designs at once"),
@@ -54,8 +50,8 @@ def section(context: Context) -> Section:
         count=len(ranking),
         listed=len(places),
         later=len(places) - sum(_shown_first(place, place in named) for place in places),
-        set_of_best=_set_of_best(context),
-        others=_other_cases(context),
+        set_of_best=set_of_best_line(ranking),
+        others=bullets(true_minus(line) for line in other_cases(context.report.rankings)),
     )
     return Section("ranking", "Ranking", body, scripts=("table.js",), printed=True)
 
@@ -71,11 +67,11 @@ def _line(context: Context, i: int, named: bool) -> TableRow:
         Cell(str(ranking.rank[i]) if ranking.rank[i] else "\u2013", float(ranking.rank[i]) or math.nan),
         law_title(design),
         Cell(compact(design.y_s), design.y_s),
-        gains_text(design).replace(" = ", "\u00a0=\u00a0"),
+        true_minus(gains_text(design, "\u00a0=\u00a0")),
         Cell(number(float(ranking.S[i]), METRICS["S"].digits), float(ranking.S[i])),
         Cell(interval(float(ranking.S_low[i]), float(ranking.S_high[i])) or "\u2013", float(ranking.S_low[i])),
     ]
-    for name in METRIC_COLUMNS:
+    for name in RANKING_METRICS:
         value = context.metric(name, i)
         shown = Cell(metric_text(name, value, unit=False), METRICS[name].scale * value, bad=name in missed)
         cells.append(shown)
@@ -86,36 +82,6 @@ def _line(context: Context, i: int, named: bool) -> TableRow:
     kinds = ["winner" if i == ranking.winner else "", "baseline" if i == ranking.baseline else ""]
     kinds += ["kept"] if named else ["far"] if i >= FIRST_ROWS else []
     return TableRow(tuple(cells), " ".join(filter(None, kinds)), later=not _shown_first(i, named))
-
-
-def _set_of_best(context: Context) -> str:
-    ranking = context.ranking
-    size, level = int(ranking.set_of_best.sum()), percent(ranking.confidence, 0)
-    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
-        return ""
-    if size == 1:
-        return f"Set of best: the first design alone, with {level} confidence."
-    return (
-        f"Set of best: {plural(size, 'design')} that these scenarios do not separate; with {level} confidence it holds "
-        "the best of those that meet the requirements."
-    )
-
-
-def _other_cases(context: Context) -> Markup:
-    def sentences() -> Iterator[str]:
-        for one in context.report.rankings[1:]:
-            if one.winner is None:
-                yield f"{one.case.label}: no winner."
-            else:
-                design = one.designs[one.winner]
-                S = number(float(one.S[one.winner]))
-                yield (
-                    f"{one.case.label}: {law_title(design)}, y_s = {compact(design.y_s)} m, "
-                    f"{gains_text(design)}; mean S {S} m\u00b7s."
-                )
-            yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in context.ranking.warnings)
-
-    return bullets(sentences())
 
 
 # ------------------------------------------------------------------------------------------------ limits

@@ -10,9 +10,10 @@ import numpy as np
 from markupsafe import Markup
 
 from studies.pages.charts import Axis, Chart, Series, lines
-from studies.pages.context import Context, law_title, name_of
+from studies.pages.context import Context, name_of
 from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
 from studies.pages.text import number, percent, plural, signed
+from studies.ranking.verdict import law_title
 from studies.robustness import Robustness
 
 MOST_LAWS: Final = 4  # designs in the table; their margins too

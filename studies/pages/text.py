@@ -25,6 +25,7 @@ SYMBOL = re.compile(
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 
 MINUS = "−"
+_HYPHEN = re.compile(r"(?<![\w.])-(?=\d)")
 
 _SMALL = 1e-3  # a difference below this [m s] is shown with two digits of its own, not with decimals
 
@@ -67,6 +68,11 @@ def symbols_svg(text: str) -> Markup:
         return f'{base}<tspan dy="3" font-size="75%">{sub}</tspan><tspan dy="-3">\u200b</tspan>'
 
     return Markup(SYMBOL.sub(index, str(escape(printable(text)))))
+
+
+def true_minus(text: str) -> str:
+    """Numbers in a text with a true minus sign."""
+    return _HYPHEN.sub(MINUS, text)
 
 
 def number(value: float, digits: int = 3) -> str:

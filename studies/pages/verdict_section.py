@@ -10,9 +10,10 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import A_Y_LIMIT, METRICS
 from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
-from studies.pages.context import Context, law_title, metric_text, name_of
+from studies.pages.context import Context, metric_text, name_of
 from studies.pages.shell import Section, bullets, render
 from studies.ranking.design_metrics import pareto_front
+from studies.ranking.verdict import law_title
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}

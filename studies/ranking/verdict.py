@@ -115,10 +115,19 @@ def verdict(
     return Verdict(title, tuple(sentences), tuple(_lights(ranking, place, robustness)), place, nearest, ahead, recorded)
 
 
+def law_title(design: Design) -> str:
+    """Title of a design's law."""
+    return controller_class(design.law).title
+
+
+def gains_text(design: Design, between: str = " = ") -> str:
+    """Gains that differ from their defaults."""
+    return ", ".join(f"{name}{between}{value_text(value)}" for name, value in design.changed)
+
+
 def design_name(design: Design) -> str:
     """A design in a sentence: law, threshold, gains that differ from their defaults."""
-    gains = "".join(f", {name} = {value_text(value)}" for name, value in design.changed)
-    return f"{controller_class(design.law).title}, y_s = {design.y_s:g} m{gains}"
+    return ", ".join(filter(None, (law_title(design), f"y_s = {design.y_s:g} m", gains_text(design))))
 
 
 def value_text(value: GainValue) -> str:
@@ -304,7 +313,7 @@ def _try_next(ranking: RankedDesigns, place: int) -> Iterator[str]:
     if ends:
         yield f"The nearest design stands at an end of its sweep: try {_list(ends)}."
     else:
-        yield f"{controller_class(design.law).title} comes closest; sweep its gains around the nearest design."
+        yield f"{law_title(design)} comes closest; sweep its gains around the nearest design."
 
 
 _ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
@@ -327,8 +336,8 @@ def markdown_text(text: str) -> str:
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
 MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 
-_DIGITS: Final = {"reduction": 1, "a_y_added_peak_p95": 2, "jerk_added_peak_p95": 2, "needless": 0}
-"""Metrics of the table, and their decimals in the unit of a page."""
+RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
+"""Metrics beside S of every table that shows a ranking."""
 
 _DASH: Final = "\u2013"
 _MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
@@ -375,13 +384,13 @@ def ranking_cells(ranking: RankedDesigns, i: int) -> list[str]:
     low, high = float(ranking.S_low[i]), float(ranking.S_high[i])
     return [
         str(ranking.rank[i]) if ranking.rank[i] else _DASH,
-        controller_class(design.law).title,
+        law_title(design),
         f"{design.y_s:g}",
-        ", ".join(f"{name} {value_text(value)}" for name, value in design.changed),
+        gains_text(design, " "),
         f"{ranking.S[i]:.3f}" + (f" {low:.2f}..{high:.2f}" if math.isfinite(low + high) else ""),
         *(
-            _number(METRICS[name].scale * float(metric_values(name, ranking)[i]), digits)
-            for name, digits in _DIGITS.items()
+            _number(METRICS[name].scale * float(metric_values(name, ranking)[i]), METRICS[name].digits)
+            for name in RANKING_METRICS
         ),
         judged(ranking, i),
     ]  # fmt: skip
@@ -431,13 +440,20 @@ def verdict_lines(found: Verdict) -> list[str]:
     return [f"{found.title}.", *found.sentences, *lights, *found.try_next]
 
 
+def set_of_best_line(ranking: RankedDesigns) -> str:
+    """What these scenarios do not separate; empty where there is nothing to say of it."""
+    size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
+    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+        return ""
+    if size == 1:
+        return f"Set of best: the first design alone, with {level}."
+    return f"Set of best: {size:,} designs that these scenarios do not separate; with {level} the best is among them."
+
+
 def more_lines(ranking: RankedDesigns) -> Iterator[str]:
     """What else a reader should know: the set of best, fresh scenarios, failures, a race."""
-    size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
-    if ranking.ranked and not ranking.survivors_only and size > 1:
-        yield (
-            f"Not separated by these scenarios: {size:,} designs; with {level} the best of those ranked is among them."
-        )
+    if set_of_best := set_of_best_line(ranking):
+        yield set_of_best
     i, b = ranking.winner, ranking.baseline
     if i is not None and b is not None and b != i:
         fresh = bool(np.isfinite(ranking.fresh_baseline_difference[i]))
@@ -538,15 +554,17 @@ def _blocks(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) 
             yield f"And {len(first.failed) - MOST_ROWS:,} more, see `ranking.csv`.\n"
     if len(rankings) > 1:
         yield "## Other cases\n"
-        yield "".join(f"- {markdown_text(other_case(one))}\n" for one in rankings[1:])
+        yield "".join(f"- {markdown_text(line)}\n" for line in other_cases(rankings))
 
 
-def other_case(ranking: RankedDesigns) -> str:
-    """A case that is not the primary one, in a line."""
-    if ranking.winner is None:
-        return f"{ranking.case.label}: no winner."
-    i = ranking.winner
-    return f"{ranking.case.label}: {design_name(ranking.designs[i])}, mean S {ranking.S[i]:.3f} m s."
+def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:
+    """A line for each case that is not the primary one, and what it alone warns of."""
+    for one in rankings[1:]:
+        if one.winner is None:
+            yield f"{one.case.label}: no winner."
+        else:
+            yield f"{one.case.label}: {design_name(one.designs[one.winner])}; mean S {one.S[one.winner]:.3f} m s."
+        yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in rankings[0].warnings)
 
 
 # ------------------------------------------------------------------------------------------------ notebooks
