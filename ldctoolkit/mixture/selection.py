@@ -11,8 +11,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
 
@@ -205,33 +204,26 @@ def criteria_of(events: Events, distribution: Distribution) -> Criteria:
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-StartMethod = Literal["fork", "spawn", "forkserver"]
-
 _LISTEN_EVERY: Final = 0.2  # seconds after which an interrupt is noticed at the latest
-_LOOK_FOR_PARENT_EVERY: Final = 2.0  # seconds after which a worker notices that no one waits for it
+_LOOK_FOR_PARENT_EVERY: Final = 2.0  # seconds after which a worker notices that no process waits for it
+
+_ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+"""Environment of the workers: the fits are what runs in parallel."""
 
 
 def in_processes(
-    work: Callable[[Events, Job], Result],
-    jobs: Sequence[Job],
-    events: Events,
-    workers: int,
-    start_method: StartMethod | None = None,
+    work: Callable[[Events, Job], Result], jobs: Sequence[Job], events: Events, workers: int
 ) -> Generator[tuple[int, Result], None, None]:
     """What `work` gives for each job, as they end; jobs begin in their order."""
-    context = multiprocessing.get_context(start_method)
-    children = set(multiprocessing.active_children())
-    with contextlib.ExitStack() as stack:
-        x: FloatArray | Path = events.x
-        weight: FloatArray | Path | None = events.weight
-        if context.get_start_method() != "fork":
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="ldc-")))
-            x = _stored(events.x, folder / "x.npy")
-            weight = None if events.weight is None else _stored(events.weight, folder / "weight.npy")
-            stack.enter_context(_one_blas_thread())
-        pool = concurrent.futures.ProcessPoolExecutor(
-            workers, mp_context=context, initializer=_start_worker, initargs=(work, x, weight)
-        )
+    from loky import ProcessPoolExecutor
+    from loky.process_executor import BrokenProcessPool
+
+    with tempfile.TemporaryDirectory(prefix="ldc-") as folder:
+        paths = [Path(folder, "x.npy")] + [Path(folder, "weight.npy")] * (events.weight is not None)
+        for path, values in zip(paths, (events.x, events.weight), strict=False):
+            np.save(path, values, allow_pickle=False)  # type: ignore[arg-type]
+        arguments = (os.getpid(), work, paths)
+        pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=_ONE_THREAD)
         try:
             number = {pool.submit(_run_job, job): i for i, job in enumerate(jobs)}
             pending = set(number)
@@ -240,59 +232,25 @@ def in_processes(
                 done, pending = concurrent.futures.wait(pending, _LISTEN_EVERY, concurrent.futures.FIRST_COMPLETED)
                 for future in sorted(done, key=number.__getitem__):
                     yield number[future], future.result()
-            pool.shutdown()
         except BrokenProcessPool:
             raise LdcError(
-                "a worker process ended abruptly: out of memory, killed, or a script without "
-                "`if __name__ == '__main__':` around what it does; n_jobs=1 needs no other process"
+                "a worker process ended abruptly: out of memory, or killed; n_jobs=1 needs no other process"
             ) from None
         finally:
             # after an error or an interrupt nothing waits for fits that no one will read
-            for process in set(multiprocessing.active_children()) - children:
-                process.terminate()
-            # the pool's own thread waits for them: two that wait for one process can both miss its end
-            pool.shutdown(wait=True, cancel_futures=True)
+            pool.shutdown(wait=True, kill_workers=True)
 
 
-def _stored(array: FloatArray, path: Path) -> Path:
-    np.save(path, array, allow_pickle=False)
-    return path
+_task: tuple[Callable[[Events, Any], Any], Events] | None = None  # of a worker
 
 
-def _loaded(array: FloatArray | Path) -> FloatArray:
-    if not isinstance(array, Path):
-        return array
-    out: FloatArray = np.load(array, mmap_mode="r", allow_pickle=False)
-    return out
-
-
-@contextlib.contextmanager
-def _one_blas_thread() -> Iterator[None]:
-    """Processes that start meanwhile use one BLAS thread each: the fits are what runs in parallel."""
-    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-# ---- in the worker
-
-_task: tuple[Callable[[Events, Any], Any], Events] | None = None
-
-
-def _start_worker(work: Callable[[Events, Any], Any], x: FloatArray | Path, weight: FloatArray | Path | None) -> None:
+def _start_worker(parent: int, work: Callable[[Events, Any], Any], paths: Sequence[Path]) -> None:
     global _task
     # the parent decides what an interrupt means
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
-    _task = work, Events(_loaded(x), None if weight is None else _loaded(weight), 1)
+    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+    x, weight = [np.load(path, mmap_mode="r", allow_pickle=False) for path in (*paths, paths[0])][:2]
+    _task = work, Events(x, weight if len(paths) > 1 else None, 1)
 
 
 def _leave_with(parent: int) -> None:

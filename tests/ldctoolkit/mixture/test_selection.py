@@ -239,7 +239,7 @@ def test_numbers_do_not_depend_on_processes(criterion):
 @pytest.mark.slow
 def test_processes_that_start_afresh_map_the_events():
     events = Events(two_groups(), np.linspace(0.5, 2.0, 600))
-    ended = dict(in_processes(_sums, [1.0, 2.0], events, 2, "spawn"))
+    ended = dict(in_processes(_sums, [1.0, 2.0], events, 2))
     total = float(np.sum(events.weight @ events.x))
     assert ended == {0: (total, True), 1: (2 * total, True)}
 
