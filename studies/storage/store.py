@@ -30,16 +30,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.files import (
-    PATTERN,
-    ahead,
-    checked_content,
-    parse_part,
-    read_scenarios,
-    scenario_table,
-    write_parquet,
-    write_part,
-)
+from studies.storage.files import read_scenarios, scenario_table, write_parquet
 from studies.storage.manifest import (
     DESIGNS,
     FAILURES,
@@ -57,7 +48,16 @@ from studies.storage.manifest import (
     write_manifest,
     write_times,
 )
-from studies.storage.run_table import AllFailedError, PartIndex, RunTable
+from studies.storage.run_table import (
+    PATTERN,
+    AllFailedError,
+    PartIndex,
+    RunTable,
+    checked_content,
+    parse_part,
+    prefetched,
+    write_part,
+)
 
 _log = logging.getLogger("studies")
 
@@ -143,7 +143,7 @@ class Store:
         table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, stored=stored)
         messages = []
         windows = self._study.simulation.window
-        for path, content in ahead(checked_content, sorted((self.folder / "results").glob(PATTERN))):
+        for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
                 results = list(parse_part(path, content.result(), windows, n, companions=stored is None))
                 for result in results:

@@ -32,15 +32,7 @@ Fault = Literal["died", "late"]
 
 
 class Work(Protocol):
-    """Something to be done in one go, anywhere: plain data that can be sent, and how it is done.
-
-    Attributes
-    ----------
-    number : int
-        Of this piece of work in the process that sends it.
-    time_limit : float [s]
-        How long `run` may take where the worker can be ended; 0 for as long as it likes.
-    """
+    """Something to be done in one go, anywhere: plain data that can be sent, and how it is done."""
 
     @property
     def number(self) -> int:
@@ -48,7 +40,7 @@ class Work(Protocol):
 
     @property
     def time_limit(self) -> float:
-        """How long `run` may take; 0 for as long as it likes."""
+        """How long [s] `run` may take where the worker can be ended; 0 for as long as it likes."""
 
     def make_ready(self, kept: dict[str, Any]) -> None:
         """Load in a worker process what it lacks; no time limit holds."""
@@ -59,41 +51,19 @@ class Work(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ended:
-    """Work that is no longer under way.
+    """Work that is no longer under way."""
 
-    Attributes
-    ----------
-    task : Work
-        As it was given to `Executor.start`.
-    done : object or None
-        What its `run` gave; None if the worker is gone, or the work never began.
-    fault : {"died", "late"} or None
-        The worker ended during the work, by itself or by the time limit; None where the work is not to blame.
-    certain : bool
-        No other work can have been the reason.
-    """
-
-    task: Any
-    done: Any = None
-    fault: Fault | None = None
-    certain: bool = False
+    task: Any  # as it was given to `Executor.start`
+    done: Any = None  # what its `run` gave; None if the worker is gone, or the work never began
+    fault: Fault | None = None  # the worker ended during the work; None where the work is not to blame
+    certain: bool = False  # no other work can have been the reason
 
 
 class Executor(Protocol):
-    """Runs work, in any order.
+    """Runs work, in any order."""
 
-    Attributes
-    ----------
-    name : str
-        ``"serial"``, ``"processes"`` or ``"dask"``.
-    workers : int
-        How many pieces of work run at the same time.
-    isolated : bool
-        Whether work that ends its process leaves this one alive.
-    """
-
-    name: str
-    isolated: bool
+    name: str  # "serial", "processes" or "dask"
+    isolated: bool  # whether work that ends its process leaves this one alive
 
     @property
     def workers(self) -> int:
@@ -279,12 +249,7 @@ _folder: tempfile.TemporaryDirectory[str] | None = None
 
 
 class ProcessExecutor:
-    """Runs work in worker processes; when one dies the pool is made anew and says which work was under way.
-
-    Parameters
-    ----------
-    workers : int
-    """
+    """Runs work in worker processes; when one dies the pool is made anew and says which work was under way."""
 
     name = "processes"
     isolated = True
@@ -301,13 +266,7 @@ class ProcessExecutor:
         return self._workers
 
     def start(self, task: Work) -> None:
-        """Hand a piece of work to the pool.
-
-        Raises
-        ------
-        LdcError
-            If worker processes cannot start.
-        """
+        """Hand a piece of work to the pool; raises `LdcError` if worker processes cannot start."""
         try:
             try:
                 self._submit(task)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from helpers.examples import examples
 from ldctoolkit.errors import StoreError
 from studies import Study, read_results, run_study
-from studies.storage.files import checked_content, parse_part
+from studies.storage.run_table import checked_content, parse_part
 
 MakeStudy = Callable[..., Study]
 
@@ -68,10 +68,10 @@ def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Pat
 def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On every machine: the second part finds no room."""
     from studies.running import campaign
-    from studies.storage import files
+    from studies.storage import run_table
 
     monkeypatch.setattr(campaign, "_STORE_EVERY", 0.0)
-    whole, written = files.stored_file, []
+    whole, written = run_table.stored_file, []
 
     @contextlib.contextmanager
     def full(path: Path) -> Iterator[IO[bytes]]:
@@ -81,7 +81,7 @@ def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, mon
         with whole(path) as stream:
             yield stream
 
-    monkeypatch.setattr(files, "stored_file", full)
+    monkeypatch.setattr(run_table, "stored_file", full)
     with pytest.raises(StoreError, match="No space left on device"):
         run_study(make_study(), directory=tmp_path, workers=1, block_size=1)
     with pytest.raises(

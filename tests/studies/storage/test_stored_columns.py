@@ -165,7 +165,7 @@ def test_other_columns_are_checked(folder: Path, study: Study, tmp_path: Path, m
     """A part whose checksum is right and whose numbers are not."""
     import polars as pl
 
-    from studies.storage.files import checked_content
+    from studies.storage.run_table import checked_content
 
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     shutil.copytree(folder, tmp_path / "copy")
