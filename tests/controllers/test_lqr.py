@@ -1,4 +1,6 @@
-"""LQR gains and feedforward against python-control and a bend."""
+"""LQR and LQI."""
+
+import dataclasses
 
 import control
 import numpy as np
@@ -8,9 +10,19 @@ from controllers import LQI, LQR, PreviewLQR
 from controllers.riccati import SPEED_RANGE, regulator
 from helpers.grids import grid, some
 from helpers.sampled_plant import moved, weights_of
-from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, VehicleParameters, load_model, simulate
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    LinearLaw,
+    Plant,
+    Scenarios,
+    VehicleParameters,
+    load_model,
+    simulate,
+)
 from ldctoolkit.errors import InputError
-from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 
 WEIGHTS = [
     {},
@@ -82,3 +94,134 @@ def test_a_bend_leaves_no_bias() -> None:
 def test_speeds_outside_the_schedule_are_named() -> None:
     with pytest.raises(InputError, match=rf"95 m/s; allowed .* {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g}"):
         LQR(r_delta=100.0).prepare(Plant.build(BicycleModel(), [20.0, 95.0], 0.05))
+
+
+DT = 0.05
+WEIGHTS_LQI = [
+    {},
+    {"q_y": 0.1, "q_y_rate": 0.5, "q_psi": 40.0, "q_psi_rate": 3.0, "q_i": 1e-3, "r_delta": 3000.0},
+    {"q_y": 30.0, "q_psi": 0.0, "q_i": 20.0, "r_delta": 5.0},
+]
+
+
+def prepared(
+    design: LQI | LQR, v: np.ndarray | list[float], dt: float = DT, **actuator: float
+) -> tuple[Plant, LinearLaw]:
+    plant = Plant.build(BicycleModel(), v, dt, **actuator)
+    return plant, design.prepare(plant)
+
+
+@pytest.mark.parametrize(("number", "dt"), grid(range(3), [0.05, 0.02], (0, 0.02), (1, 0.05)))
+@pytest.mark.parametrize("actuator", [{}, {"lag": 0.1, "delay": 0.07}])
+def test_scheduled_gains_equal_dlqr_on_the_augmented_plant(number: int, dt: float, actuator: dict[str, float]) -> None:
+    """Written out as a last state, and by python-control's own integral action; the tolerance is dlqr's accuracy."""
+    rng = np.random.default_rng(0)
+    design = LQI(**WEIGHTS_LQI[number])
+    plant, law = prepared(design, np.r_[1.0, 90.0, np.exp(rng.uniform(0.0, np.log(90.0), 15))], dt, **actuator)
+    assert law.f_i is not None
+    states, inputs, _, _ = plant.augmented.with_commands()
+    k = states.shape[1]
+    Q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate, *[0.0] * (k - 4), design.q_i])
+    R = np.array([[design.r_delta]])
+    offset = np.eye(1, k)
+    for i in range(plant.n):
+        A, B = states[i], inputs[i][:, None]
+        augmented = np.block([[A, np.zeros((k, 1))], [dt * offset, np.ones((1, 1))]])
+        K, _, E = control.dlqr(augmented, np.vstack([B, [[0.0]]]), Q, R)
+        ours = np.append(weights_of(law, i), law.f_i[i])
+        np.testing.assert_allclose(-ours, K[0], rtol=1e-8, atol=1e-9)
+        assert np.abs(E).max() < 1.0
+        plant_i = control.ss(A, B, np.eye(k), 0, dt)
+        theirs, _, _ = control.dlqr(plant_i, Q, R, integral_action=dt * offset)
+        np.testing.assert_allclose(-ours, theirs[0], rtol=1e-8, atol=1e-9)
+
+
+def doubled(A: np.ndarray, B: np.ndarray, Q: np.ndarray, r: float) -> np.ndarray:
+    """Gain by structure-preserving doubling (E. Chu, H. Fan, W. Lin, C. Wang, Int. J. Control 77, 2004)."""
+    A_k, G, H = A, B @ B.T / r, Q
+    for _ in range(60):
+        W = np.linalg.inv(np.eye(A.shape[0]) + G @ H)
+        A_k, G, H = A_k @ W @ A_k, G + A_k @ W @ G @ A_k.T, H + A_k.T @ H @ W @ A_k
+    return ((B.T @ H @ A) / (r + B.T @ H @ B))[0]
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        pytest.param(LQI(q_i=1e-6, q_y=1e6, r_delta=100.0), marks=pytest.mark.slow),
+        LQI(q_y_rate=1e6, r_delta=100.0), LQR(q_y_rate=1e6, r_delta=100.0),
+        pytest.param(LQR(q_psi=1e6, q_y=1e-3, r_delta=100.0), marks=pytest.mark.slow),
+    ],
+    ids=["q_y", "q_y_rate", "LQR q_y_rate", "LQR q_psi"],
+)  # fmt: skip
+def test_weights_that_are_far_apart_are_solved_too(design: LQI | LQR) -> None:
+    """Where dlqr's own answers scatter; another method, at 1e-6 of each gain for its own rounding."""
+    plant, law = prepared(design, [1.0, 7.0, 20.0, 33.0, 90.0])
+    weights = [design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate]
+    for i in range(plant.n):
+        A, B = plant.step.A[i], plant.step.B[i][:, None]
+        ours, Q = law.F[i], np.diag(weights)
+        if isinstance(design, LQI):
+            A = np.block([[A, np.zeros((4, 1))], [np.array([[DT, 0.0, 0.0, 0.0]]), np.ones((1, 1))]])
+            B, ours, Q = np.vstack([B, [[0.0]]]), np.append(ours, law.f_i[i]), np.diag([*weights, design.q_i])
+        np.testing.assert_allclose(-ours, doubled(A, B, Q, design.r_delta), rtol=1e-6)
+
+
+def test_with_little_weight_on_the_integral_it_is_the_lqr() -> None:
+    """The gains then differ by the order of sqrt(q_i/q_y), 1e-3 per second of the loop's time constant."""
+    plant, law = prepared(LQI(q_i=1e-6, r_delta=100.0), [10.0, 20.0, 33.0])
+    plain = LQR(r_delta=100.0).prepare(plant)
+    np.testing.assert_allclose(law.F, plain.F, rtol=5e-3)
+    np.testing.assert_allclose(law.G_yaw_rate, plain.G_yaw_rate, rtol=5e-3)
+    steady = plant.steady_state()
+    expected = steady.delta - law.F[:, 2] * steady.e_psi  # what holds a bend with e_y = 0 and an empty integral
+    np.testing.assert_allclose(law.G_yaw_rate[:, 0], expected, rtol=1e-12)
+    assert law.f_i is not None
+    # the corner of the Riccati equation: K_i^2 (r + B'PB) = q_i, P tending to the LQR's
+    P = regulator(plant, (1.0, 0.0, 1.0, 0.0), 100.0).P
+    s = 100.0 + np.einsum("ni,nij,nj->n", plant.step.B, P, plant.step.B)
+    np.testing.assert_allclose(law.f_i, -np.sqrt(1e-6 / s), rtol=1e-4)
+
+
+def closed_loop(plant: Plant, law: LinearLaw, r: np.ndarray, steps: int) -> np.ndarray:
+    """The state after a bend of lane yaw rate r, written out."""
+    x, z = np.tile([0.9, 0.1, 0.02, 0.0], (plant.n, 1)), np.zeros(plant.n)
+    for _ in range(steps):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r
+        if law.f_i is not None:
+            delta += law.f_i * z
+        z = z + plant.dt * x[:, 0]
+        x = moved(plant, x, delta, r)
+    return x
+
+
+def test_a_bend_leaves_no_bias_even_without_feedforward() -> None:
+    """2 m/s^2 for two minutes: the slowest mode decays with about K_i/K_y, 0.2 1/s."""
+    plant, law = prepared(LQI(r_delta=100.0), [8.0, 20.0, 33.0])
+    blind = dataclasses.replace(law, G_yaw_rate=np.zeros((3, 1)))
+    r = 2.0 / plant.v
+    np.testing.assert_allclose(closed_loop(plant, law, r, 2400)[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(closed_loop(plant, blind, r, 2400)[:, 0], 0.0, atol=1e-9)
+    plain = dataclasses.replace(LQR(r_delta=100.0).prepare(plant), G_yaw_rate=np.zeros((3, 1)))
+    assert (np.abs(closed_loop(plant, plain, r, 2400)[:, 0]) > 0.1).all()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        PlantOptions(mismatch=Mismatch(m=(1.3, 1.3), C_af=(0.8, 0.8))),
+        PlantOptions(sensors=Sensors(curvature_bias=5e-4)),
+    ],
+    ids=["another vehicle", "biased curvature"],
+)
+def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) -> None:
+    """In the toolkit's own loop, at the end of a long constant bend; the LQR keeps a centimetre or more."""
+    scenarios = Scenarios.from_arrays(T=[4.0, 4.0], d_y=[0.6, 0.5], v_mean=[16.0, 28.0], c_0=[4e-3, 2e-3])
+    left = {}
+    for design in (LQI(q_i=1.0, r_delta=100.0), LQR(r_delta=100.0)):
+        out = simulate(design, scenarios, options=options, settle=50.0, trajectories=True)
+        paths = out.trajectories
+        last = np.isfinite(paths.t).sum(axis=1) - 1
+        left[design.name] = np.abs(paths.x[np.arange(2), last, 0])
+    assert (left["lqi"] < 1e-6).all()
+    assert (left["lqr"] > 0.01).all()

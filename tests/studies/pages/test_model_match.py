@@ -1,18 +1,30 @@
-"""Generated departures against their source and their model, by SciPy's own distances."""
+"""The scenario model against its departures, accelerations of paths, the notebook of the documentation."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy import stats
 
-from ldctoolkit import Scenarios
+import ldctoolkit
+import studies
+from controllers import LQR, LinearMPC, PreviewProportional
+from helpers.reports import invented_scenarios
+from ldctoolkit import Controller, Outcome, Scenarios, Setup
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, load_model
+from ldctoolkit.simulation import Takeover, drive
+from studies import Ranking, StudyResults
 from studies.pages.model_section import match
+from studies.pages.replay import path_acceleration
 
 
 def recorded(scenarios: Scenarios) -> Departures:
@@ -85,3 +97,85 @@ def test_what_cannot_be_compared_is_said(model: ScenarioModel, generated: Scenar
     assert "holds 20 departures of this side; 30 are needed" in match(generated, model, source=few)[0].reason
     given = model.sample(50, 50, seed=1, given={"v_mean": (20.0, 30.0)})
     assert "not those under the conditions" in match(given, model, given={"v_mean": (20.0, 30.0)})[0].reason
+
+
+PLANTS = {
+    "ideal": PlantOptions(),
+    "profile": PlantOptions(speed="profile", residuals=Residuals(y=True, v=True)),
+    "lag": PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.5)),
+    "whole delay": PlantOptions(actuator=Actuator(delay=0.1)),
+    "part of a delay": PlantOptions(actuator=Actuator(delay=0.07)),
+    "other vehicles": PlantOptions(mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.7, 1.2))),
+    "tyres": PlantOptions(
+        tyres=Tyres(model="magic_formula", mu=0.5), speed="profile", mismatch=Mismatch(mu=(0.6, 1.0))
+    ),
+}
+
+
+def driven(controller: Controller, options: PlantOptions, convention: str = "consistent"):  # type: ignore[no-untyped-def]
+    scenarios = invented_scenarios(8, 7)
+    scenarios = dataclasses.replace(scenarios, sigma_y=np.full(15, 0.02), sigma_v=np.full(15, 0.2))
+    setup = Setup(convention=convention, options=options, seed=3)  # type: ignore[arg-type]
+    over = Takeover.build(scenarios, setup, y_s=0.05)
+    run = drive(controller, over, trajectories=True)
+    kept = run.trajectories
+    assert kept is not None
+    paths = kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
+    return over, run, paths, path_acceleration(over, np.arange(over.m), *paths)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("controller", [LQR(r_delta=100.0), LinearMPC(r_delta=100.0)], ids=["linear", "steps"])
+def test_the_largest_is_the_stored_peak(plant: str, controller: Controller) -> None:
+    over, run, (t, _, _), a_y = driven(controller, PLANTS[plant])
+    assert over.m > 8
+    # T between two samples is no sample of the closed loop: its peak leaves it out, so ours may only be larger there
+    since = (t - t[:, :1]) / over.setup.dt
+    last = t == np.nanmax(t, axis=1, keepdims=True)
+    sample = (np.abs(since - np.rint(since)) < 1e-7) | last
+    peak = np.nanmax(np.where(sample, np.abs(a_y), np.nan), axis=1)
+    stored = run.companions.a_y_peak
+    # up to the rounding of another order of operations; where the wheel jumps at a sample, the loop sees both sides
+    assert (peak <= stored * (1 + 1e-9) + 1e-9).all()
+    if plant in ("lag", "part of a delay"):
+        assert peak == pytest.approx(stored, rel=1e-9, abs=1e-9)
+    assert np.array_equal(np.isnan(a_y), np.isnan(t))
+
+
+@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
+def test_it_is_that_of_the_linear_model(convention: str) -> None:
+    over, _, (t, x, delta), a_y = driven(PreviewProportional(), PlantOptions(), convention)
+    v = over.plant.v
+    lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
+    A, B, E = over.setup.model.matrices(v)
+    # Rajamani, eq. 2.45, the row of d2e_y/dt2; a_y = d2e_y/dt2 + v dpsi_l/dt
+    free = np.sum(A[:, None, 1] * np.nan_to_num(x), axis=-1) + (E[:, 1] + v)[:, None] * lane
+    wheel = np.column_stack([delta[:, 0], delta])
+    held = np.where(np.isnan(delta), wheel[:, :-1], delta)
+    known = np.isfinite(t)
+    assert a_y[known] == pytest.approx((free + B[:, 1:2] * held)[known], abs=1e-9)
+
+
+matplotlib.use("agg")
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "notebooks.md"
+
+
+def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {"__name__": "page"}
+    for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S):
+        exec(compile(code, "notebooks.md", "exec"), scope)
+    assert len(plt.get_fignums()) == 6
+    plt.close("all")
+    for name, kind in (("ranking", Ranking), ("results", StudyResults), ("outcome", Outcome)):
+        shown = scope[name]
+        assert isinstance(shown, kind)
+        assert shown._repr_html_().startswith("<div")
+
+
+def test_the_page_names_every_plot_and_pages_that_exist() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    plots = {name for module in (studies, ldctoolkit) for name in module.__all__ if name.startswith("plot_")}
+    assert plots == set(re.findall(r"\| `(plot_\w+)\(", text))
+    for link in re.findall(r"\]\(([\w/.-]+)\)", text):
+        assert (PAGE.parent / link).exists(), link

@@ -1,6 +1,7 @@
-"""A study that is too large for memory: its companions are read from the parts when they are asked for."""
+"""Columns that are read from the parts, rows that designs share, and the model of a folder."""
 
 import dataclasses
+import logging
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,17 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from helpers.examples import examples
+from ldctoolkit import Scenarios, load_model
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, RELEASE_METRICS
 from studies import Study, StudyResults, read_results, run_study
 from studies.ranking.ranking import rank_study
 from studies.running import campaign
 from studies.storage import store
-from studies.storage.run_table import StoredColumn
+from studies.storage.files import read_scenarios, scenario_table
+from studies.storage.manifest import read_manifest
+from studies.storage.run_table import SharedRows, StoredColumn
+from studies.storage.stored_model import MODEL, read_model
 
 N = 12
 
@@ -203,3 +208,104 @@ def test_a_folder_of_an_earlier_version_is_read_and_ranked(
         np.testing.assert_array_equal(getattr(before.release, name), getattr(now.release, name) + missing)
     assert "Added peaks of lateral acceleration and jerk are not recorded in these results" in before.warnings[0]
     assert not any("not recorded" in text for text in now.warnings)
+
+
+D, N_SHARED_ROWS = 4, 6
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, D - 1),
+            st.one_of(
+                st.slices(N_SHARED_ROWS).filter(lambda s: s.step in (None, 1)),
+                st.lists(st.integers(0, N_SHARED_ROWS - 1), unique=True),
+            ),
+            st.integers(0, 9),
+        ),
+        max_size=20,
+    ),
+    st.integers(0, 20),
+)
+def test_it_holds_what_was_put_in(steps: list[tuple[int, Any, int]], grown_at: int) -> None:
+    """Nine of ten steps write the same row, -0.0 and NaN in it; a value that is put twice is the same twice."""
+    usual = np.array([0.0, -0.0, np.nan, 3.0, np.inf, 5.0])
+    rows, plain, there = (
+        SharedRows(D, N_SHARED_ROWS),
+        np.zeros((2 * D, N_SHARED_ROWS)),
+        np.zeros((2 * D, N_SHARED_ROWS), dtype=bool),
+    )
+    size = D
+    for k, (place, columns, odd) in enumerate(steps):
+        if k == grown_at:
+            size = 2 * D
+            rows.grow(size)
+        if isinstance(columns, list):
+            columns = np.array(columns, dtype=np.int64)
+        values = usual[columns] if odd else usual[columns] + 1.0
+        rows.put(place, columns, values)
+        plain[place, columns], there[place, columns] = values, True
+    found = rows.take(None)
+    assert found.shape == (size, N_SHARED_ROWS)
+    same = found.view(np.int64) if found.strides[0] else np.ascontiguousarray(found).view(np.int64)
+    assert (same == plain[:size].view(np.int64))[there[:size]].all()
+    some, columns = np.array([2, 0]), np.array([5, 1])
+    np.testing.assert_array_equal(rows.take(some, columns), found[some][:, columns])
+
+
+def test_equal_rows_are_kept_once() -> None:
+    rows = SharedRows(3, 2)
+    for place in range(3):
+        rows.put(place, slice(0, 2), np.array([np.nan, 1.0]))
+    assert rows.take(None).strides == (0, 8)
+    rows.put(1, np.array([1]), np.array([2.0]))
+    np.testing.assert_array_equal(rows.take(None), [[np.nan, 1.0], [np.nan, 2.0], [np.nan, 1.0]])
+
+
+STUDY = {"name": "small", "scenarios": {"left": 4, "right": 4}, "design": [{"law": "none"}]}
+
+
+@pytest.fixture
+def folder_stored_model(tmp_path: Path) -> Path:
+    run_study(Study.from_dict(STUDY), directory=tmp_path / "o", workers=1)
+    return tmp_path / "o"
+
+
+def test_a_run_leaves_its_model(folder_stored_model: Path) -> None:
+    model = read_model(folder_stored_model, read_manifest(folder_stored_model))
+    assert model.content_hash == load_model("reference").content_hash == read_manifest(folder_stored_model).model_hash
+    assert model.provenance == load_model("reference").provenance
+    before = (folder_stored_model / MODEL).read_bytes()
+    run_study(Study.from_dict(STUDY), directory=folder_stored_model, workers=1)
+    assert (folder_stored_model / MODEL).read_bytes() == before
+
+
+def test_an_older_folder_has_none(folder_stored_model: Path) -> None:
+    (folder_stored_model / MODEL).unlink()
+    assert read_model(folder_stored_model, read_manifest(folder_stored_model)) is None
+
+
+def test_another_or_a_broken_model_is_refused(folder_stored_model: Path) -> None:
+    manifest = read_manifest(folder_stored_model)
+    other = manifest.model_copy(update={"model_hash": "0" * 64})
+    with pytest.raises(StoreError, match=r"model\.json: holds the model \w{12}, the study's is 000000000000; run"):
+        read_model(folder_stored_model, other)
+    (folder_stored_model / MODEL).write_text("{")
+    with pytest.raises(StoreError, match=r"model\.json, line 1.*run the study into this folder again"):
+        read_model(folder_stored_model, manifest)
+
+
+def test_a_model_that_json_does_not_know_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    model = load_model("reference")
+    odd = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source={"x": object()}))
+    with caplog.at_level(logging.WARNING, logger="studies"):
+        run_study(Study.from_dict(STUDY), directory=tmp_path / "o", model=odd, workers=1)
+    assert "the report will not show the scenario model" in caplog.text
+    assert not (tmp_path / "o" / MODEL).exists()
+
+
+def test_stored_scenarios_beyond_the_limits_of_new_ones_are_read(tmp_path: Path) -> None:
+    odd = Scenarios.drawn(T=2.0, d_y=30.0, v_mean=120.0, a_mean=0.0, c_0=0.1, dc=0.0, sigma_y=0.0, sigma_v=0.0, side=1)
+    scenario_table(odd).write_parquet(tmp_path / "scenarios.parquet")
+    found = read_scenarios(tmp_path / "scenarios.parquet")
+    assert (found.v_mean.tolist(), found.d_y.tolist()) == ([120.0], [30.0])

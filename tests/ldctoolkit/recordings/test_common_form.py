@@ -1,16 +1,157 @@
-"""Scale, yaw rate and common step of recordings."""
+"""The common form of a recording: times, yaw rate, curvature, scale."""
 
 import dataclasses
+import itertools
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from helpers.examples import examples
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Preparation, Recording, extract_departures, read_departures, write_departures
-from ldctoolkit.recordings.preparation import NONE, prepare
+from ldctoolkit.recordings.find_departures import SPEED_FLOOR, curvature_from_yaw_rate
+from ldctoolkit.recordings.preparation import FILLED, NONE, prepare, rising_rows, with_yaw_rate
+
+
+def by_trial(times: list[int]) -> list[bool]:
+    """Of all choices that do not fall a longest one; among these the one whose row numbers come first."""
+    for length in range(len(times), 0, -1):
+        for rows in itertools.combinations(range(len(times)), length):  # in the order of row numbers
+            if all(times[a] <= times[b] for a, b in itertools.pairwise(rows)):
+                return [row in rows for row in range(len(times))]
+    return []
+
+
+@examples(400)
+@given(st.lists(st.integers(-3, 6), max_size=11))
+def test_every_choice(times: list[int]) -> None:
+    assert rising_rows(np.array(times, dtype=float)).tolist() == by_trial(times)
+
+
+N = 300
+T_YAW_FROM_HEADING = np.arange(N) * 0.1
+
+
+def bend(**changes: object) -> Recording:
+    """A left bend of 1/1000 m at 25 m/s, the vehicle 0.3 m over the left line for 2 s around t = 15 s."""
+    beyond = np.clip(0.3 * (1.0 - (T_YAW_FROM_HEADING - 15.0) ** 2), -0.4, None)
+    ones = np.ones(N)
+    one = Recording(
+        "a", T_YAW_FROM_HEADING, 0.9 + beyond, 3.6 * ones, 25.0 * ones, ones > 0, yaw_rate=0.025 * ones,
+        heading=3.0 + 0.025 * T_YAW_FROM_HEADING - 2.0 * np.pi * (T_YAW_FROM_HEADING > 5.0),
+    )  # fmt: skip
+    return dataclasses.replace(one, **changes)  # type: ignore[arg-type]
+
+
+def test_a_whole_yaw_rate_stays() -> None:
+    one = bend()
+    assert with_yaw_rate(one) is one
+    none = bend(yaw_rate=None)
+    assert with_yaw_rate(none) is none
+
+
+def test_a_hole_is_filled_through_a_turn_of_the_heading() -> None:
+    rate = np.full(N, 0.03)
+    rate[40:160] = np.nan
+    filled = with_yaw_rate(bend(yaw_rate=rate))
+    assert (filled.yaw_rate[:40] == 0.03).all()
+    assert (filled.yaw_rate[160:] == 0.03).all()
+    np.testing.assert_allclose(filled.yaw_rate[40:160], 0.025, atol=1e-9)  # rounding of the slope
+    assert np.flatnonzero(~filled.yaw_rate_measured).tolist() == list(range(40, 160))
+    # what a reader has marked stays marked
+    own = with_yaw_rate(bend(yaw_rate=rate, yaw_rate_measured=T_YAW_FROM_HEADING > 1.0))
+    assert np.flatnonzero(~own.yaw_rate_measured).tolist() == [*range(11), *range(40, 160)]
+    assert filled.notes == (FILLED,)
+
+
+def test_holes_in_the_heading_stay_holes() -> None:
+    heading = bend().heading.copy()
+    heading[100:200] = np.nan
+    filled = with_yaw_rate(bend(yaw_rate=np.full(N, np.nan), heading=heading))
+    lost = np.isnan(filled.yaw_rate)
+    assert lost[110:190].all()  # a heading holds for a second beyond the last
+    assert not lost[:100].any()
+    assert not lost[200:].any()
+
+
+def test_without_both_the_lane_counts_as_straight() -> None:
+    nothing = np.full(N, np.nan)
+    one = with_yaw_rate(bend(yaw_rate=nothing, heading=nothing))
+    assert one.yaw_rate is None
+    assert one.yaw_rate_measured is None
+    assert one.notes == (NONE,)
+    # nor is the speed known: the yaw rate is the least of its troubles
+    lost = with_yaw_rate(bend(yaw_rate=nothing, heading=None, speed=nothing))
+    assert lost.notes == ()
+    assert lost.yaw_rate is not None
+
+
+def test_a_departure_is_not_lost_for_its_yaw_rate() -> None:
+    rate = np.full(N, 0.025)
+    rate[100:200] = np.nan
+    found = extract_departures([bend(yaw_rate=rate)], vehicle_width=1.8, preparation=Preparation(0.1))
+    assert found.departures.n == 1
+    np.testing.assert_allclose(found.departures.c_0, 1e-3, rtol=1e-6)
+
+
+def estimate(yaw_rate, speed, usable=None, first=None, half_width=5):
+    n = len(speed)
+    usable = np.ones(n, bool) if usable is None else usable
+    starts = np.zeros(n, bool)
+    starts[0] = True
+    if first is not None:
+        starts[first] = True
+    return curvature_from_yaw_rate(yaw_rate, speed, usable, starts, np.full(n, half_width))
+
+
+def test_equals_least_squares_in_every_window():
+    rng = np.random.default_rng(1)
+    v, r = rng.uniform(5, 30, 80), rng.normal(0, 0.05, 80)
+    usable = rng.random(80) > 0.1
+    c = estimate(r, v, usable, first=40)
+    stretch = np.cumsum((np.arange(80) == 40) | ~usable)
+    for i in range(80):
+        if not usable[i]:
+            assert np.isnan(c[i])
+            continue
+        same = np.flatnonzero(usable & (stretch == stretch[i]))
+        here = int(np.flatnonzero(same == i)[0])
+        window = same[max(here - 5, 0) : here + 6]
+        expected = np.linalg.lstsq(v[window, None], r[window], rcond=None)[0][0]
+        np.testing.assert_allclose(c[i], expected, rtol=1e-10)
+
+
+def test_nothing_crosses_a_gap_or_an_invalid_sample():
+    v = np.full(40, 20.0)
+    r = np.where(np.arange(40) < 20, 0.02, -0.04)
+    np.testing.assert_allclose(estimate(r, v, first=20), r / v, rtol=1e-12)
+    usable = np.arange(40) != 20
+    r[20] = np.nan
+    np.testing.assert_allclose(estimate(r, v, usable), r / v, rtol=1e-12)
+
+
+def test_low_speed_fades_out():
+    # half a degree a second of sensor noise, at a speed of nearly nothing
+    c = estimate(np.full(20, 0.01), np.full(20, 1e-3))
+    assert np.abs(c).max() <= 0.01 * 1e-3 / SPEED_FLOOR**2 * (1.0 + 1e-12)
+    assert estimate(np.full(20, 0.01), np.zeros(20)).tolist() == [0.0] * 20
+
+
+def test_a_recording_with_yaw_rate():
+    t = np.arange(100) * 0.1
+    true = 1e-3 + 2e-4 * (t - 5.0)
+    speed = 25.0 + 0.1 * (t - 5.0)
+    straight = extract_departures([drive(curvature=true, speed=speed)], vehicle_width=1.8)
+    found = extract_departures([drive(curvature=None, yaw_rate=true * speed, speed=speed)], vehicle_width=1.8)
+    assert (found.provenance.curvature, found.warnings) == ("yaw_rate", ())
+    # the window averages a straight line without bias but for its weights v^2: 1 % of speed over half a window
+    np.testing.assert_allclose(found.departures.c_0, straight.departures.c_0, atol=1e-6)
+    np.testing.assert_allclose(found.departures.dc, straight.departures.dc, atol=1e-6)
 
 
 def scale_of(found: Any) -> list[float]:

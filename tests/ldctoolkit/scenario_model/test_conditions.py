@@ -1,15 +1,32 @@
-"""Scenarios under conditions: against brute-force filtering, nested, sides apart; and what cannot be met."""
+"""Conditions on drawn departures, fits of several tables, the example of the documentation."""
 
 import dataclasses
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.scenario_model import PHYSICAL_BOUNDS, ModelProvenance, ScenarioModel, SideModel, conditions, load_model
+from ldctoolkit.recordings import Preparation, Provenance, SourceFile
+from ldctoolkit.scenario_model import (
+    PHYSICAL_BOUNDS,
+    FitSettings,
+    ModelProvenance,
+    ScenarioModel,
+    SideModel,
+    SideSummary,
+    conditions,
+    load_model,
+)
+from ldctoolkit.scenario_model.json_form import VERSION, model_to_json
+from ldctoolkit.scenario_model.model import merged_provenance
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 
 
@@ -140,3 +157,55 @@ def test_conditions_in_words():
         "T below 3 s", "d_y from 0.1 to 0.5 m", "v_mean above 25 m/s", "a_mean = 1 m/s^2", "c_0 = 0.001 1/m"
     ]  # fmt: skip
     assert conditions(None) == conditions({}) == ()
+
+
+def origin(number: int, *more: SourceFile, **changed: Any) -> Provenance:
+    return Provenance(sources=(SourceFile(f"{number}.csv", 10, f"{number:064d}"), *more), **changed)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "words"),
+    [
+        ({"step": 0.1}, {"step": None}, "step = None, a.parquet with 0.1"),
+        ({}, {"nominal_lane_width": 3.5}, "nominal_lane_width = 3.5, a.parquet with None"),
+        ({}, {"yaw_rate_factor": -1.0}, "yaw_rate_factor = -1.0, a.parquet with 1.0"),
+        ({}, {"max_gap": 0.5}, "max_gap = 0.5, a.parquet with 0.25"),
+    ],
+)
+def test_different_preparations(first: dict[str, Any], second: dict[str, Any], words: str) -> None:
+    tables = [origin(0, preparation=Preparation(**first)), origin(1, preparation=Preparation(**second))]
+    with pytest.raises(RecordingError, match=f"^b.parquet: extracted with {words}; allowed: .* the same preparation$"):
+        merged_provenance(["a.parquet", "b.parquet"], tables)
+    tables[1] = origin(1, preparation=Preparation(**first))
+    assert merged_provenance(["a.parquet", "b.parquet"], tables).preparation == Preparation(**first)
+
+
+def test_empty_files_are_no_recordings() -> None:
+    """Two folders of trips may each hold an empty file; their digests are the same."""
+    nothing = [SourceFile(f"{name}/RAW_GPS.txt", 0, hashlib.sha256(b"").hexdigest()) for name in ("D1", "D2")]
+    found = merged_provenance(["a.parquet", "b.parquet"], [origin(i, one) for i, one in enumerate(nothing)])
+    assert [source.name for source in found.sources] == ["0.csv", "D1/RAW_GPS.txt", "1.csv", "D2/RAW_GPS.txt"]
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "scenario-model.md").read_text(encoding="utf-8")
+
+
+def test_the_code_runs(capsys):
+    """One block goes on where the one before ended."""
+    space = {}
+    for code in re.findall(r"```python\n(.*?)```", PAGE, flags=re.S):
+        exec(compile(code, "scenario-model.md", "exec"), space)
+    assert (capsys.readouterr().out, len(space["motorway"])) == ("K = 1, as requested\n", 400)
+
+
+def test_every_key_of_a_file_is_described():
+    section = PAGE[PAGE.index("## File") : PAGE.index("## The bundled model")]
+    described = set(re.findall(r"`\.?([a-z_]+)`", section))
+    model = load_model("reference")
+    content = model_to_json(model.left_side, model.right_side, model.provenance)
+    keys = {*content, *content["sides"]["left"]} - {"sides"}
+    for kind in (ModelProvenance, SideSummary, FitSettings):
+        keys |= {field.name for field in dataclasses.fields(kind)}
+    assert keys <= described, keys - described
+    assert f"`, {VERSION} |" in section
+    assert json.dumps(content)

@@ -1,0 +1,401 @@
+"""Departures in recordings: crossings, lane changes, criteria."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.recordings import OFFSET, T, drive
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import InputError
+from ldctoolkit.recordings import Criteria, Extraction, Preparation, Recording, extract_departures, open_recordings
+from ldctoolkit.recordings.find_departures import REASONS
+
+
+def extract(*recordings: Recording, **criteria: Any) -> Extraction:
+    found = extract_departures(recordings, **({"vehicle_width": 1.8} | criteria))
+    assert found.candidates == len(found.departures) + sum(count for _, count in found.refused.items())
+    return found
+
+
+def reasons(found: Extraction) -> dict[str, int]:
+    return {reason: count for reason, count in found.refused.items() if count}
+
+
+def test_a_departure_by_hand():
+    found = extract(drive(curvature=1e-3 + 1e-4 * T, speed=25.0 + 0.2 * (T - 5.0)))
+    d = found.departures
+    assert len(d) == 1
+    assert (reasons(found), d.recording.tolist(), d.side.tolist()) == ({}, ["a"], [LEFT])
+    assert d.samples.tolist() == [19]
+    # the chord between two samples of a parabola differs from it by at most y'' h^2/8 = 0.00083 m, which the slope
+    # at the crossing, 0.63 m/s, turns into 1.3 ms
+    np.testing.assert_allclose(d.start_time, 4.05, atol=1.4e-3)
+    np.testing.assert_allclose(d.T, 1.9, atol=2.8e-3)
+    np.testing.assert_allclose(d.d_y, 0.3, atol=1e-3)
+    np.testing.assert_allclose(d.v_mean, 25.0, atol=1e-3)
+    np.testing.assert_allclose(d.a_mean, 0.2, atol=1e-9)
+    # a straight line survives interpolation and regression exactly
+    np.testing.assert_allclose(d.c_0, 1e-3 + 1e-4 * d.start_time, atol=1e-15)
+    np.testing.assert_allclose(d.dc, 1e-4 * d.T, atol=1e-15)
+    assert (found.hours, found.warnings) == (pytest.approx(9.9 / 3600.0), ())
+
+
+def test_regressions_equal_numpy_on_the_recorded_samples():
+    rng = np.random.default_rng(3)
+    noise = 1e-4 * rng.standard_normal(100)
+    speed = 25.0 + 0.3 * rng.standard_normal(100)
+    d = extract(drive(lane_offset=-OFFSET, curvature=noise, speed=speed)).departures
+    tau = T - d.start_time[0]
+    inside = (tau > 0.0) & (tau < d.T[0])
+    tau = tau[inside]
+    assert (d.side.tolist(), d.samples[0]) == ([RIGHT], inside.sum())
+    slope, c_0 = np.polyfit(tau, -noise[inside], 1)  # outward: a right departure sees its curvature mirrored
+    np.testing.assert_allclose([d.c_0[0], d.dc[0]], [c_0, slope * d.T[0]], rtol=1e-9, atol=1e-18)
+    a_mean = np.polyfit(tau, speed[inside], 1)[0]
+    np.testing.assert_allclose(d.a_mean[0], a_mean, rtol=1e-9)
+
+
+def with_value(values: Any, rows: Any, value: Any) -> np.ndarray:
+    changed = np.array(np.broadcast_to(values, 100), dtype=float)
+    changed[rows] = value
+    return changed
+
+
+REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
+    ("too_short", {}, {"min_duration": 2.0}, 1),
+    ("too_long", {}, {"max_duration": 1.8}, 1),
+    ("slow", {"speed": 4.9}, {}, 1),
+    ("slow", {"speed": with_value(25.0, 50, 0.0)}, {}, 1),  # stops in between
+    ("too_few_samples", {}, {"min_duration": 0.0, "vehicle_width": 1.202}, 1),
+    ("intended", {"turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
+    ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
+    ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}, 1),
+    ("implausible", {"speed": 5.0 + 9.82 * T}, {}, 1),
+    ("implausible", {"curvature": 9.82 / 25.0**2}, {}, 1),
+    ("implausible", {"curvature": -9.82 / 25.0**2}, {}, 1),
+    ("implausible", {"lane_width": with_value(3.6, slice(41, 60), 1.75), "lane_offset": 0.3}, {}, 1),
+    # every other reason is stronger
+    ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
+    ("lane_change", {"lane": with_value(1, slice(50, None), 2)}, {}, 1),
+    ("invalid", {"valid": with_value(1, 50, 0)}, {}, 1),
+    ("invalid", {"valid": with_value(1, 40, 0)}, {}, 1),  # the sample before the crossing
+    ("invalid", {"lane_width": with_value(3.6, 50, np.nan)}, {}, 1),
+    ("invalid", {"lane_width": with_value(3.6, 50, -3.6)}, {}, 1),
+    ("invalid", {"speed": with_value(25.0, 50, np.inf)}, {}, 1),
+    ("invalid", {"curvature": with_value(0.0, 50, np.nan)}, {}, 1),
+    ("invalid", {"valid": with_value(1, slice(None, 45), 0)}, {}, 1),  # nothing usable before: not the record's start
+    ("invalid", {"valid": with_value(1, slice(55, None), 0)}, {}, 1),
+    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.2, T)}, {}, 1),
+    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.02, T)}, {"max_gap": 0.11}, 1),
+    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.7, OFFSET)}, {}, 1),
+    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.1, OFFSET)}, {"max_jump": 0.05}, 1),
+    # strongest reason first: an invalid sample, a gap and a lane change in one candidate
+    (
+        "lane_change",
+        {"lane": with_value(1, slice(52, None), 2), "valid": with_value(1, 50, 0), "t": T + (T > 4.75) * 1.0},
+        {},
+        1,
+    ),
+]
+
+
+@pytest.mark.parametrize(("reason", "columns", "criteria", "count"), REFUSALS)
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_refused_with_one_reason(reason, columns, criteria, count, side):
+    changed = {"lane_offset": OFFSET} | columns
+    changed["lane_offset"] = side * changed["lane_offset"]
+    if "turn_signal" in changed:
+        changed["turn_signal"] = side * changed["turn_signal"]
+    found = extract(drive(**changed), **criteria)
+    assert len(found.departures) == 0
+    assert reasons(found) == {reason: count}
+
+
+@pytest.mark.parametrize("a", [-9.8, 9.8])
+def test_hard_braking_is_a_departure_all_the_same(a):
+    found = extract(drive(lane_offset=OFFSET, speed=60.0 + a * (T - 5.0)))
+    np.testing.assert_allclose(found.departures.a_mean, [a], rtol=1e-9)
+
+
+def test_a_signal_the_other_way_or_after_is_no_reason():
+    assert len(extract(drive(turn_signal=-1)).departures) == 1
+    assert len(extract(drive(turn_signal=with_value(0, slice(60, None), 1))).departures) == 1
+
+
+def test_without_curvature_it_is_zero_and_says_so():
+    found = extract(drive(curvature=None, lane=None))
+    assert (found.departures.c_0.tolist(), found.provenance.curvature) == ([0.0], "none")
+    assert [warning.split(":")[0] for warning in found.warnings] == [
+        "no column 'curvature' or 'yaw_rate'",
+        "no column 'lane'",
+    ]
+
+
+def test_a_table_without_usable_samples():
+    found = extract(drive(valid=0))
+    assert (found.candidates, found.hours, found.provenance.invalid_samples) == (0, 0.0, 100)
+
+
+def test_real_recordings(ngsim_recordings):
+    """Order of magnitude that the data's own description tells: about 250, median 1.4 s, median peak 0.16 m."""
+    recordings = open_recordings(ngsim_recordings)
+    found = extract_departures(recordings, vehicle_width=1.8)
+    assert 230 <= len(found.departures) <= 270
+    assert 1.3 <= np.median(found.departures.T) <= 1.6
+    assert 0.14 <= np.median(found.departures.d_y) <= 0.18
+    assert (found.recordings, found.provenance.samples) == (370, 214_267)
+    assert found.hours == pytest.approx(5.95, abs=0.02)
+    # 412 lane changes; some of them within one manoeuvre, or with the edge inside on both of their samples
+    assert 330 <= found.refused.lane_change <= 412
+    assert found.candidates == len(found.departures) + found.refused.total
+    # two events of half a second with -24 and -19 m/s^2, the noise of five or six speeds
+    assert found.refused.implausible == 2
+    assert np.abs(found.departures.a_mean).max() <= 9.81
+    assert found.warnings == ("the lane is straight in nearly all samples: c_0 and dc tell nothing",)
+    assert found.provenance.sources == recordings.source.files
+
+
+STEP = 0.125
+
+
+def fate(beyond: int, *, criteria: dict[str, Any] | None = None, **columns: Any) -> str:
+    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused. It
+    starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide, the
+    vehicle 2 m, the speed 16 m/s."""
+    y = np.full(beyond + 12, -0.25)
+    y[5:-5] = 0.0
+    y[6:-6] = 0.25
+    one, given = np.ones(y.size), {"lane": np.ones(y.size, dtype=np.int64), "curvature": np.zeros(y.size)} | columns
+    base: dict[str, Any] = {"t": STEP * np.arange(y.size), "lane_offset": 0.5 + y, "lane_width": 3.0 * one}
+    base |= {"speed": 16.0 * one, "valid": one > 0}
+    found = extract_departures([Recording("a", **(base | given))], **({"vehicle_width": 2.0} | (criteria or {})))
+    assert found.candidates == 1
+    return next((reason for reason, count in found.refused.items() if count), "departure")
+
+
+@pytest.mark.parametrize(
+    ("beyond", "criteria", "expected"),
+    [
+        (3, {}, "departure"),  # 0.5 s, and three samples
+        (3, {"min_duration": np.nextafter(0.5, 1.0)}, "too_short"),
+        (2, {}, "too_short"),
+        (2, {"min_duration": 0.375}, "too_few_samples"),
+        (79, {}, "departure"),  # 10 s
+        (79, {"max_duration": np.nextafter(10.0, 0.0)}, "too_long"),
+        (80, {}, "too_long"),
+    ],
+)
+def test_the_allowed_durations_include_both_ends(beyond, criteria, expected):
+    assert fate(beyond, criteria=criteria) == expected
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(5.0, "slow"), (5.0001, "departure")])
+def test_the_mean_speed_lies_above_the_limit(speed, expected):
+    assert fate(15, speed=np.full(27, speed)) == expected
+    assert fate(15, speed=np.full(27, speed), criteria={"min_speed": 4.0}) == "departure"
+
+
+def later(rows: int, seconds: float, beyond: int = 15, step: float = STEP) -> np.ndarray:
+    """Times with one step longer by some seconds."""
+    t = step * np.arange(beyond + 12)
+    return t + seconds * (np.arange(t.size) > rows)
+
+
+@pytest.mark.parametrize(
+    ("t", "criteria", "expected"),
+    [
+        (later(12, 0.375), {"max_gap": 0.5}, "departure"),
+        (later(12, 0.375), {"max_gap": np.nextafter(0.5, 0.0)}, "gap"),
+        # 2.5 median steps
+        (later(12, 0.1875), {}, "departure"),
+        (later(12, 0.1876), {}, "gap"),
+        # at least 0.25 s
+        (later(12, 0.1875, step=0.0625), {}, "departure"),
+        (later(12, 0.1876, step=0.0625), {}, "gap"),
+    ],
+)
+def test_a_step_as_long_as_the_limit_is_no_gap(t, criteria, expected):
+    assert fate(15, t=t, criteria=criteria) == expected
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.5, "departure"), (0.53125, "jump")])
+def test_a_step_of_the_offset_as_large_as_the_limit_is_no_jump(step, expected):
+    offset = np.full(27, 0.25)
+    offset[6:-6] = 0.25 + step
+    assert fate(15, lane_offset=offset, criteria={"max_jump": 0.5}) == expected
+
+
+@pytest.mark.parametrize(("reach", "expected"), [(2.8, "lane_change"), (np.nextafter(2.8, 0.0), "departure")])
+def test_an_offset_that_reaches_the_next_lane(reach, expected):
+    """0.7 lane widths; the steps are too small for a jump."""
+    offset = np.concatenate([np.zeros(4), np.linspace(0.0, 2.5, 8), [reach] * 3, np.linspace(2.5, 0.0, 8), np.zeros(4)])
+    assert fate(15, lane=None, lane_offset=offset, lane_width=np.full(27, 4.0)) == expected
+
+
+@pytest.mark.parametrize(
+    ("step", "expected"), [(2.75, "jump"), (2.85, "lane_change"), (5.15, "lane_change"), (5.25, "jump")]
+)
+def test_a_step_of_the_offset_by_about_a_lane_width(step, expected):
+    """0.7 to 1.3 of 4 m."""
+    offset = np.full(27, 1.125)
+    offset[12:] -= step
+    offset[:6] = 0.5
+    assert fate(15, lane=None, lane_offset=offset, lane_width=np.full(27, 4.0)) == expected
+
+
+@pytest.mark.parametrize(("width", "expected"), [(2.0, "implausible"), (2.03125, "departure")])
+def test_a_lane_as_wide_as_the_vehicle(width, expected):
+    widths = np.full(27, 3.0)
+    widths[12] = width
+    assert fate(15, lane_width=widths) == expected
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ({"lane_width": 1e9}, "invalid"), ({"speed": np.nextafter(1e9, 0.0)}, "implausible"),
+        ({"speed": -1e9}, "invalid"), ({"lane_width": 0.0}, "invalid"), ({"curvature": 1e9}, "invalid"),
+    ],
+)  # fmt: skip
+def test_numbers_that_are_no_measurement(columns, expected):
+    """1e9 or more in size, or a lane without a width."""
+    ((name, value),) = columns.items()
+    values = np.full(27, {"lane_width": 3.0, "speed": 16.0, "curvature": 0.0}[name])
+    values[12] = value
+    assert fate(15, **{name: values}) == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "good", "bad"),
+    [
+        (Criteria, "vehicle_width", (0.5, 4.0), (0.49, 4.01)), (Criteria, "min_duration", (0.0, 9.9), (-0.01, 10.0)),
+        (Criteria, "max_duration", (0.51, 1e6), (0.5, np.inf)), (Criteria, "min_speed", (0.0,), (-0.01, np.inf)),
+        (Criteria, "max_gap", (1e-3, None), (0.0, np.inf, np.nan)), (Criteria, "max_jump", (1e-3,), (0.0, np.nan)),
+        (Preparation, "step", (0.01, 1.0, None), (0.0099, 1.01, np.nan)),
+        (Preparation, "max_gap", (1e-3, 10.0), (0.0, 10.01, np.inf)),
+        (Preparation, "nominal_lane_width", (2.0, 6.0, None), (1.99, 6.01)),
+        (Preparation, "yaw_rate_factor", (-1.0, 1e-3), (0.0, np.nan, np.inf)),
+    ],
+)  # fmt: skip
+def test_the_ends_of_what_is_allowed(kind, name, good, bad):
+    for value in good:
+        kind(**{name: value})
+    for value in bad:
+        with pytest.raises(InputError, match=rf"^{name if name != 'min_duration' or value < 0 else 'max_duration'}: "):
+            kind(**{name: value})
+
+
+def test_the_hours_count_a_step_as_long_as_the_limit():
+    t = np.array([0.0, 0.125, 0.25, 0.5, 0.625, 1.0, 1.125])
+    found = extract_departures([drive(t=t, lane_offset=0.0)], max_gap=0.25)
+    assert found.hours * 3600.0 == 0.75
+
+
+WIDTH = 3.6
+VEHICLE = 1.8
+RATE = 20.0
+T_LANE_CHANGES = np.arange(round(30.0 * RATE)) / RATE
+
+
+def crossing(side: int, start: float = 10.0, duration: float = 4.0, reach: float = WIDTH) -> np.ndarray:
+    """Lateral way [m] of a change by `reach`, smooth."""
+    share = np.clip((T_LANE_CHANGES - start) / duration, 0.0, 1.0)
+    return side * reach * share**2 * (3.0 - 2.0 * share)
+
+
+def drive_lane_changes(way: np.ndarray, offset: np.ndarray, **columns: Any) -> Recording:
+    n = way.size
+    given = {"lane_width": np.full(n, WIDTH), "speed": np.full(n, 25.0), "valid": np.ones(n, bool)}
+    return Recording("a", T_LANE_CHANGES, offset, **(given | {"curvature": np.zeros(n)} | columns))
+
+
+def handed_over(way: np.ndarray) -> np.ndarray:
+    """Offset from the centre of the nearest lane: the tracker changes where the centre crosses the line."""
+    return way - WIDTH * np.round(way / WIDTH)
+
+
+def extract_lane_changes(recording: Recording, step: float | None) -> Extraction:
+    return extract_departures([recording], vehicle_width=VEHICLE, preparation=Preparation(step))
+
+
+def reported(found: Extraction) -> dict[str, tuple[int, int]]:
+    """Refused candidates by reason: left, right."""
+    (account,) = found.accounts
+    counts = {reason: (int(a), int(b)) for reason, a, b in zip(REASONS, *account.refused.tolist(), strict=True)}
+    return {reason: count for reason, count in counts.items() if any(count)}
+
+
+def one_of(side: int) -> tuple[int, int]:
+    return (1, 0) if side == LEFT else (0, 1)
+
+
+both_sides = pytest.mark.parametrize("side", [LEFT, RIGHT])
+any_step = pytest.mark.parametrize("step", [None, 0.1])
+
+
+@both_sides
+@any_step
+@pytest.mark.parametrize("start", [10.0, 10.01, 10.023, 10.037])
+def test_a_jump_of_the_offset_by_a_lane_width(side, step, start):
+    way = crossing(side, start)
+    found = extract_lane_changes(drive_lane_changes(way, handed_over(way)), step)
+    assert len(found.departures) == 0
+    assert reported(found) == {"lane_change": one_of(side)}
+
+
+@both_sides
+@any_step
+def test_the_reason_outranks_how_long_it_took(side, step):
+    """An old lane kept for longer than a departure may last, and a turn signal on: still a lane change."""
+    way = crossing(side) - crossing(side, start=24.0)
+    signal = np.full(T_LANE_CHANGES.size, side)
+    assert reported(extract_lane_changes(drive_lane_changes(way, way, turn_signal=signal), step)) == {
+        "lane_change": one_of(side)
+    }
+
+
+@both_sides
+@any_step
+def test_a_lane_column(side, step):
+    """It alone decides: a change of it is a lane change, a great offset in the same lane is not."""
+    way = crossing(side)
+    lane = np.where(np.abs(way) > 0.5 * WIDTH, 2, 1)
+    assert reported(extract_lane_changes(drive_lane_changes(way, handed_over(way), lane=lane), step)) == {
+        "lane_change": one_of(side)
+    }
+    # a small step of the offset where lanes merge
+    merge = crossing(side, reach=0.3 * WIDTH) - crossing(side, start=15.0, reach=0.3 * WIDTH)
+    found = extract_lane_changes(drive_lane_changes(merge, merge, lane=np.where(T_LANE_CHANGES > 13.0, 2, 1)), step)
+    assert reported(found) == {"lane_change": one_of(side)}
+    back = crossing(side, reach=0.8 * WIDTH) - crossing(side, start=15.0, reach=0.8 * WIDTH)
+    found = extract_lane_changes(
+        drive_lane_changes(back, back, lane=np.ones(T_LANE_CHANGES.size, dtype=np.int64)), step
+    )
+    assert (reported(found), len(found.departures)) == ({}, 1)
+
+
+@both_sides
+@any_step
+@pytest.mark.parametrize(
+    ("shown", "when", "intended"),
+    [("towards", (11.0, 12.5), True), ("away", (11.0, 12.5), False), ("towards", (1.0, 5.0), False)],
+)
+def test_the_turn_signal(side, step, shown, when, intended):
+    way = crossing(side, reach=0.4 * WIDTH) - crossing(side, start=14.0, reach=0.4 * WIDTH)
+    signal = np.where(
+        (when[0] <= T_LANE_CHANGES) & (when[1] > T_LANE_CHANGES), side if shown == "towards" else -side, 0
+    )
+    found = extract_lane_changes(drive_lane_changes(way, way, turn_signal=signal), step)
+    assert reported(found) == ({"intended": one_of(side)} if intended else {})
+    assert len(found.departures) == (not intended)
+
+
+@any_step
+def test_sides_of_several(step):
+    """Two changes to the left, one to the right, one departure to the right."""
+    way = crossing(LEFT, 2.0) + crossing(LEFT, 8.0) + crossing(RIGHT, 14.0)
+    drift = crossing(RIGHT, 22.0, 2.0, 1.2) - crossing(RIGHT, 25.0, 2.0, 1.2)
+    found = extract_lane_changes(drive_lane_changes(way, handed_over(way) + drift), step)
+    assert (reported(found), found.departures.side.tolist()) == ({"lane_change": (2, 1)}, [RIGHT])
+    assert found.accounts[0].departures.tolist() == [0, 1]

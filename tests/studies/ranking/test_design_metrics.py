@@ -1,0 +1,259 @@
+"""Metrics of designs: tails, the Pareto front, the baseline, blocks of rows, few scenarios."""
+
+import dataclasses
+import math
+import tracemalloc
+
+import hypothesis.extra.numpy as hnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.results import case_of
+from ldctoolkit import EventStatus, Scenarios
+from ldctoolkit.errors import InputError, UnknownNameError
+from studies import CaseResults, Design, StudyResults
+from studies.ranking.design_metrics import (
+    find_baseline,
+    masked_max,
+    masked_mean,
+    masked_quantile,
+    pareto_costs,
+    pareto_front,
+    tail_metrics,
+)
+from studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
+from studies.ranking.ranking import warnings_of_sample
+from studies.results import Dropped, FailedDesign, Race
+
+
+@given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))
+def test_tails_are_those_of_the_definition(n: int, seed: int, percent: int) -> None:
+    """Rockafellar and Uryasev: the least of c + mean(max(x - c, 0)) / (1 - share), at one of the values."""
+    values = np.random.default_rng(seed).gamma(0.5, 1.0, (3, n)).round(1)  # many equal ones
+    quantile, cvar = tail_metrics(values, percent)
+    for row, q, worst in zip(values, quantile, cvar, strict=True):
+        wanted = min(c + np.maximum(row - c, 0.0).mean() / (1 - percent / 100) for c in row)
+        # 1 - share is known to 1e-14 of itself, sums to a few roundings
+        assert worst == pytest.approx(wanted, rel=1e-11, abs=1e-13)
+        assert q == pytest.approx(np.quantile(row, percent / 100), rel=1e-12, abs=1e-15)
+        assert row.mean() * (1 - 1e-12) <= worst <= row.max() * (1 + 1e-12)
+
+
+def test_tails_by_literals() -> None:
+    """Of 1 to 30 m s the worst 5 % are one and a half: 30, and half of 29; of 20 and of 40 they are whole numbers."""
+    for n, quantile, cvar in ((30, 28.55, (30 + 0.5 * 29) / 1.5), (20, 19.05, 20.0), (40, 38.05, 39.5), (1, 1.0, 1.0)):
+        found = tail_metrics(np.random.default_rng(n).permutation(np.arange(1.0, n + 1))[None])
+        assert [one.item() for one in found] == pytest.approx([quantile, cvar], rel=1e-12), n
+
+
+@given(st.integers(1, 30), st.integers(0, 10**6), st.sampled_from([0.05, 0.5, 0.95]))
+def test_marked_columns_are_as_if_the_others_were_not_there(n: int, seed: int, share: float) -> None:
+    generator = np.random.default_rng(seed)
+    values = generator.gamma(1.0, 1.0, (4, n))
+    values[generator.random((4, n)) < 0.1] = np.inf
+    among = generator.random((4, n)) < generator.random((4, 1))
+    found = masked_mean(values, among), masked_max(values, among), masked_quantile(values, among, share)
+    for i in range(4):
+        kept = np.sort(values[i, among[i]])
+        if not kept.size:
+            assert all(math.isnan(one[i]) for one in found)
+            continue
+        place = share * (kept.size - 1)
+        low, high = kept[math.floor(place)], kept[math.ceil(place)]
+        part = place - math.floor(place)
+        quantile = low if low == high else low + (high - low) * part
+        for one, wanted in zip(found, (kept.mean(), kept.max(), quantile), strict=True):
+            assert one[i] == pytest.approx(wanted, rel=1e-12)
+
+
+def by_pairs(costs: np.ndarray) -> list[bool]:
+    def dominated(i: int) -> bool:
+        return any(all(a <= b for a, b in zip(x, costs[i], strict=True)) and tuple(x) != tuple(costs[i]) for x in costs)
+
+    whole = ~np.isnan(costs).any(axis=1)
+    everyone, costs = costs, costs[whole]
+    kept = iter([not dominated(i) for i in range(len(costs))])
+    return [next(kept) if whole[i] else False for i in range(len(everyone))]
+
+
+# few different values: ties, duplicates and chains are common; infinities and both zeros are among them
+_TIED = st.sampled_from([-np.inf, -1.0, -0.0, 0.0, 0.5, 1.0, 2.0, np.inf, np.nan])
+
+
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=_TIED))
+def test_small_tables_with_ties(costs: np.ndarray) -> None:
+    assert pareto_front(costs).tolist() == by_pairs(costs)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 6), st.sampled_from([2, 5, 40, 10**6]), st.integers(65, 400))
+def test_larger_tables_with_and_without_ties(seed: int, k: int, values: int, d: int) -> None:
+    costs = np.random.default_rng(seed).integers(values, size=(d, k)).astype(float)
+    costs[costs == 0], costs[costs == values - 1] = -np.inf, np.inf
+    smaller = (costs[:, None] <= costs[None]).all(axis=2) & (costs[:, None] < costs[None]).any(axis=2)
+    assert pareto_front(costs).tolist() == (~smaller.any(axis=0)).tolist()
+
+
+def test_a_front_that_holds_everything() -> None:
+    """Points of the simplex: none dominates another."""
+    points = np.random.default_rng(4).dirichlet(np.ones(4), size=1000)
+    whole = np.round(points * 2**30)
+    whole[:, 0] = 2**31 - whole[:, 1:].sum(axis=1)  # the same sum exactly
+    assert pareto_front(np.r_[whole, whole + 1.0]).tolist() == [True] * 1000 + [False] * 1000
+
+
+def test_memory_grows_with_the_number_of_designs_and_not_with_its_square() -> None:
+    costs = np.random.default_rng(0).dirichlet(np.ones(4), size=8_000)
+    tracemalloc.start()
+    pareto_front(costs)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20 * costs.nbytes  # a table of all pairs would take 250 times that
+
+
+def test_one_column_keeps_all_smallest() -> None:
+    costs = np.r_[np.full(3, 2.0), 1.0, np.arange(1.0, 200.0)]
+    assert np.flatnonzero(pareto_front(costs[:, None])).tolist() == [3, 4]
+
+
+def test_nothing_and_wrong_shapes() -> None:
+    assert pareto_front(np.zeros((0, 3))).tolist() == []
+    assert pareto_front(np.full((2, 2), np.nan)).tolist() == [False, False]
+    for shape in ((3,), (3, 0), (2, 2, 2)):
+        with pytest.raises(InputError, match="costs: shape"):
+            pareto_front(np.zeros(shape))
+
+
+def test_costs_turn_figures_of_which_more_is_better() -> None:
+    columns = {"S": np.array([1.0, 2.0, 2.0]), "within_dtle": np.array([0.5, 0.9, 0.5])}
+    costs = pareto_costs(["S", "dtle_0p3_share"], columns)
+    assert costs.tolist() == [[1.0, -0.5], [2.0, -0.9], [2.0, -0.5]]
+    assert pareto_front(costs).tolist() == [True, True, False]
+    with pytest.raises(UnknownNameError, match="did you mean 'S'"):
+        pareto_costs(["SS"], columns)
+    with pytest.raises(InputError, match="no figures"):
+        pareto_costs([], columns)
+
+
+NONE = Design.from_gains("none", 0.2, {})
+LQR = tuple(Design.from_gains("lqr", y_s, {}) for y_s in (0.1, 0.2))
+
+
+def results(*designs: Design, failed: tuple[Design, ...] = (), dropped: tuple[Design, ...] = ()) -> StudyResults:
+    race = Race((10,), (1,), tuple(Dropped(one, 1, 10, 1.0, 0.5, 0.4) for one in dropped), 20, 40)
+    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=np.array([1, -1]))
+    return StudyResults(designs, scenarios, (), tuple(FailedDesign(one, "it broke") for one in failed), race=race)
+
+
+def test_a_law_an_identifier_or_no_word() -> None:
+    every = results(*LQR, NONE)
+    assert find_baseline("", every) == 2
+    assert find_baseline("none", every) == 2
+    assert find_baseline("lqr", every) == 0
+    assert find_baseline(LQR[1].id, every) == find_baseline(LQR[1].id[:6], every) == 1
+    assert find_baseline("", results(*LQR)) is None
+
+
+def test_a_baseline_that_failed_or_was_given_up_is_no_mistake_of_the_file() -> None:
+    assert find_baseline("none", results(*LQR, failed=(NONE,))) is None
+    assert find_baseline("none", results(*LQR, dropped=(NONE,))) is None
+    assert find_baseline("lqr", results(LQR[1], NONE, dropped=(LQR[0],))) == 0
+
+
+@pytest.mark.parametrize("word", ["lqq", "f00baa", LQR[0].id[:5]])
+def test_anything_else_is_refused_with_the_nearest(word: str) -> None:
+    with pytest.raises(InputError, match=rf"ranking\.baseline: '{word}' is no law .*allowed: lqr, none"):
+        find_baseline(word, results(*LQR, NONE))
+
+
+def test_the_start_of_two_identifiers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Design, "id", property(lambda self: f"abcdef{self.y_s:06.0f}"))
+    with pytest.raises(InputError, match="'abcdef' is the start of 2 identifiers; allowed: more digits"):
+        find_baseline("abcdef", results(*LQR))
+
+
+def test_no_row_depends_on_the_rows_beside_it() -> None:
+    """2,600 rows of 1,000 are several blocks of means, of tails and of resamples; three of them, alone and turned."""
+    values, side = np.random.default_rng(0).gamma(1.0, 1.0, (2600, 1000)), np.repeat([1, -1], 500)
+    some = np.array([2599, 0, 1300])
+    few = np.ascontiguousarray(values[some])
+    np.testing.assert_array_equal(row_means(values)[some], row_means(few))
+    np.testing.assert_array_equal(row_means(values, some), row_means(few))
+    for whole, alone in zip(tail_metrics(values), tail_metrics(few), strict=True):
+        np.testing.assert_array_equal(whole[some], alone)
+    whole = bootstrap_deviations(values, side, samples=8, seed=1)
+    np.testing.assert_array_equal(whole[:, some], bootstrap_deviations(few, side, samples=8, seed=1))
+    chosen = bootstrap_deviations(values, side, samples=8, seed=1, rows=some)
+    np.testing.assert_array_equal(whole[:, some], chosen)
+
+
+@given(st.integers(1, 9), st.integers(0, 4), st.integers(1, 40), st.data())
+def test_blocks_are_the_rows_that_were_asked_for(d: int, n: int, entries: int, data: st.DataObject) -> None:
+    values = np.arange(d * n, dtype=np.float64).reshape(d, n)
+    rows = data.draw(st.none() | st.lists(st.integers(0, d - 1), min_size=1).map(np.array))
+    wanted = values if rows is None else values[rows]
+    found = np.full(wanted.shape, -1.0)
+    for places, block in row_blocks(values, rows, entries=entries):
+        assert block.size <= max(entries, n)
+        found[places] = block
+    np.testing.assert_array_equal(found, wanted)
+
+
+def invented() -> CaseResults:
+    generator = np.random.default_rng(5)
+    kinds = np.array([EventStatus.OK, EventStatus.SOLVER_FAILED], dtype=np.int8)
+    case = case_of(generator.gamma(1.0, 1.0, (6, 50)), status=generator.choice(kinds, (6, 50), p=(0.9, 0.1)))
+    depth = generator.gamma(1.0, 1.0, 50)
+    return dataclasses.replace(case, S_uncorrected=np.broadcast_to(depth, case.S.shape))
+
+
+def test_counted_is_s_or_what_is_worse_without_control() -> None:
+    case = invented()
+    failed = case.status == EventStatus.SOLVER_FAILED
+    assert failed.any()
+    wanted = np.where(failed, np.fmax(case.S, case.S_uncorrected), case.S)
+    np.testing.assert_array_equal(case.counted, wanted)
+    assert case.counted is case.counted
+    fine = dataclasses.replace(case, status=np.zeros_like(case.status))
+    assert fine.counted is fine.S
+
+
+def test_one_row_of_scores_without_control_stays_one() -> None:
+    case = invented()
+    columns = np.arange(50) % 2 > 0
+    taken = case.take(columns)
+    assert taken.S_uncorrected.strides[0] == 0
+    np.testing.assert_array_equal(taken.S_uncorrected, case.S_uncorrected[:, columns])
+
+
+@pytest.fixture
+def inference() -> Inference:
+    S = np.random.default_rng(1).gamma(2.0, 1.0, (3, 20))
+    return infer(S, np.repeat([1, -1], 10), ranked=3, baseline=None, seed=0, samples=50, confidence=0.95)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "words"),
+    [
+        (25, 24, "too short with so few scenarios (25 left and 24 right)"),
+        (91, 9, "too short with so few scenarios (91 left and 9 right)"),
+        (0, 49, "too short with so few scenarios (49 right)"),
+        (99, 1, "no interval and no designs are separated: a side has one scenario only (99 left and 1 right)"),
+        (40, 10, ""),
+        (50, 0, ""),
+    ],
+)
+def test_small_samples_are_told(inference: Inference, left: int, right: int, words: str) -> None:
+    found = list(warnings_of_sample(np.repeat([1, -1], [left, right]), inference))
+    assert len(found) == bool(words)
+    assert all(words in text for text in found)
+    if "too short" in words:
+        assert found[0].endswith("None of them counts the sampling error of the scenario model itself.")
+
+
+def test_left_out_references_are_told(inference: Inference) -> None:
+    side = np.repeat([1, -1], 30)
+    assert not list(warnings_of_sample(side, inference))
+    (text,) = warnings_of_sample(side, dataclasses.replace(inference, references=20, may_be_best=600))
+    assert "from 20 of 600 designs that may be the best" in text
