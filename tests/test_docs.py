@@ -1,17 +1,24 @@
-"""The code that the README and the guides show is run as it stands."""
+"""Documentation: examples run, links hold."""
 
 import dataclasses
+import doctest
+import importlib
+import inspect
 import re
 import sys
 import tomllib
 import types
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import controllers
+import ldctoolkit
+import studies
+from helpers.cli import ROOT, blocks, run_python
 from helpers.closed_loop import Stepped
-from helpers.docs import ROOT, blocks, run_python
 from ldctoolkit import Scenarios, controller_class, register, registry, simulate
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
@@ -105,3 +112,44 @@ def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleTyp
     general = simulate(guide.LimitedOffset(K_i=0.0, delta_max=1.0), SCENARIOS)
     np.testing.assert_allclose(general.S, linear.S, rtol=0, atol=1e-12)  # same sums, another order
     assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()
+
+
+ROOT_DOCSTRINGS = Path(__file__).resolve().parent.parent
+
+
+def modules_with_examples() -> list[str]:
+    """Found by their text, so that collecting the tests imports nothing."""
+    files = [
+        path
+        for package in ("ldctoolkit", "controllers", "studies")
+        for path in (ROOT_DOCSTRINGS / package).rglob("*.py")
+    ]
+    shown = [
+        path.relative_to(ROOT_DOCSTRINGS).with_suffix("") for path in files if ">>>" in path.read_text(encoding="utf-8")
+    ]
+    return sorted(".".join(path.parts).removesuffix(".__init__") for path in shown)
+
+
+HEAVY = ("studies.", "ldctoolkit.diagnostics", "ldctoolkit.scenario_model")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name.startswith(HEAVY) else ()) for name in modules_with_examples()],
+)
+def test_examples_run(name: str) -> None:
+    result = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert result.attempted
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize("package", [ldctoolkit, controllers, studies], ids=lambda p: p.__name__)
+def test_public_names_are_documented(package: object) -> None:
+    for name in package.__all__:  # type: ignore[attr-defined]
+        thing = getattr(package, name)
+        if inspect.isclass(thing) or inspect.isfunction(thing):
+            assert inspect.getdoc(thing), f"{name} has no docstring"
+        if inspect.isfunction(thing):
+            doc = inspect.getdoc(thing) or ""
+            for parameter in inspect.signature(thing).parameters:
+                assert parameter in doc, f"{name}: parameter {parameter} is not documented"

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from helpers.cli import good
-from helpers.reports import SECTIONS
+from helpers.results import SECTIONS
 from ldctoolkit import load_model, rebuild_signals
 from ldctoolkit.vehicle import VehicleParameters
 

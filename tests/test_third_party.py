@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.docs import blocks, install
+from helpers.cli import blocks, install
 from ldctoolkit.testing import CHECKS
 
 pytestmark = pytest.mark.slow

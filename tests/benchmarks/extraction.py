@@ -27,7 +27,7 @@ import polars as pl
 import psutil
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers import das1
+from helpers import spmd
 
 ROWS_OF_TRIP, TRIPS_OF_BLOCK = 6000, 100  # rows of a trip on average (10 minutes); trips that are made at a time
 
@@ -64,15 +64,15 @@ def write_big(folder: Path, rows: int) -> int:
             ends = np.cumsum(lengths)
             pieces = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
             drives = [
-                das1.Drive(
+                spmd.Drive(
                     device=10100 + (trip + i) // 200, trip=trip + i, time=10 * np.arange(one.stop - one.start),
                     lane_offset=offset[one], lane_width=3.6, speed=speed[one], yaw_rate=yaw_rate[one],
                     heading=heading[one], quality=quality[one],
                 )
                 for i, one in enumerate(pieces)
             ]  # fmt: skip
-            lane.write(das1.text_of(das1.lane_frame(drives), bom=done == 0, header=done == 0))
-            wsu.write(das1.text_of(das1.wsu_frame(drives), header=done == 0))
+            lane.write(spmd.text_of(spmd.lane_frame(drives), bom=done == 0, header=done == 0))
+            wsu.write(spmd.text_of(spmd.wsu_frame(drives), header=done == 0))
             done += m
             trip += len(drives)
     return done

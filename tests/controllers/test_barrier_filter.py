@@ -15,9 +15,7 @@ from controllers import LQR, LinearMPC, PreviewProportional
 from controllers.barrier_filter import BarrierFilter
 from controllers.lqi import LQI
 from controllers.preview_lqr import PreviewLQR
-from helpers.closed_loop import Stepped
-from helpers.grids import some
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Stepped, Unsighted, known, some
 from ldctoolkit import (
     BicycleModel,
     Controller,

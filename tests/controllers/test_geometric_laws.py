@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from controllers.pure_pursuit import PurePursuit, PurePursuitLaw
 from controllers.stanley import Stanley, StanleyLaw
-from helpers.sampled_plant import DT, closed_loop_matrices, moved, plant_at
+from helpers.closed_loop import DT, closed_loop_matrices, moved, plant_at
 from ldctoolkit import BicycleModel, EventStatus, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.errors import InputError
 

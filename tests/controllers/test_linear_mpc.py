@@ -13,7 +13,7 @@ import qpsolvers
 import controllers._mpc_law as module
 from controllers import LinearMPC
 from controllers._mpc_law import QP, Answer, Rung, Workspace, make
-from helpers.grids import some
+from helpers.closed_loop import some
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
 from ldctoolkit.errors import InputError
 

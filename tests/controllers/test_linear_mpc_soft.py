@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from controllers import LinearMPC
 from controllers._mpc_condensing import block_starts
 from controllers._mpc_law import MPCLaw, MPCState, Rung
-from helpers.grids import grid, some
+from helpers.closed_loop import grid, some
 from ldctoolkit import BicycleModel, EventStatus, Outcome, Plant, Preview, Scenarios, load_model, simulate
 from ldctoolkit.plant_options import Actuator, PlantOptions
 

@@ -1,4 +1,4 @@
-"""LQR and LQI."""
+"""LQR, LQI and preview LQR."""
 
 import dataclasses
 
@@ -6,16 +6,16 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQI, LQR, PreviewLQR
+from controllers import LQI, LQR, LinearMPC, PreviewLQR
 from controllers.riccati import SPEED_RANGE, regulator
-from helpers.grids import grid, some
-from helpers.sampled_plant import moved, weights_of
+from helpers.closed_loop import Stepped, grid, moved, some, weights_of
 from ldctoolkit import (
     BicycleModel,
     Controller,
     EventStatus,
     LinearLaw,
     Plant,
+    Preview,
     Scenarios,
     VehicleParameters,
     load_model,
@@ -225,3 +225,154 @@ def test_errors_that_the_law_does_not_know_leave_no_bias(options: PlantOptions) 
         left[design.name] = np.abs(paths.x[np.arange(2), last, 0])
     assert (left["lqi"] < 1e-6).all()
     assert (left["lqr"] > 0.01).all()
+
+
+DESIGNS = [
+    PreviewLQR(r_delta=100.0),
+    PreviewLQR(horizon=1, r_delta=100.0),
+    PreviewLQR(horizon=7, q_y=0.1, q_y_rate=0.5, q_psi=40.0, q_psi_rate=3.0, r_delta=3000.0),
+    PreviewLQR(horizon=12, q_y=30.0, q_psi=0.0, r_delta=5.0),
+]
+HEAVY = VehicleParameters(C_af=95000.0, C_ar=70000.0, l_f=1.2, l_r=1.5, m=1900.0, I_z=3600.0)
+
+
+def weights(design: PreviewLQR) -> np.ndarray:
+    return np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
+
+
+@pytest.mark.parametrize(
+    ("design", "vehicle"),
+    grid(DESIGNS, [VehicleParameters(), HEAVY], (DESIGNS[1], VehicleParameters()), (DESIGNS[3], HEAVY)),
+)
+def test_gains_equal_the_recursion_on_the_register_of_yaw_rates(design: PreviewLQR, vehicle: VehicleParameters) -> None:
+    """The problem as it is stated: states (x, r_0 .. r_N), the register shifts and holds its last entry, the cost is
+    that of the deviations, no change of variables. Holding is an uncontrollable eigenvalue 1, at which solvers of the
+    algebraic equation refuse, but the deviations of a held bend cost nothing, so the recursion from P = 0 converges. It
+    is iterated until the slowest closed-loop mode (0.99 a sample at worst here) has decayed to rounding; 1e-9 of the
+    largest gain covers what rounding 10,000 steps may add up to."""
+    N = design.horizon
+    plant = Plant.build(BicycleModel(vehicle), [9.0, 21.0, 34.0], DT)
+    law = design.prepare(plant)
+    steady, step = plant.steady_state(), plant.step
+    for i in range(plant.n):
+        size = 4 + N + 1
+        A, B = np.zeros((size, size)), np.zeros((size, 1))
+        A[:4, :4], B[:4, 0] = step.A[i], step.B[i]
+        A[:4, 4], A[:4, 5] = step.E_0[i], step.E_1[i]
+        A[4:-1, 5:] = np.eye(N)
+        A[-1, -1] = 1.0
+        x_dev = np.zeros((4, size))
+        x_dev[:, :4] = np.eye(4)
+        x_dev[2, 4] = -steady.e_psi[i]
+        u_dev = np.zeros((1, size))
+        u_dev[0, 4:6] = -0.5 * steady.delta[i]
+        Q = x_dev.T @ weights(design) @ x_dev + design.r_delta * u_dev.T @ u_dev
+        S, R = design.r_delta * u_dev.T, design.r_delta
+        P = np.zeros((size, size))
+        for _ in range(10_000):
+            coupling = A.T @ P @ B + S
+            following = Q + A.T @ P @ A - coupling @ coupling.T / (R + B.T @ P @ B)
+            done = np.abs(following - P).max() <= 1e-14 * np.abs(P).max()
+            P = following
+            if done:
+                break
+        K = ((A.T @ P @ B + S).T / (R + B.T @ P @ B))[0]
+        ours = np.concatenate([law.F[i], law.G_yaw_rate[i]])
+        np.testing.assert_allclose(ours, -K, rtol=0, atol=1e-9 * np.abs(K).max())
+
+
+@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.1, 0.1), (0.0, 0.13), (0.07, 0.02)])
+@pytest.mark.parametrize("design", some(DESIGNS[1:], DESIGNS[2]))
+def test_gains_equal_dlqr_on_the_register_of_changes(design: PreviewLQR, lag: float, delay: float) -> None:
+    """States: deviations from the bend as it is now, every command on its way among them, and its changes w_j = r_(j+1)
+    - r_j until N samples after the command acts. Zeros are shifted in, so holding needs no marginal mode and
+    python-control solves it. The tolerance is dlqr's own accuracy, as for the LQR."""
+    v = np.exp(np.random.default_rng(1).uniform(np.log(2.0), np.log(80.0), 8))
+    plant = Plant.build(BicycleModel(), v, DT, lag=lag, delay=delay)
+    law, steady, whole = design.prepare(plant), plant.steady_state(), int(delay / DT)
+    A, B, _, E_1 = plant.augmented.with_commands()
+    k, M = B.shape[1], whole + design.horizon
+    for i in range(plant.n):
+        held = np.array([0.0, 0.0, steady.e_psi[i], 0.0, *[steady.delta[i]] * (k - 4)])
+        # the command that costs nothing is that of the bend when it acts
+        c = steady.delta[i] * ((np.arange(M) < whole) + 0.5 * (np.arange(M) == whole))
+        full, Q = np.zeros((k + M, k + M)), np.zeros((k + M, k + M))
+        full[:k, :k], full[:k, k:], full[k:-1, k + 1 :] = A[i], np.outer(B[i], c), np.eye(M - 1)
+        full[:k, k] += E_1[i] - held
+        Q[:4, :4] = weights(design)
+        K, _, _ = control.dlqr(full, np.append(B[i], np.zeros(M))[:, None], Q, np.array([[design.r_delta]]))
+        r = np.random.default_rng(i).normal(size=M + 1)
+        s = np.random.default_rng(i + 100).normal(size=k)
+        expected = steady.delta[i] * r[0] + c @ np.diff(r) - K[0] @ np.concatenate([s - held * r[0], np.diff(r)])
+        assert weights_of(law, i) @ s + law.G_yaw_rate[i] @ r == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+def test_a_camera_that_is_late_leaves_out_the_lane_before_now() -> None:
+    plant = Plant.build(BicycleModel(), [25.0], DT, lag=0.1, delay=0.2)
+    seen_now, late = (PreviewLQR(r_delta=100.0).prepare(dataclasses.replace(plant, age=age)) for age in (0.0, 0.1))
+    np.testing.assert_allclose(late.preview_times, seen_now.preview_times[2:] - 0.1, atol=1e-15)
+    np.testing.assert_array_equal(late.G_yaw_rate[:, 1:], seen_now.G_yaw_rate[:, 3:])
+    np.testing.assert_allclose(late.G_yaw_rate[:, 0], seen_now.G_yaw_rate[:, :3].sum(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("horizon", some([1, 20, 100], 1, 20))
+def test_it_is_the_linear_mpc_far_from_its_limits(horizon: int) -> None:
+    """Limits so wide that none is near: the same command to rounding of sums of N terms."""
+    rng = np.random.default_rng(horizon)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, 30), DT)
+    x = rng.normal(size=(30, 4)) * [0.2, 0.1, 0.01, 0.03]
+    r = rng.normal(0, 0.02, (30, 1)) + rng.normal(0, 0.01, (30, 1)) * np.arange(horizon + 1) / horizon
+    mpc = LinearMPC(horizon=horizon, q_psi=5.0, r_delta=300.0, delta_max=1.0, rate_max=10.0).prepare(plant)
+    theirs, _, status = mpc.step(np.zeros(30), x, Preview(r, np.zeros_like(r)), np.zeros(30), mpc.init(30))
+    law = PreviewLQR(horizon=horizon, q_psi=5.0, r_delta=300.0).prepare(plant)
+    np.testing.assert_allclose(law.preview_times, mpc.preview_times, rtol=0, atol=0)
+    np.testing.assert_array_equal(status, 0)
+    np.testing.assert_allclose((law.F * x).sum(axis=1) + (law.G_yaw_rate * r).sum(axis=1), theirs, rtol=0, atol=1e-13)
+
+
+def test_feedback_and_constant_bends_are_those_of_the_lqr() -> None:
+    plant = Plant.build(BicycleModel(), [8.0, 20.0, 33.0], DT)
+    law, plain = PreviewLQR(horizon=50, r_delta=100.0).prepare(plant), LQR(r_delta=100.0).prepare(plant)
+    # gain alone and gain with cost have the same bits
+    np.testing.assert_array_equal(law.F, plain.F)
+    np.testing.assert_allclose(law.G_yaw_rate.sum(axis=1), plain.G_yaw_rate[:, 0], rtol=1e-12)
+
+
+def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.ndarray:
+    """The sum of the design's cost over a lane yaw rate r (steps + 1) that ends in a constant, from rest."""
+    steady = plant.steady_state()
+    x, total = np.zeros((plant.n, 4)), np.zeros(plant.n)
+    ahead = law.preview_times.size
+    held = np.concatenate([r, np.full(ahead, r[-1])])
+    for k in range(r.size - 1):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate @ held[k : k + ahead]
+        z = x.copy()
+        z[:, 2] -= steady.e_psi * r[k]
+        u = delta - 0.5 * steady.delta * (r[k] + r[k + 1])
+        total += np.einsum("ni,ij,nj->n", z, weights(design), z) + design.r_delta * u**2
+        x = moved(plant, x, delta, r[k], np.full(plant.n, r[k + 1]))
+    return total
+
+
+def test_the_further_it_sees_the_less_a_bend_costs() -> None:
+    """A bend that begins between two samples, 3 s ahead: held before and after, so every plan is right once it sees it.
+    (Where curvature goes on changing, a short preview may do worse than none: it takes what it sees last to be held.)
+    """
+    plant = Plant.build(BicycleModel(), [12.0, 30.0], DT)
+    r = np.where(np.arange(401) < 60, 0.0, 0.08)
+    costs = [
+        cost(plant, d, d.prepare(plant), r) for d in (PreviewLQR(horizon=N, r_delta=100.0) for N in (1, 3, 10, 30, 60))
+    ]
+    plain = cost(plant, PreviewLQR(r_delta=100.0), LQR(r_delta=100.0).prepare(plant), r)
+    for shorter, longer in zip([plain, *costs], costs, strict=False):
+        assert (longer < shorter).all()
+    assert (costs[-1] < 0.5 * plain).all()
+
+
+def test_in_the_closed_loop_it_is_the_mpc_without_limits() -> None:
+    """Sums in another order over some hundred samples."""
+    scenarios = Scenarios.from_arrays(T=[2.0, 4.0, 3.0], d_y=[0.4, 0.6, 0.5], v_mean=[14.0, 30.0, 22.0], c_0=1e-3)
+    wide = LinearMPC(horizon=8, delta_max=1.0, rate_max=10.0, r_delta=100.0)
+    linear, general = simulate(Stepped(PreviewLQR(horizon=8, r_delta=100.0)), scenarios), simulate(wide, scenarios)
+    assert general.failed_solves.sum() == 0
+    np.testing.assert_allclose(linear.S, general.S, rtol=1e-10)

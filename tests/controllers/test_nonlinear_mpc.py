@@ -21,8 +21,8 @@ from controllers import LinearMPC
 from controllers._nmpc_model import SHAPE, SIZE, sample, steady_cornering
 from controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCState
 from controllers.riccati import regulator
-from helpers.grids import grid
-from helpers.tools import tool
+from helpers.cli import tool
+from helpers.closed_loop import grid
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions, Tyres

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from controllers import LQR, NoControl, PreviewProportional
-from helpers.fits import make_departures, make_model, skewed
-from helpers.reports import PRIMARY, grid, invented_scenarios, report_input, run
+from helpers.models import make_departures, make_model, skewed
+from helpers.results import PRIMARY, grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from studies.cli import main
 from studies.design import Design

@@ -1,12 +1,16 @@
-"""The command line in this process: exit code, standard output and standard error as a real process gives them."""
+"""The command line in this process, tools, and code blocks of the documentation."""
 
 import contextlib
+import importlib
 import io
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from studies.cli import main
 
@@ -51,3 +55,43 @@ def printed_rows(out: str) -> list[list[str]]:
     """Cells of the lines of printed tables, headings first."""
     lines = (line for line in out.splitlines() if re.match("[│┃]", line))
     return [[cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in lines]
+
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+def tool(name: str) -> ModuleType:
+    """The module tools/NAME.py, which may import its neighbours as when it runs as a script."""
+    if str(TOOLS) not in sys.path:
+        sys.path.append(str(TOOLS))
+    return importlib.import_module(name)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """The blocks of a page in one language, by its path in the project: ``"docs/cli.md"``."""
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), flags=re.S)
+
+
+def run_python(page: str, scope: dict[str, Any]) -> dict[str, Any]:
+    """Run all Python of a page, one block after the other in one scope; the scope."""
+    for code in blocks(page, "python"):
+        exec(compile(code, page, "exec"), scope)
+    return scope
+
+
+def install(project: Path, site: Path) -> None:
+    """Leave in a folder what pip leaves of a pure package there, without a build backend or a network."""
+    declared = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    name, version = declared["name"].replace("-", "_"), declared["version"]
+    info = site / f"{name}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {declared['name']}\nVersion: {version}\n")
+    groups = (
+        f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in points.items())
+        for group, points in declared["entry-points"].items()
+    )
+    (info / "entry_points.txt").write_text("\n".join(groups))
+    (site / name).symlink_to(project / name, target_is_directory=True)

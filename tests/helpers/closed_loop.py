@@ -1,16 +1,32 @@
-"""Scenarios, laws and takeovers that several test modules of the closed loop share."""
+"""Closed loops and laws for tests."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
+import pytest
 
 from controllers import LQR
 from helpers.bits import assert_same_bits
-from ldctoolkit import Controller, LinearLaw, LinearSteps, Outcome, Plant, Preview, Scenarios, Setup, SteeringLaw
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    LinearLaw,
+    LinearSteps,
+    Outcome,
+    Plant,
+    Preview,
+    Scenarios,
+    Setup,
+    SteeringLaw,
+    register,
+    registry,
+)
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Run, Takeover
@@ -155,3 +171,73 @@ class InTheRoadFrameLaw(SteeringLaw):
         mirrored = Preview(-preview.yaw_rate, -preview.heading)
         delta, state, status = self.law.step(t, -x, mirrored, -delta_prev, state)
         return -delta, state, status
+
+
+DT = 0.05
+
+
+def plant_at(*v: float, model: BicycleModel | None = None, dt: float = DT) -> Plant:
+    return Plant.build(model or BicycleModel(), np.array(v), dt)
+
+
+def weights_of(law: LinearLaw, i: int) -> np.ndarray:
+    """Of the state, the wheel angle and the commands on their way, in scenario i."""
+    wheel = [] if law.f_wheel is None else [law.f_wheel[i]]
+    past = [] if law.f_past is None else law.f_past[i]
+    return np.array([*law.F[i], *wheel, *([law.f_u[i]] if law.f_u.any() else []), *past])
+
+
+def moved(
+    plant: Plant, x: np.ndarray, delta: np.ndarray, r: np.ndarray | float = 0.0, r_next: np.ndarray | None = None
+) -> np.ndarray:
+    """The state (n, 4) one sample later; the lane's yaw rate goes from r to r_next, or stays."""
+    step, now = plant.step, np.broadcast_to(r, delta.shape)[:, None]
+    after = now if r_next is None else r_next[:, None]
+    return np.einsum("nij,nj->ni", step.A, x) + step.B * delta[:, None] + step.E_0 * now + step.E_1 * after
+
+
+def closed_loop_matrices(plant: Plant, command: Callable[[np.ndarray], np.ndarray], small: float = 1e-5) -> np.ndarray:
+    """(n, 4, 4) under a law without memory, given as commands (n,) for states (n, 4)."""
+    loop = np.zeros((plant.n, 4, 4))
+    for i in range(4):
+        x = np.zeros((plant.n, 4))
+        x[:, i] = small
+        loop[:, :, i] = moved(plant, x, command(x)) / small
+    return loop
+
+
+def grid(first: Iterable[Any], second: Iterable[Any], *default: tuple[Any, Any]) -> list[Any]:
+    """Every pair; those that are not named are for the longer tier."""
+    pairs = list(itertools.product(first, second))
+    assert set(default) <= set(pairs)
+    return [pair if pair in default else pytest.param(*pair, marks=pytest.mark.slow) for pair in pairs]
+
+
+def some(cases: Iterable[Any], *default: Any) -> list[Any]:
+    """Every case; those that are not named are for the longer tier."""
+    listed = list(cases)
+    assert set(default) <= set(listed)
+    return [case if case in default else pytest.param(case, marks=pytest.mark.slow) for case in listed]
+
+
+class Unsighted(SteeringLaw):
+    """A law that is stepped without a preview; its state is None unless it is made otherwise."""
+
+    @property
+    def preview_times(self) -> Any:
+        return np.zeros(0)
+
+    def init(self, n: int) -> Any:
+        return None
+
+
+@contextmanager
+def known(*laws: type[Controller]) -> Iterator[None]:
+    """Laws that have a name for a while."""
+    for law in laws:
+        register(law)
+    try:
+        yield
+    finally:
+        for law in laws:
+            registry.forget(law.name)

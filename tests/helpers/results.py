@@ -1,16 +1,26 @@
-"""Results of a study whose scores are given, for tests of what is made of them."""
+"""Results, races and reports made for tests."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from controllers import LQR, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
-from ldctoolkit import Outcome, Scenarios
-from ldctoolkit.metrics import MetricValues
-from studies import Case, CaseResults, Design, StudyResults
+from helpers.pages import Page, whole
+from ldctoolkit import BicycleModel, Outcome, Scenarios, Setup, VehicleParameters, simulate
+from ldctoolkit.metrics import METRIC_UNITS, MetricValues
+from studies.design import Design
+from studies.pages.context import Context, ReportInput
+from studies.pages.report import report_page
+from studies.pages.shell import Section
+from studies.racing import race_round
+from studies.ranking.ranking import Ranking
+from studies.results import Case, CaseResults, StudyResults, per_scenario
+from studies.running.tasks import prefix_rows, schedule
 
 DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
 
@@ -69,3 +79,136 @@ def assert_same_results(one: StudyResults, other: StudyResults) -> None:
         for field in dataclasses.fields(CaseResults):
             if field.name != "law_time":
                 assert_same_bits(getattr(a, field.name), getattr(b, field.name), f"{a.case.label}: {field.name}")
+
+
+def race(
+    scores: np.ndarray, side: np.ndarray, *, seed: int, samples: int = 2000, confidence: float = 0.95
+) -> tuple[np.ndarray, float]:
+    """Which designs reach the end (d,), and the share of scenario runs that the race takes."""
+    d, n = scores.shape
+    designs, runs, before, rounds = np.arange(d), 0, 0, schedule(n)
+    for number, m in enumerate(rounds, 1):
+        runs, before = runs + designs.size * (m - before), m
+        rows = prefix_rows(side, m)
+        decision = race_round(
+            scores[np.ix_(designs, rows)], side[rows], round=number, rounds=len(rounds), seed=seed,
+            confidence=confidence, samples=samples, started=d,
+        )  # fmt: skip
+        designs = designs[decision.keep]
+    return np.isin(np.arange(d), designs), runs / (d * n)
+
+
+def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:
+    """Departures of a plausible size; numbers only, no claim about any road."""
+    rng = np.random.default_rng(seed)
+    n = n_left + n_right
+    v = np.where(rng.random(n) < 0.5, rng.normal(14.0, 1.5, n), rng.normal(28.0, 2.0, n))
+    T = np.clip(rng.lognormal(np.log(2.0), 0.5, n), 0.5, 10.0)
+    return Scenarios.from_arrays(
+        T=T,
+        d_y=np.clip(rng.lognormal(np.log(0.2), 0.5, n) * (T / 2.0) ** 0.3, 0.02, 1.2),
+        v_mean=np.clip(v, 9.0, 38.0),
+        a_mean=rng.normal(0.0, 0.3, n),
+        c_0=rng.normal(0.0, 0.4, n) / v**2,
+        dc=rng.normal(0.0, 0.2, n) / v**2,
+        side=np.repeat([1, -1], [n_left, n_right]),
+    )
+
+
+def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], **settings: Any) -> StudyResults:
+    """Results of a study, one `simulate` call a design and case."""
+    designs = tuple(designs)
+    scored = []
+    for case in cases:
+        model = BicycleModel(VehicleParameters(), convention=case.convention)
+        outcomes = [
+            simulate(d.controller(case.convention), scenarios, vehicle=model, y_s=d.y_s, window=case.window, **settings)
+            for d in designs
+        ]
+        columns = {name: np.stack([getattr(o, name) for o in outcomes])
+                   for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
+        companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
+                      for name in METRIC_UNITS}  # fmt: skip
+        scored.append(
+            CaseResults(case, **columns, companions=MetricValues(**companions), law_time=np.zeros(len(designs)))
+        )
+    return StudyResults(designs, scenarios, tuple(scored))
+
+
+def report_input(results: StudyResults, **changes: object) -> ReportInput:
+    require = changes.pop("require", ())
+    setup: Any = changes.get("setup", Setup())
+    rankings = tuple(Ranking.of(results, case, bootstrap=200, require=require, setup=setup) for case in results.cases)  # type: ignore[arg-type]
+    given = {
+        "title": "Trigger threshold and gains",
+        "study_name": "trigger-and-gains",
+        "settings": (("seed", "0"), ("left", "60"), ("model hash", "0f" * 32)),
+        "versions": (("ldctoolkit", "0.1.0"), ("python", "3.11")),
+        "model_notes": ("An invented population.",),
+        "warnings": ("Speed looks like km/h.",),
+        "synthetic": True,
+        "command": "ldc run trigger-and-gains -o out",
+    }
+    return ReportInput(results=results, rankings=rankings, **(given | changes))  # type: ignore[arg-type]
+
+
+def grid() -> list[Design]:
+    designs = [Design.of(NoControl(), 0.2), Design.of(PreviewProportional(), 0.2)]
+    for y_s, K_y, K_psi in itertools.product((0.05, 0.2), (-0.005, -0.02), (-0.2, -0.4)):
+        designs.append(Design.of(PreviewProportional(K_y=K_y, K_psi=K_psi), y_s))
+    for y_s, r_delta in itertools.product((0.05, 0.1, 0.2), (30.0, 300.0)):
+        designs.append(Design.of(LQR(r_delta=r_delta), y_s))
+    return list({d.id: d for d in designs}.values())
+
+
+PRIMARY = Case("departure", "consistent")
+
+
+SECTIONS = (
+    "verdict", "ranking", "limits", "trade-offs", "landscape", "departures", "robustness", "confidence", "model",
+    "settings",
+)  # fmt: skip
+"""Identifiers of the sections of a report, in their order."""
+
+
+def page_of(report: ReportInput) -> Page:
+    """The page of a report, after what must hold for every page."""
+    html, _ = report_page(report)
+    page = Page(html)
+    whole(page)
+    assert set(SECTIONS) <= set(page.ids)
+    assert all(page.words(name) for name in SECTIONS)
+    assert page.counts["script"] == 2
+    return page
+
+
+def section_of(make: Callable[[Context], Section], given: ReportInput | Context) -> tuple[Section, Page]:
+    """One section by itself; its text is `Page.words()`."""
+    made = make(given if isinstance(given, Context) else Context.of(given))
+    return made, Page(str(made.body))
+
+
+def said_in(make: Callable[[Context], Section], given: ReportInput | Context) -> str:
+    """The text of one section."""
+    return section_of(make, given)[1].words()
+
+
+def only(*designs: Design, scenarios: Scenarios | None = None, cases: tuple[Case, ...] = (PRIMARY,)) -> ReportInput:
+    """The report of these designs, by default on a dozen departures to the left and nine to the right."""
+    return report_input(run(designs, scenarios or invented_scenarios(12, 9), cases))
+
+
+def scored(S: npt.ArrayLike, S_0: npt.ArrayLike, designs: Sequence[Design]) -> StudyResults:
+    """A study whose scores are given, all else as for the first design; half of the columns left, half right."""
+    d, S, S_0 = len(designs), np.atleast_2d(np.asarray(S, dtype=float)), np.asarray(S_0, dtype=float)
+    one = run(designs[:1], invented_scenarios(S_0.size // 2, S_0.size // 2), [PRIMARY])
+    case = dataclasses.replace(
+        one.cases[0],
+        S=S,
+        S_uncorrected=np.tile(S_0, (d, 1)),
+        status=np.tile(one.cases[0].status, (d, 1)),
+        failed_solves=np.tile(one.cases[0].failed_solves, (d, 1)),
+        companions=per_scenario(one.cases[0].companions, lambda values: np.tile(values, (d, 1))),
+        law_time=np.zeros(d),
+    )
+    return StudyResults(tuple(designs), one.scenarios, (case,))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, gain, option
 from studies import Study, run_study
 

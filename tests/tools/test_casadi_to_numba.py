@@ -11,7 +11,7 @@ import casadi
 import numpy as np
 import pytest
 
-from helpers.tools import tool
+from helpers.cli import tool
 from ldctoolkit.errors import InputError
 from ldctoolkit.vehicle import _nonlinear_compiled
 

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import polars as pl
 
-from helpers import das1, das2
+from helpers import spmd
 
 Files = dict[str, bytes]  # content of each file by its name, with folders
 
@@ -19,7 +19,7 @@ DEPARTURES = {"table": TRIPS, "spmd-das1": TRIPS, "spmd-das2": TRIPS, "uah-drive
 
 def _drives() -> list:
     return [
-        das1.planted_drive(7, trip, [das1.Planted((-1) ** trip, 0.93, 1.5, 0.2 + 0.05 * trip)], rows=ROWS)
+        spmd.planted_drive(7, trip, [spmd.Planted((-1) ** trip, 0.93, 1.5, 0.2 + 0.05 * trip)], rows=ROWS)
         for trip in range(1, TRIPS + 1)
     ]
 
@@ -46,15 +46,15 @@ def _table() -> tuple[Files, Files, Files]:
 def _das1() -> Files:
     drives = _drives()
     return {
-        "DataLane.csv": das1.text_of(das1.lane_frame(drives), bom=True, crlf=False),
-        "DataWsu.csv": das1.text_of(das1.wsu_frame(drives), crlf=False),
+        "DataLane.csv": spmd.text_of(spmd.lane_frame(drives), bom=True, crlf=False),
+        "DataWsu.csv": spmd.text_of(spmd.wsu_frame(drives), crlf=False),
     }
 
 
 def _das2() -> tuple[Files, Files]:
-    rows = [row for drive in _drives() for row in das2.rows_of(drive)]
-    with_header = "\n".join([das2.HEADER, *das2.lines_of(rows)]) + "\n"
-    without = "\n".join([das2.ODD_FIRST, *das2.lines_of(rows, 45)]) + "\n"
+    rows = [row for drive in _drives() for row in spmd.rows_of(drive)]
+    with_header = "\n".join([spmd.HEADER, *spmd.lines_of(rows)]) + "\n"
+    without = "\n".join([spmd.ODD_FIRST, *spmd.lines_of(rows, 45)]) + "\n"
     return {"HV_Primary.csv": with_header.encode()}, {"HV_Primary.csv": without.encode()}
 
 

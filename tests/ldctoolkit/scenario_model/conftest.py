@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from helpers.fits import varied_departures
+from helpers.models import varied_departures
 from ldctoolkit.departures import Departures
 
 

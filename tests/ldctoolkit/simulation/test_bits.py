@@ -12,7 +12,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.grids import some
+from helpers.closed_loop import some
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import RandomStream, normals, uniforms
 

@@ -13,10 +13,10 @@ from helpers.closed_loop import (
     Stepped,
     assert_same_rows,
     assert_within_the_bound,
+    grid,
     make_scenarios,
     with_residuals,
 )
-from helpers.grids import grid
 from ldctoolkit import Controller, EventStatus, Scenarios, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres

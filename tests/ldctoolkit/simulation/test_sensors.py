@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from helpers.closed_loop import Stepped, assert_same_rows, assert_within_the_bound
-from helpers.grids import grid
+from helpers.closed_loop import Stepped, assert_same_rows, assert_within_the_bound, grid
 from ldctoolkit import Controller, LinearLaw, Outcome, Plant, Scenarios, SteeringLaw, simulate
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 

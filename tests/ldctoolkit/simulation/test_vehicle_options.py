@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from helpers.closed_loop import Constant, Stepped
-from helpers.grids import grid, some
+from helpers.closed_loop import Constant, Stepped, grid, some
 from helpers.reference_loop import Vehicle
 from ldctoolkit import BicycleModel, Controller, Plant, Scenarios, VehicleParameters, simulate
 from ldctoolkit import lane_functions as lanes

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.pages import Page
-from helpers.reports import PRIMARY, grid, invented_scenarios, page_of, report_input, run
+from helpers.results import PRIMARY, grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
 from studies.pages.context import ReportInput
 from studies.results import Case, StudyResults

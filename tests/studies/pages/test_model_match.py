@@ -15,7 +15,7 @@ from scipy import stats
 import ldctoolkit
 import studies
 from controllers import LQR, LinearMPC, PreviewProportional
-from helpers.reports import invented_scenarios
+from helpers.results import invented_scenarios
 from ldctoolkit import Controller, Outcome, Scenarios, Setup
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture

@@ -14,7 +14,7 @@ import pytest
 from controllers import LQR, NoControl, PreviewProportional
 from helpers.browser_pages import HOSTILE, ORDINARY, Made
 from helpers.pages import EVIL, Page
-from helpers.reports import (
+from helpers.results import (
     PRIMARY,
     SECTIONS,
     grid,

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from helpers.races import race
+from helpers.results import race
 from ldctoolkit.errors import InputError
 from studies.racing import Decision, race_round
 from studies.running.tasks import prefix_rows, schedule

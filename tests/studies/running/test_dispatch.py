@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
 from studies import Study, read_results, run_study, runner

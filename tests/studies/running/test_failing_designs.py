@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Unsighted, known
 from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, gain, registry
 from ldctoolkit.errors import StoreError

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
 from studies import Study, StudyResults, read_results, run_study
 from studies.runner import study_model

@@ -16,7 +16,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.laws import Unsighted, known
+from helpers.closed_loop import Unsighted, known
 from helpers.results import case_of_outcomes
 from helpers.results import results_of as given_results
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gain, simulate

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers import das1
+from helpers import spmd
 from helpers.examples import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
@@ -38,14 +38,14 @@ def assert_same(left: Iterable[Recording], right: Iterable[Recording]) -> None:
 
 @pytest.mark.parametrize("first", [0, 43580])
 def test_planted_departures_are_given_back(tmp_path: Path, first: int) -> None:
-    das1.write_tables(tmp_path, [das1.planted_drive(10107, 60, first=first)])
+    spmd.write_tables(tmp_path, [spmd.planted_drive(10107, 60, first=first)])
     found = extracted(READER.open([tmp_path])).departures
-    assert found.n == len(das1.PLANTED)
-    for i, one in enumerate(das1.PLANTED):
+    assert found.n == len(spmd.PLANTED)
+    for i, one in enumerate(spmd.PLANTED):
         assert (found.side[i], found.recording[i]) == (one.side, "10107/60")
         assert found.start_time[i] == pytest.approx(first / 100.0 + one.start, abs=0.1)
         assert (found.T[i], found.d_y[i]) == (pytest.approx(one.T, abs=0.1), pytest.approx(one.d_y, abs=0.01))
-        c = one.side * das1.curvature_at(np.array([one.start, one.start + one.T]))
+        c = one.side * spmd.curvature_at(np.array([one.start, one.start + one.T]))
         assert np.sign(found.c_0[i]) == np.sign(c[0])
         # the road bends by a sine: near its crest the slope says nothing
         if abs(c[1] - c[0]) > 1e-4:
@@ -66,7 +66,7 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
         "7,1,60,-2.0,1.5,0,3,3\n"
         "7,1,70,-2.0,1.5,0,3,3\n"
     )
-    header = ["Device", "Trip", "Time", *das1.WSU_COLUMNS[3:]]
+    header = ["Device", "Trip", "Time", *spmd.WSU_COLUMNS[3:]]
     base = dict.fromkeys(header, 0) | {"Device": 7, "Trip": 1, "GpsValidWsu": 1, "GpsSpeedWsu": 9.0, "ValidCanWsu": 1}
     base |= {"SpeedWsu": 36.0, "YawRateWsu": 180.0, "GpsHeadingWsu": 90.0}
     changes: list[dict[str, object]] = [
@@ -93,10 +93,10 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("lag", "near"), [(4, True), (-4, True), (5, True), (-5, True), (6, False), (-6, False)])
 def test_a_lag_of_more_than_half_a_step_joins_nothing(tmp_path: Path, lag: int, near: bool) -> None:
     """Every second lane row is left out, so that the next row of DataWsu is no nearer."""
-    drive = das1.planted_drive(7, 1, rows=100, speed=20.0 + np.arange(100) / 8)
-    das1.write_tables(tmp_path, [drive], lag=lag)
-    wsu = das1.wsu_frame([drive], lag=lag)[::2]
-    (tmp_path / "DataWsu.csv").write_bytes(das1.text_of(wsu))
+    drive = spmd.planted_drive(7, 1, rows=100, speed=20.0 + np.arange(100) / 8)
+    spmd.write_tables(tmp_path, [drive], lag=lag)
+    wsu = spmd.wsu_frame([drive], lag=lag)[::2]
+    (tmp_path / "DataWsu.csv").write_bytes(spmd.text_of(wsu))
     (one,), _ = read_all(READER.open([tmp_path]))
     expected = wsu["SpeedWsu"].to_numpy() / 3.6
     np.testing.assert_allclose(one.speed[::2], expected if near else np.full(50, np.nan), rtol=1e-12)
@@ -105,15 +105,15 @@ def test_a_lag_of_more_than_half_a_step_joins_nothing(tmp_path: Path, lag: int, 
 def fleet() -> list[object]:
     rng = np.random.default_rng(5)
     return [
-        das1.planted_drive(10100 + i // 7, i, das1.PLANTED[: i % 9], first=int(rng.integers(0, 999)), rows=300 + 97 * i)
+        spmd.planted_drive(10100 + i // 7, i, spmd.PLANTED[: i % 9], first=int(rng.integers(0, 999)), rows=300 + 97 * i)
         for i in range(17)
     ]
 
 
 def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     drives = fleet()
-    das1.write_tables(tmp_path, drives[:9], suffix="_October")
-    das1.write_tables(tmp_path, drives[9:], suffix="_April")
+    spmd.write_tables(tmp_path, drives[:9], suffix="_October")
+    spmd.write_tables(tmp_path, drives[9:], suffix="_April")
     whole = READER.open([tmp_path])
     recordings, problems = read_all(whole)
     assert len(whole.parts) == 2  # two lane tables
@@ -139,27 +139,27 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
 
 def test_the_order_of_trips_in_the_other_table_does_not_matter(tmp_path: Path) -> None:
     drives = fleet()
-    lane, wsu = das1.write_tables(tmp_path, drives)
+    lane, wsu = spmd.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([lane, wsu]))
-    wsu.write_bytes(das1.text_of(das1.wsu_frame(drives[::-1])))
+    wsu.write_bytes(spmd.text_of(spmd.wsu_frame(drives[::-1])))
     assert_same(read_all(READER.open([wsu, lane]))[0], recordings)
 
 
 def test_columns_are_found_by_name(tmp_path: Path) -> None:
     drives = fleet()[:3]
-    lane, wsu = das1.write_tables(tmp_path, drives)
+    lane, wsu = spmd.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([tmp_path]))
-    frame = das1.lane_frame(drives)
-    order = ["Device", "Trip", *reversed([name for name in das1.LANE_COLUMNS[2:] if name != "LaneHeading"])]
-    lane.write_bytes(das1.text_of(frame.select(order)).replace(b"LaneDistanceLeft", b" lanedistanceleft "))
-    wsu.write_bytes(das1.text_of(das1.wsu_frame(drives).with_columns(pl.lit('a "word"').alias("Note"))))
+    frame = spmd.lane_frame(drives)
+    order = ["Device", "Trip", *reversed([name for name in spmd.LANE_COLUMNS[2:] if name != "LaneHeading"])]
+    lane.write_bytes(spmd.text_of(frame.select(order)).replace(b"LaneDistanceLeft", b" lanedistanceleft "))
+    wsu.write_bytes(spmd.text_of(spmd.wsu_frame(drives).with_columns(pl.lit('a "word"').alias("Note"))))
     assert_same(read_all(READER.open([tmp_path]))[0], recordings)
 
 
 @pytest.mark.parametrize("name", ["padded", "quoted", "null", "blank lines", "lf", "no last line end", "exponents"])
 def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
     drives = fleet()[:3]
-    lane, wsu = das1.write_tables(tmp_path, drives)
+    lane, wsu = spmd.write_tables(tmp_path, drives)
     recordings, _ = read_all(READER.open([tmp_path]))
     for path in (lane, wsu):
         text = path.read_bytes().decode("utf-8-sig")
@@ -171,7 +171,7 @@ def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
         elif name == "quoted":
             cells = [[f'"{cell}"' for cell in row] for row in cells]
         elif name == "null":
-            unused = das1.LANE_COLUMNS.index("LaneHeading") if path is lane else das1.WSU_COLUMNS.index("WiperWsu")
+            unused = spmd.LANE_COLUMNS.index("LaneHeading") if path is lane else spmd.WSU_COLUMNS.index("WiperWsu")
             cells = [[*row[:unused], "NULL", *row[unused + 1 :]] for row in cells]
         elif name == "exponents":
             cells = [[*row[:3], *(f"{float(cell):.17E}" for cell in row[3:])] for row in cells]
@@ -188,7 +188,7 @@ def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
 def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
     inner = tmp_path / "October" / "DAS1"
     inner.mkdir(parents=True)
-    das1.write_tables(inner, fleet()[:2])
+    spmd.write_tables(inner, fleet()[:2])
     (tmp_path / "DataFrontTargets.csv").write_text("Device,Trip,Time,TargetId\n1,2,3,4\n")
     (tmp_path / "Trip_Summary_File_DataWsu_April.csv").write_text("DeviceID,TripID\n1,2\n")
     (tmp_path / "readme.txt").write_text("words")
@@ -204,7 +204,7 @@ def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
 def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
     for i, month in enumerate(("october", "april")):
         (tmp_path / month).mkdir()
-        das1.write_tables(tmp_path / month, fleet()[2 * i : 2 * i + 2])
+        spmd.write_tables(tmp_path / month, fleet()[2 * i : 2 * i + 2])
     source = READER.open([tmp_path])
     assert [one.name for one in source.files] == [
         "april/DataLane.csv", "october/DataLane.csv", "april/DataWsu.csv", "october/DataWsu.csv",
@@ -215,12 +215,12 @@ def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("folder", "suffix"), [("two-month", ""), ("one-day", "_04_11_13")])
 def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder: str, suffix: str) -> None:
     lane, wsu = sample / folder / f"DataLane{suffix}.csv", sample / folder / f"DataWsu{suffix}.csv"
-    for path, make in ((lane, das1.wsu_frame), (wsu, das1.lane_frame)):
+    for path, make in ((lane, spmd.wsu_frame), (wsu, spmd.lane_frame)):
         real = pl.read_csv(path, columns=["Device", "Trip", "Time"])
         device, trip = real["Device"][0], real["Trip"][0]
-        drive = das1.planted_drive(device, trip, first=real["Time"][0], rows=real.height)
+        drive = spmd.planted_drive(device, trip, first=real["Time"][0], rows=real.height)
         partner = tmp_path / "partner.csv"
-        partner.write_bytes(das1.text_of(make([drive])))
+        partner.write_bytes(spmd.text_of(make([drive])))
         (one,), problems = read_all(READER.open([path, partner]))
         assert (problems, one.name) == ([], f"{device}/{trip}")
         assert one.samples == real.height == 19
@@ -237,7 +237,7 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
 
 
 def test_nothing_to_read(tmp_path: Path) -> None:
-    lane, wsu = das1.write_tables(tmp_path, fleet()[:1])
+    lane, wsu = spmd.write_tables(tmp_path, fleet()[:1])
     with pytest.raises(RecordingError, match="no table DataWsu"):
         READER.open([lane])
     with pytest.raises(RecordingError, match="no table DataLane"):

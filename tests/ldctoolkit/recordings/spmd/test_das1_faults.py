@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import das1
+from helpers import spmd
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.spmd_das1 import ALONE, READER
@@ -18,7 +18,7 @@ ROWS = 120  # rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in li
 
 @pytest.fixture
 def tables(tmp_path: Path) -> tuple[Path, Path]:
-    return das1.write_tables(tmp_path, [das1.planted_drive(7, trip, rows=ROWS) for trip in (1, 2, 3)])
+    return spmd.write_tables(tmp_path, [spmd.planted_drive(7, trip, rows=ROWS) for trip in (1, 2, 3)])
 
 
 def read(*paths: Path) -> tuple[dict[str, Recording], list[str]]:
@@ -157,9 +157,9 @@ def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(tables: tuple[Path
     """A table of one day is part of a larger one, and both are given."""
     clean, _ = read(*tables)
     again = tmp_path / "DataLane_again.csv"
-    again.write_bytes(das1.text_of(das1.lane_frame([das1.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
+    again.write_bytes(spmd.text_of(spmd.lane_frame([spmd.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
     other = tmp_path / "DataWsu_again.csv"
-    other.write_bytes(das1.text_of(das1.wsu_frame([das1.planted_drive(7, 3, rows=50)])))
+    other.write_bytes(spmd.text_of(spmd.wsu_frame([spmd.planted_drive(7, 3, rows=50)])))
     recordings, problems = read(*tables, again, other)
     assert [one.samples for one in recordings.values()] == [ROWS] * 3 + [50]
     assert problems == [
@@ -231,8 +231,8 @@ def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
 
 
 def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
-    drives = [das1.planted_drive(7, trip, rows=3) for trip in range(1, 41)]
-    tables[0].write_bytes(das1.text_of(das1.lane_frame(drives)))
+    drives = [spmd.planted_drive(7, trip, rows=3) for trip in range(1, 41)]
+    tables[0].write_bytes(spmd.text_of(spmd.lane_frame(drives)))
     recordings, problems = read(*tables)
     assert (problems, list(recordings)) == ([], [f"7/{trip}" for trip in range(1, 41)])
     for trip, one in enumerate(recordings.values(), 1):
@@ -241,14 +241,14 @@ def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
         assert np.isfinite(one.speed).all() == np.isfinite(one.yaw_rate).all() == known
         assert one.notes == (() if known else (ALONE,))
     # rows of the other table alone are nothing unusual
-    das1.write_tables(tables[0].parent, [das1.planted_drive(7, 1, rows=30)])
-    tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
+    spmd.write_tables(tables[0].parent, [spmd.planted_drive(7, 1, rows=30)])
+    tables[1].write_bytes(spmd.text_of(spmd.wsu_frame(drives)))
     assert read(*tables)[1] == []
 
 
 def test_tables_whose_clocks_never_meet(tables: tuple[Path, Path]) -> None:
-    drives = [das1.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)]
-    tables[1].write_bytes(das1.text_of(das1.wsu_frame(drives)))
+    drives = [spmd.planted_drive(7, trip, first=9000 * (trip == 2), rows=ROWS) for trip in (1, 2, 3)]
+    tables[1].write_bytes(spmd.text_of(spmd.wsu_frame(drives)))
     recordings, problems = read(*tables)
     assert samples(recordings) == [ROWS, 0, ROWS]
     assert problems == [
@@ -372,11 +372,11 @@ def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Pat
 
 
 def test_departures_beside_faults(tmp_path: Path) -> None:
-    lane, wsu = das1.write_tables(tmp_path, [das1.planted_drive(7, trip) for trip in (1, 2)])
+    lane, wsu = spmd.write_tables(tmp_path, [spmd.planted_drive(7, trip) for trip in (1, 2)])
     edit(lane, put(1801, b"7,2,5990,broken"))  # between two departures
     source = READER.open([lane, wsu])
     result = extract_part(source.parts[0], Criteria(vehicle_width=1.82), Preparation(step=0.1))
-    assert result.departures.n == 2 * len(das1.PLANTED)
+    assert result.departures.n == 2 * len(spmd.PLANTED)
     assert [str(one) for one in result.problems] == [
         "DataLane.csv, line 1801: 4 cells; the header has 8 columns; the line is left out"
     ]

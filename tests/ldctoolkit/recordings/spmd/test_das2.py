@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from helpers import das1, das2
+from helpers import spmd
 from helpers.examples import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
@@ -33,7 +33,7 @@ def write(tmp_path: Path) -> Write:
     ) -> Path:  # fmt: skip
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
-        head = [",".join(das2.COLUMNS)] if header else []
+        head = [",".join(spmd.COLUMNS)] if header else []
         path.write_bytes(start + "".join(line + end for line in [*head, *lines]).encode())
         return path
 
@@ -51,7 +51,7 @@ def read(*paths: Path, part_bytes: int = 1 << 25) -> tuple[dict[str, Recording],
 
 
 def lines_of(trip: int, rows: int = 30, cells: int = 53, **more: Any) -> list[str]:
-    found: list[str] = das2.lines_of(das2.rows_of(das1.planted_drive(10, trip, rows=rows), **more), cells)
+    found: list[str] = spmd.lines_of(spmd.rows_of(spmd.planted_drive(10, trip, rows=rows), **more), cells)
     return found
 
 
@@ -97,28 +97,28 @@ SHAPES = {
 def test_planted_departures_come_back(shape: str, write: Write) -> None:
     how: dict[str, Any] = dict(SHAPES[shape])
     cells, odd, mixed = how.pop("cells", 53), how.pop("odd", False), how.pop("mixed", False)
-    drives = [das1.planted_drive(10, 1), das1.planted_drive(10, 2, first=-7), das1.planted_drive(11, 1)]
+    drives = [spmd.planted_drive(10, 1), spmd.planted_drive(10, 2, first=-7), spmd.planted_drive(11, 1)]
     drives = [dataclasses.replace(one, time=np.asarray(one.time) + 7) for one in drives]  # no multiples of the step
-    rows = [line for one in drives for line in das2.lines_of(das2.rows_of(one), cells)]
+    rows = [line for one in drives for line in spmd.lines_of(spmd.rows_of(one), cells)]
     if mixed:
         rows[::3] = [row + ",NULL" * 8 for row in rows[::3]]
     if how.pop("header45", False):
-        rows, how["header"] = [",".join(das2.COLUMNS[:45]), *rows], False
-    path = write([das2.ODD_FIRST] * odd + rows, **how)
+        rows, how["header"] = [",".join(spmd.COLUMNS[:45]), *rows], False
+    path = write([spmd.ODD_FIRST] * odd + rows, **how)
     opened = open_recordings([path])
     assert opened.reader.name == "spmd-das2"
     found = extract_departures(opened)
     assert found.problems == ()
     departures = found.departures
-    assert departures.n == 3 * len(das1.PLANTED)
-    assert departures.recording.tolist() == [f"{one.device}/{one.trip}" for one in drives for _ in das1.PLANTED]
-    for i, (drive, planted) in enumerate((drive, one) for drive in drives for one in das1.PLANTED):
+    assert departures.n == 3 * len(spmd.PLANTED)
+    assert departures.recording.tolist() == [f"{one.device}/{one.trip}" for one in drives for _ in spmd.PLANTED]
+    for i, (drive, planted) in enumerate((drive, one) for drive in drives for one in spmd.PLANTED):
         assert departures.side[i] == planted.side
         assert abs(departures.start_time[i] - drive.time[0] / 100.0 - planted.start) <= 0.1
         assert abs(departures.T[i] - planted.T) <= 0.1
         assert abs(departures.d_y[i] - planted.d_y) <= 0.01
         # outward: a left bend bends outwards for a departure to the left
-        road = planted.side * das1.curvature_at(np.array([planted.start, planted.start + planted.T]))
+        road = planted.side * spmd.curvature_at(np.array([planted.start, planted.start + planted.T]))
         assert np.sign(departures.c_0[i]) == np.sign(road[0])
         assert abs(departures.c_0[i] - road[0]) < 2e-4
         if abs(road[1] - road[0]) > 5e-5:
@@ -127,9 +127,9 @@ def test_planted_departures_come_back(shape: str, write: Write) -> None:
 
 
 def test_a_yaw_rate_of_the_other_sign_is_warned_about(write: Write) -> None:
-    drive = das1.planted_drive(10, 1)
+    drive = spmd.planted_drive(10, 1)
     other = dataclasses.replace(drive, yaw_rate=-drive.yaw_rate, heading=drive.heading)
-    found = extract_departures(open_recordings([write(das2.lines_of(das2.rows_of(other)))]))
+    found = extract_departures(open_recordings([write(spmd.lines_of(spmd.rows_of(other)))]))
     assert any("yaw" in words for words in found.warnings)
 
 
@@ -255,7 +255,7 @@ def test_a_file_that_cannot_be_used(fault: str, header: bool, write: Write) -> N
 def test_columns_that_are_not_needed_may_be_missing(write: Write) -> None:
     rows = [
         {name: cell for name, cell in row.items() if name not in ("InVehicle_Yaw_Rate", "GPS_Valid")}
-        for row in das2.rows_of(das1.planted_drive(10, 1, rows=30))
+        for row in spmd.rows_of(spmd.planted_drive(10, 1, rows=30))
     ]
     path = write([",".join(rows[0]), *(",".join(row.values()) for row in rows)], header=False)
     recordings, problems = read(path)
@@ -337,7 +337,7 @@ def by_hand(lines: list[str]) -> tuple[dict[str, list[tuple[float, ...]]], set[i
 @given(rows(), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.integers(1, 3000))
 def test_against_plain_python(lines: list[str], end: str, ended: bool, part_bytes: int) -> None:
     expected, faulty = by_hand(lines)
-    text = das2.HEADER + end + end.join(lines) + end * ended
+    text = spmd.HEADER + end + end.join(lines) + end * ended
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "HV_Primary.csv")
         path.write_bytes(text.encode())

@@ -1,5 +1,6 @@
-"""The nonlinear plant: compiled against CasADi, its linearisation, its symmetry, its tyres, another library's model."""
+"""The vehicle: linear bicycle, saturating tyres, speeds."""
 
+import dataclasses
 import inspect
 import math
 from typing import Any
@@ -8,17 +9,141 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 import pytest
+import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from vehiclemodels.vehicle_dynamics_st import vehicle_dynamics_st
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-from helpers.grids import grid
-from helpers.tools import tool
+from helpers.cli import tool
+from helpers.closed_loop import grid
 from ldctoolkit import BicycleModel, VehicleParameters
-from ldctoolkit.vehicle import _nonlinear_compiled
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.vehicle import _nonlinear_compiled, discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY
+from ldctoolkit.vehicle.discretization import expm
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
+
+SPEEDS = np.array([1.0, 5.0, 13.7, 28.0, 60.0])
+OTHER = VehicleParameters(C_af=61000.0, C_ar=93000.0, l_f=1.1, l_r=1.7, m=1573.0, I_z=2873.0)
+
+
+@pytest.mark.parametrize("p", [VehicleParameters(), OTHER])
+@pytest.mark.parametrize("v", SPEEDS)
+def test_every_entry_is_rajamanis(p: VehicleParameters, v: float) -> None:
+    A, B, E = (matrix[0] for matrix in BicycleModel(p).matrices([v]))
+    Caf, Car, lf, lr, m, Iz = p.C_af, p.C_ar, p.l_f, p.l_r, p.m, p.I_z
+    # eq. 2.45 as printed in the book, entry by entry
+    book_A = [
+        [0, 1, 0, 0],
+        [0, -(2 * Caf + 2 * Car) / (m * v), (2 * Caf + 2 * Car) / m, (-2 * Caf * lf + 2 * Car * lr) / (m * v)],
+        [0, 0, 0, 1],
+        [
+            0, -(2 * Caf * lf - 2 * Car * lr) / (Iz * v), (2 * Caf * lf - 2 * Car * lr) / Iz,
+            -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v),
+        ],
+    ]  # fmt: skip
+    book_B = [0, 2 * Caf / m, 0, 2 * Caf * lf / Iz]
+    book_E = [0, -(2 * Caf * lf - 2 * Car * lr) / (m * v) - v, 0, -(2 * Caf * lf**2 + 2 * Car * lr**2) / (Iz * v)]
+    np.testing.assert_allclose(A, book_A, rtol=1e-14)
+    np.testing.assert_allclose(B, book_B, rtol=1e-14)
+    np.testing.assert_allclose(E, book_E, rtol=1e-14)
+
+
+def test_as_printed_changes_one_entry() -> None:
+    p, v = VehicleParameters(), 20.0
+    ours, printed = (BicycleModel(p, c).matrices([v])[0][0] for c in ("consistent", "as_printed"))
+    assert printed[1, 3] == pytest.approx(-(2 * p.C_af * p.l_f + 2 * p.C_ar * p.l_r) / (p.m * v), rel=1e-14)
+    changed = ours != printed
+    assert np.argwhere(changed).tolist() == [[1, 3]]
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.01, 0.05, 0.2])
+def test_discretisation_equals_scipys_exponential(dt: float) -> None:
+    model = BicycleModel(OTHER)
+    A, B, E = model.matrices(SPEEDS)
+    step = model.discretize(SPEEDS, dt)
+    for i in range(SPEEDS.size):
+        # x, delta, r, slope of r: the classic augmentation in unscaled time
+        M = np.zeros((7, 7))
+        M[:4, :4], M[:4, 4], M[:4, 5], M[5, 6] = A[i], B[i], E[i], 1.0
+        phi = scipy.linalg.expm(M * dt)
+        E_1 = phi[:4, 6] / dt if dt else np.zeros(4)
+        # measured against the size of the terms: entries of B reach 10
+        for ours, theirs in (
+            (step.A, phi[:4, :4]),
+            (step.B, phi[:4, 4]),
+            (step.E_0, phi[:4, 5] - E_1),
+            (step.E_1, E_1),
+        ):
+            np.testing.assert_allclose(ours[i], theirs, rtol=1e-12, atol=1e-12)
+
+
+def test_area_weights_equal_quadrature() -> None:
+    model, dt = BicycleModel(), 0.05
+    step = model.discretize([17.0], dt)
+    A, B, E = (matrix[0] for matrix in model.matrices([17.0]))
+    x_0, delta, r_0, r_1 = np.array([0.9, 0.3, -0.02, 0.1]), 0.03, 0.05, 0.08
+
+    def e_y(s: float) -> float:
+        M = np.zeros((7, 7))
+        M[:4, :4], M[:4, 4], M[:4, 5], M[5, 6] = A, B, E, 1.0
+        return float((scipy.linalg.expm(M * s) @ [*x_0, delta, r_0, (r_1 - r_0) / dt])[0])
+
+    expected, _ = quad(e_y, 0.0, dt, epsabs=1e-14)
+    area = step.area_x[0] @ x_0 + step.area_delta[0] * delta + step.area_r_0[0] * r_0 + step.area_r_1[0] * r_1
+    assert area == pytest.approx(expected, abs=1e-13)
+
+
+def test_a_result_does_not_depend_on_the_stack() -> None:
+    rng = np.random.default_rng(0)
+    M = rng.normal(size=(40, 8, 8)) * rng.uniform(0.01, 30, (40, 1, 1))
+    whole = expm(M)
+    for i in (0, 13, 39):
+        np.testing.assert_array_equal(expm(M[i : i + 1])[0], whole[i])
+    assert expm(M[:0]).shape == (0, 8, 8)
+
+
+def test_steady_state_holds_a_bend() -> None:
+    model = BicycleModel(OTHER)
+    A, B, E = model.matrices(SPEEDS)
+    steady = model.steady_state(SPEEDS)
+    x = np.zeros((SPEEDS.size, 4))
+    x[:, 2] = steady.e_psi
+    rest = np.einsum("nij,nj->ni", A, x) + B * steady.delta[:, None] + E
+    np.testing.assert_allclose(rest, 0.0, atol=1e-9)
+    # Rajamani eq. 3.12: delta = L/R + K_V a_y, per unit of yaw rate v/R
+    p, v, length = OTHER, SPEEDS, OTHER.l_f + OTHER.l_r
+    K_V = p.l_r * p.m / (2 * p.C_af * length) - p.l_f * p.m / (2 * p.C_ar * length)
+    np.testing.assert_allclose(steady.delta, length / v + K_V * v, rtol=1e-12)
+    # and its heading error -l_r/R + l_f m v^2 / (2 C_ar L R)
+    np.testing.assert_allclose(steady.e_psi, -p.l_r / v + p.l_f * p.m * v / (2 * p.C_ar * length), rtol=1e-11)
+
+
+@pytest.mark.parametrize("v", [0.0, -3.0, np.nan, np.inf])
+def test_bad_speeds_are_named(v: float) -> None:
+    with pytest.raises(InputError, match=r"v\[1\] = .* m/s; allowed: finite speeds > 0"):
+        BicycleModel().matrices([20.0, v])
+
+
+def test_other_bad_input_is_named() -> None:
+    with pytest.raises(InputError, match=r"convention: 'printed'.*did you mean 'as_printed'"):
+        BicycleModel(convention="printed")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"vehicle\.m: -1"):
+        VehicleParameters(m=-1.0)
+    with pytest.raises(InputError, match=r"vehicle\.I_z: '3'"):
+        VehicleParameters(I_z="3")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"vehicle\.w_v: 4\.0 m; allowed: less than the lane's width"):
+        VehicleParameters(w_v=4.0)
+    with pytest.raises(InputError, match=r"dt\[0\] = -0\.1 s"):
+        discretize(np.zeros((1, 4, 4)), np.zeros((1, 4)), np.zeros((1, 4)), -0.1)
+
+
+def test_defaults_are_table_i() -> None:
+    table = {"C_af": 80000, "C_ar": 80000, "l_f": 1.43, "l_r": 1.47, "m": 1000, "I_z": 3344, "w_l": 3.6, "w_v": 1.9}
+    assert dataclasses.asdict(VehicleParameters()) == table
+
 
 INPUTS, PARAMETERS = tool("nonlinear_plant").INPUTS, tool("nonlinear_plant").PARAMETERS
 DYNAMICS = tool("nonlinear_plant").nonlinear_dynamics()
@@ -30,7 +155,6 @@ JACOBIAN = casadi.Function(
 nonlinear_rhs = _nonlinear_compiled.nonlinear_rhs.py_func
 """The generated lines as Python evaluates them; compiled they are tested in the closed loop."""
 
-OTHER = VehicleParameters(C_af=61000.0, C_ar=93000.0, l_f=1.1, l_r=1.7, m=1573.0, I_z=2873.0)
 MU, SHAPE = 0.9, 1.3
 
 
@@ -225,3 +349,59 @@ def test_a_lane_change_equals_commonroads_single_track_model(p: VehicleParameter
     # yaw rate, side slip, lateral position at 0.02 rad: 2.5 m/s^2, where the tyres' bend is seen in the side slip
     at_most = [0.01, 0.06, 0.005] if mu < 1.0 else [2e-4, 2e-4, 1e-4]
     assert np.all(differences[0] / sizes[0] < at_most)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Smooth:
+    scale: float
+
+    def __call__(self, v: np.ndarray) -> np.ndarray:
+        return np.column_stack([self.scale / v, np.exp(-v / 30.0), np.zeros_like(v)])
+
+
+def test_a_smooth_function_comes_back_to_rounding() -> None:
+    v = np.concatenate([SPEED_RANGE, np.random.default_rng(0).uniform(*SPEED_RANGE, 50)])
+    values = scheduled(_Smooth(3.0), v, "values")
+    assert values.flags.c_contiguous
+    # Clenshaw's recurrence with 48 terms multiplies roundings at the ends of the range
+    np.testing.assert_allclose(values, _Smooth(3.0)(v), rtol=0, atol=1e-12)
+
+
+def test_equal_functions_share_one_interpolant_and_others_do_not() -> None:
+    calls = []
+
+    @dataclasses.dataclass(frozen=True)
+    class Counted(_Smooth):
+        def __call__(self, v: np.ndarray) -> np.ndarray:
+            calls.append(v.size)
+            return super().__call__(v)
+
+    v = np.array([20.0])
+    first, second, other = (scheduled(Counted(scale), v, "values") for scale in (2.0, 2.0, 4.0))
+    assert len(calls) == 2
+    np.testing.assert_array_equal(first, second)
+    assert other[0, 0] == pytest.approx(0.2, abs=1e-12)
+
+
+def test_a_speed_has_the_same_bits_in_any_set() -> None:
+    v = np.random.default_rng(1).uniform(*SPEED_RANGE, 70)
+    together = scheduled(_Smooth(1.0), v, "values")
+    alone = np.concatenate([scheduled(_Smooth(1.0), v[i : i + 1], "values") for i in range(v.size)])
+    np.testing.assert_array_equal(together, alone)
+
+
+@pytest.mark.parametrize("v", [0.99, 90.1, float("nan")])
+def test_speeds_outside_the_range_are_named(v: float) -> None:
+    with pytest.raises(InputError, match=rf"{v:g} m/s; allowed for scheduled gains: 1 to 90"):
+        scheduled(_Smooth(1.0), np.array([20.0, v]), "values")
+
+
+def test_a_kink_is_refused() -> None:
+    with pytest.raises(LdcError, match="gains of a kink change too sharply with speed"):
+        scheduled(lambda v: np.abs(v - 20.0)[:, None], np.array([20.0]), "gains of a kink")
+
+
+def test_some_columns_have_the_bits_of_all() -> None:
+    v = np.random.default_rng(2).uniform(*SPEED_RANGE, 30)
+    whole = scheduled(_Smooth(1.0), v, "values")
+    np.testing.assert_array_equal(scheduled(_Smooth(1.0), v, "values", columns=slice(1, 3)), whole[:, 1:3])
