@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.examples import load_profile
+from helpers.bits import load_profile
 
 load_profile()
 

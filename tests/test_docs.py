@@ -114,19 +114,10 @@ def test_the_guides_laws_agree_without_integral_and_limit(guide: types.ModuleTyp
     assert (simulate(guide.LimitedOffset(), SCENARIOS).S != linear.S).all()
 
 
-ROOT_DOCSTRINGS = Path(__file__).resolve().parent.parent
-
-
 def modules_with_examples() -> list[str]:
     """Found by their text, so that collecting the tests imports nothing."""
-    files = [
-        path
-        for package in ("ldctoolkit", "controllers", "studies")
-        for path in (ROOT_DOCSTRINGS / package).rglob("*.py")
-    ]
-    shown = [
-        path.relative_to(ROOT_DOCSTRINGS).with_suffix("") for path in files if ">>>" in path.read_text(encoding="utf-8")
-    ]
+    files = [path for package in ("ldctoolkit", "controllers", "studies") for path in (ROOT / package).rglob("*.py")]
+    shown = [path.relative_to(ROOT).with_suffix("") for path in files if ">>>" in path.read_text(encoding="utf-8")]
     return sorted(".".join(path.parts).removesuffix(".__init__") for path in shown)
 
 

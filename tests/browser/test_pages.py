@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from helpers.looking import faults_of_access, faults_of_layout
+from helpers.pages import faults_of_access, faults_of_layout
 from helpers.results import SECTIONS
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

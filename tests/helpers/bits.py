@@ -1,10 +1,12 @@
-"""Comparison bit for bit, of whatever holds arrays."""
+"""The same bits, and numbers of examples."""
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from hypothesis import settings
 
 
 def assert_same_bits(one: Any, other: Any, where: str = "value") -> None:
@@ -31,3 +33,17 @@ def assert_same_bits(one: Any, other: Any, where: str = "value") -> None:
             assert_same_bits(a, b, f"{where}[{i}]")
     else:
         assert one == other, f"{where}: {one!r} and {other!r}"
+
+
+LONG = os.environ.get("LDC_TESTS") == "long"
+
+
+def load_profile() -> None:
+    """Without a deadline, since an example's time depends on what else the machine does; the same examples each run."""
+    settings.register_profile("ldc", deadline=None, derandomize=True, database=None, max_examples=100 if LONG else 25)
+    settings.load_profile("ldc")
+
+
+def examples(count: int, **more: Any) -> settings:
+    """Settings of one test: `count` examples in the longer tier, a quarter of them otherwise."""
+    return settings(max_examples=count if LONG else max(1, count // 4), **more)

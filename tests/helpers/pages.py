@@ -1,4 +1,4 @@
-"""A page as a reader's browser parses it: sections, tables, links and what its script is given."""
+"""Pages of a report, and what a reader sees of them."""
 
 import base64
 import dataclasses
@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,3 +137,25 @@ def whole(page: Page) -> None:
 def unpacked(one: Mapping[str, str]) -> npt.NDArray[Any]:
     """The numbers of a packed array."""
     return np.frombuffer(base64.b64decode(one["data"]), dtype=f"<{one['type']}")
+
+
+_LAYOUT = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
+
+_RULES = """() => axe.run(document, { resultTypes: ["violations"] }).then((found) => found.violations
+  .filter((v) => v.impact === "serious" || v.impact === "critical")
+  .flatMap((v) => v.nodes.slice(0, 5).map((n) => `${v.id} (${v.impact}): ${n.target.join(" ")} | ` +
+    n.any.concat(n.all, n.none).map((c) => c.message).join("; ").slice(0, 200))))"""
+
+
+def faults_of_layout(page: Any) -> list[str]:
+    """Text over text, cut text, sideways scrolling at the size of the window; empty for a page that reads well."""
+    found: list[str] = page.evaluate(_LAYOUT)
+    return found
+
+
+def faults_of_access(page: Any, axe: str) -> list[str]:
+    """Violations of axe-core's rules whose impact is serious or critical."""
+    if not page.evaluate("() => 'axe' in window"):
+        page.evaluate(axe)
+    found: list[str] = page.evaluate(_RULES)
+    return found

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.examples import examples
+from helpers.bits import examples
 from helpers.models import one_component_model
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import ModelError, UnknownNameError

@@ -1,14 +1,30 @@
-"""The diagnosis as a whole: what it warns of, what it compares, what it refuses."""
+"""Diagnoses of a fit: findings and numbers."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
 
+from helpers.bits import examples
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.diagnostics import SideDiagnostics, diagnose, diagnose_model
+from ldctoolkit.diagnostics import SideDiagnostics, Strip, box_share, diagnose, diagnose_model
+from ldctoolkit.diagnostics._marginals import (
+    ModelMarginal,
+    bin_edges,
+    bin_of,
+    calibrate,
+    joint_density,
+    kolmogorov_limit,
+    model_marginal,
+    strip_is_off,
+)
+from ldctoolkit.diagnostics.diagnosis import components, strips, weighted_quantile
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 from ldctoolkit.scenario_model import ModelProvenance, ScenarioModel, SideModel, SideSummary, load_model
 
 INF = np.inf
@@ -207,3 +223,209 @@ def test_the_reference_model_describes_its_own_events() -> None:
     found = diagnose(model.left_side, rows, n_model=50_000)
     assert (found.warnings, sum(one.events for one in found.components)) == ((), pytest.approx(2000))
     assert found.joint is not None
+
+
+def independent(transform: str | None = None) -> BoundedGaussianMixture:
+    """Two components without correlation, so that margins are sums of univariate truncated normals."""
+    return BoundedGaussianMixture.from_parameters(
+        [0.3, 0.7], [[0.2, 3.0], [2.0, -1.0]], [np.diag([1.0, 4.0]), np.diag([0.25, 1.0])], lower=[0.0, -INF],
+        upper=[INF, 40.0], transform=transform,
+    )  # fmt: skip
+
+
+def margin_cdf(x: np.ndarray, j: int) -> np.ndarray:
+    """Of `independent`, by scipy."""
+    low, high = [(0.0, INF), (-INF, 40.0)][j]
+    out = np.zeros_like(x)
+    for eta, mu, sigma in zip([0.3, 0.7], [[0.2, 3.0], [2.0, -1.0]], [[1.0, 2.0], [0.5, 1.0]], strict=True):
+        m, s = mu[j], sigma[j]
+        out += eta * stats.truncnorm((low - m) / s, (high - m) / s, loc=m, scale=s).cdf(x)
+    return out
+
+
+def correlated() -> Distribution:
+    return BoundedGaussianMixture.from_parameters(
+        [0.6, 0.4], [[0.0, 0.5], [1.5, 1.0]], [[[1.0, 0.6], [0.6, 0.8]], [[0.5, -0.2], [-0.2, 0.4]]], lower=[0.0, 0.0],
+        upper=[INF, 3.0],
+    ).distribution  # fmt: skip
+
+
+def test_box_share_is_the_univariate_one() -> None:
+    # separation of variables is exact here up to its lattice: 1e-6
+    lower, upper = np.array([0.0, -INF]), np.array([1.3, 40.0])
+    assert box_share(independent().distribution, lower, upper) == pytest.approx(
+        margin_cdf(np.array([1.3]), 0)[0], abs=2e-6
+    )
+
+
+def test_box_share_with_correlation_against_scipys_cdf() -> None:
+    model = correlated()
+    lower, upper = np.array([0.0, 0.4]), np.array([0.9, 1.7])
+    want = 0.0
+    for eta, mu, sigma in zip(model.weights, model.truncated.mu, model.truncated.Sigma, strict=True):
+        normal = stats.multivariate_normal(mu, sigma)
+        part = normal.cdf(upper, lower_limit=lower)
+        want += eta * part / normal.cdf(np.array([50.0, 3.0]), lower_limit=np.array([0.0, 0.0]))
+    assert box_share(model, lower, upper) == pytest.approx(want, abs=1e-5)  # scipy's own error in two dimensions
+
+
+def test_box_share_of_a_transformed_mixture() -> None:
+    """exp of a normal: the share below a value is the normal's at its logarithm."""
+    model = BoundedGaussianMixture.from_parameters([1.0], [[0.3]], [[[0.49]]], lower=0.0, transform="log")
+    got = box_share(model.distribution, np.array([0.0]), np.array([2.0]))
+    assert got == pytest.approx(stats.lognorm(0.7, scale=np.exp(0.3)).cdf(2.0), abs=1e-7)
+    whole = box_share(model.distribution, np.array([0.0]), np.array([INF]))
+    assert whole == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("j", [0, 1])
+def test_model_marginal_against_scipy(j: int) -> None:
+    model = independent().distribution
+    sample, _ = model.sample(50_000, 3)
+    marginal = model_marginal(model, sample, j)
+    x = np.linspace(-4.0, 5.0, 300)
+    # what is left is the sample's noise inside 16 stretches: 0.5/sqrt(50,000 * 16) = 0.00056, four of them
+    np.testing.assert_allclose(marginal.cdf(x), margin_cdf(x, j), atol=0.0023)
+    at_knots = marginal.ordered[marginal.rank[1:-1] - 1]
+    np.testing.assert_allclose(marginal.cdf(at_knots), margin_cdf(at_knots, j), atol=5e-5)
+
+
+def exact_marginal(n: int = 400_000) -> ModelMarginal:
+    """The uniform distribution."""
+    return ModelMarginal((np.arange(n) + 0.5) / n, np.array([0, n]), np.array([0.0, 1.0]))
+
+
+@examples(40)
+@given(st.integers(1, 60), st.integers(0, 10**6), st.booleans())
+def test_kolmogorov_distance_is_scipys(n: int, seed: int, ties: bool) -> None:
+    x = np.random.default_rng(seed).random(n)
+    x = np.round(x, 1) if ties else x
+    found = calibrate("T", x, np.full(n, 1.0 / n), exact_marginal(), 0.1)
+    assert found.distance == pytest.approx(stats.kstest(x, "uniform").statistic, abs=5e-6)  # half a step of the grid
+    assert np.abs(found.difference).max() <= found.distance + 1e-9
+
+
+def test_weights_count_as_repetitions() -> None:
+    x = np.random.default_rng(2).beta(2, 3, 50)
+    times = np.random.default_rng(3).integers(1, 5, 50)
+    weighted = calibrate("T", x, times / times.sum(), exact_marginal(), 0.1)
+    repeated = calibrate("T", np.repeat(x, times), np.full(times.sum(), 1 / times.sum()), exact_marginal(), 0.1)
+    assert weighted.distance == pytest.approx(repeated.distance, abs=1e-12)
+    np.testing.assert_allclose(weighted.difference, repeated.difference, atol=1e-12)
+    assert (
+        weighted_quantile(x, times / times.sum(), 0.05)
+        == np.sort(np.repeat(x, times))[int(np.ceil(0.05 * times.sum())) - 1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("n", "parameters"),
+    [(40, 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((700, 1), (30_000, 1), (700, 8)))],
+)
+def test_kolmogorov_limit_is_the_known_quantile(n: int, parameters: int) -> None:
+    """By drawing: events of the model are uniform numbers, and the limit is exceeded in 5 % of the draws."""
+    repetitions = 4000 if n < 1000 else 400
+    u = np.sort(np.random.default_rng(n).random((repetitions, n)), axis=1)
+    step = np.arange(n + 1) / n
+    distance = np.maximum((step[1:] - u).max(axis=1), (u - step[:-1]).max(axis=1))
+    share = 0.05 / parameters
+    error = np.sqrt(share * (1.0 - share) / repetitions)
+    assert np.mean(distance > kolmogorov_limit(n, parameters)) == pytest.approx(share, abs=4.0 * error)
+
+
+@pytest.mark.parametrize("parameters", [1, 8])
+def test_kolmogorov_limit_is_close_to_the_exact_quantile(parameters: int) -> None:
+    n = np.array([20, 50, 149, 1000, 30_000])
+    limits = [kolmogorov_limit(size, parameters) for size in n]
+    np.testing.assert_allclose(limits, stats.kstwo.isf(0.05 / parameters, n), rtol=6e-3)
+    np.testing.assert_allclose(limits[2:], stats.kstwo.isf(0.05 / parameters, n[2:]), rtol=1e-3)
+
+
+def test_kolmogorov_limit_falls_with_the_effective_number() -> None:
+    limits = [kolmogorov_limit(n, 8) for n in (0.0, 1.0, 9.0, 149.25, 149.9, 150.0, 150.5, 2000.0, 1e6)]
+    assert limits[0] == limits[1] == 1.0
+    assert all(one > other for one, other in itertools.pairwise(limits[1:]))
+
+
+def test_strips_count_and_integrate() -> None:
+    model = independent().distribution
+    x, _ = model.sample(4000, 9)
+    found, far = strips(model, ("a", "b"), x, np.full(4000, 1 / 4000), 4000.0)
+    assert ([(s.name, s.end) for s in found], far) == ([("a", "lower")], (("b", "upper"),))
+    (strip,) = found
+    assert strip.data == pytest.approx(np.mean(x[:, 0] <= strip.edge))
+    assert strip.data == pytest.approx(0.05, abs=1e-9)
+    assert strip.model == pytest.approx(margin_cdf(np.array([strip.edge]), 0)[0], abs=2e-6)
+    assert strip.error == pytest.approx(strip.model / strip.data - 1.0)
+    # binomial, relative: sqrt(p (1 - p)/n)/p
+    assert strip.standard_error == pytest.approx(np.sqrt(0.95 / 0.05 / 4000) * strip.model / strip.data)
+
+
+def test_a_strip_ends_at_the_event_that_completes_its_share() -> None:
+    """Twenty events of one weight: a twentieth of it is the first event, 19 twentieths are the first nineteen."""
+    x = np.arange(1.0, 21.0)[:, None]
+    whole = BoundedGaussianMixture.from_parameters([1.0], [[10.0]], [[[30.0]]], lower=0.0, upper=21.0).distribution
+    (low, high), far = strips(whole, ("a",), x, np.full(20, 0.05), 20.0)
+    assert (low.edge, low.data) == (1.0, pytest.approx(0.05))
+    assert (high.edge, high.data) == (19.0, pytest.approx(0.1))
+    assert far == ()
+    # half of what lies between both edges away is near: 9 beyond 19 is; an event on the bound makes no strip
+    for bounds, near in (((-8.0, 28.0), 2), ((1.0, 29.0), 0)):
+        ends = dataclasses.replace(whole.transform, lower=np.array(bounds[:1]), upper=np.array(bounds[1:]))
+        found, far = strips(dataclasses.replace(whole, transform=ends), ("a",), x, np.full(20, 0.05), 20.0)
+        assert (len(found), len(far)) == (near, 2 - near)
+
+
+@pytest.mark.parametrize(("error", "deviation", "off"), [(0.2, 0.0, 0), (-0.2001, 0.05, 1), (0.2001, 0.0501, 0)])
+def test_a_strip_is_off_beyond_a_fifth_and_four_standard_errors(error: float, deviation: float, off: int) -> None:
+    assert strip_is_off(Strip("T", "lower", 0.0, 1.0, 0.05, 0.06, error, deviation)) == off
+
+
+def test_components_table() -> None:
+    model = BoundedGaussianMixture.from_parameters(
+        [0.5, 0.5], [[-3.0, 0.0], [1.0, 1.0]], [[[4.0, 1.8], [1.8, 1.0]], np.eye(2)], lower=[0.0, -INF],
+        upper=[INF, INF],
+    )  # fmt: skip
+    x, _ = model.sample(300, 1)
+    weight = np.linspace(0.5, 2.0, 300)
+    first, second = components(model.distribution, ("T", "d_y"), x, weight)
+    assert (first.outside, first.outside_name) == (pytest.approx(1.5), "T")
+    assert (second.outside, second.outside_name) == (0.0, "")
+    assert first.condition == pytest.approx(1.9 / 0.1)  # (1 + rho)/(1 - rho), rho = 0.9
+    assert first.probability == pytest.approx(stats.norm.sf(1.5), rel=1e-6)
+    share = model.predict_proba(x) * weight[:, None]
+    for k, one in enumerate((first, second)):
+        assert one.events == pytest.approx(share[:, k].sum())
+        assert one.kish == pytest.approx(share[:, k].sum() ** 2 / (share[:, k] ** 2).sum())
+
+
+def test_the_joint_density_is_numpys_histogram() -> None:
+    model = correlated()
+    drawn, _ = model.sample(3000, 5)
+    x, _ = model.sample(500, 6)
+    weight = np.random.default_rng(0).random(500)
+    weight /= weight.sum()
+    joint = joint_density(model, ("T", "d_y"), x, weight, drawn)
+    edges = [joint.first_edges, joint.second_edges]
+    np.testing.assert_allclose(joint.data, np.histogram2d(*x.T, bins=edges, weights=weight)[0], atol=1e-12)
+    np.testing.assert_allclose(joint.model, np.histogram2d(*drawn.T, bins=edges)[0] / 3000, atol=1e-12)
+
+
+def test_bins_end_at_a_bound_that_is_close() -> None:
+    x = np.random.default_rng(1).exponential(size=5000)
+    edges = bin_edges(x, x, 0.0, INF, 40)
+    assert (edges[0], edges[-1]) == (0.0, pytest.approx(np.quantile(x, 0.997)))
+    assert bin_edges(x, x, -50.0, INF, 40)[0] == pytest.approx(np.quantile(x, 0.003))
+    assert bin_of(np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0]), edges).tolist() == [-1, 0, 39, -1]
+
+
+def test_histogram_and_what_lies_beyond_add_up() -> None:
+    model = independent()
+    x, _ = model.sample(3000, 4)
+    found = diagnose(model, x, n_model=20_000)
+    for j, one in enumerate(found.marginals):
+        assert one.data.sum() + one.data_beyond == pytest.approx(1.0)
+        assert one.model.sum() + one.model_beyond == pytest.approx(1.0)
+        np.testing.assert_allclose(one.data, np.histogram(x[:, j], one.edges)[0] / 3000, atol=1e-12)
+        np.testing.assert_allclose(one.model, np.diff(margin_cdf(one.edges, j)), atol=0.003)  # sample of 20,000
+    assert found.log_likelihood == pytest.approx(model.score(x))

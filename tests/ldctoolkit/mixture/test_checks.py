@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import norm
 
-from helpers.bits import assert_same_bits
-from helpers.examples import examples
+from helpers.bits import assert_same_bits, examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture._distribution import Transform

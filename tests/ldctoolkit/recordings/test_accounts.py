@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.bits import assert_same_bits
-from helpers.examples import examples
+from helpers.bits import assert_same_bits, examples
 from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, ExtraColumn, reduce_signals
 from ldctoolkit.recordings import Account, Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused

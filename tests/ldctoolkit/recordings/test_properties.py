@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.examples import examples
+from helpers.bits import examples
 from helpers.recordings import assert_same, drive, frame_of
 from ldctoolkit.departures import LEFT, RIGHT, rebuild_signals
 from ldctoolkit.recordings import Extraction, OpenedRecordings, Recording, extract_departures

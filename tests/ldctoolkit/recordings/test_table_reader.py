@@ -16,8 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.bits import assert_same_bits
-from helpers.examples import examples
+from helpers.bits import assert_same_bits, examples
 from helpers.recordings import OFFSET, assert_same, drive, frame_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from helpers.bits import examples
 from helpers.closed_loop import grid, some
-from helpers.examples import examples
 from ldctoolkit import DepartureSignals, Scenarios, Setup, reduce_signals
 from ldctoolkit import departures as dep
 from ldctoolkit.paths.uncorrected import UncorrectedPath

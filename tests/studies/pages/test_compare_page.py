@@ -1,23 +1,48 @@
-# ruff: noqa: RUF001 - the page shows true minus signs and dashes
-"""The page of a comparison whose numbers are made up, each where it belongs; text escaped, the same bytes."""
+# ruff: noqa: RUF001
+"""The page of a comparison, and charts."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from controllers import LQR, NoControl, PreviewProportional
-from helpers.pages import EVIL, Page, whole
+from helpers.pages import EVIL, Page, unpacked, whole
+from helpers.results import invented_scenarios, only, report_input, section_of
+from ldctoolkit.errors import InputError
 from studies import Comparison
 from studies.comparison.comparison import CaseComparison
 from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
 from studies.design import Design
+from studies.pages import charts, explorer
+from studies.pages.charts import (
+    Axis,
+    Cloud,
+    Dot,
+    Series,
+    Style,
+    bars,
+    dots,
+    ecdf,
+    heat_map,
+    law_styles,
+    lines,
+    nice_step,
+    scatter,
+)
 from studies.pages.compare_page import compare_page, write_compare_page
-from studies.results import Case, FailedDesign
+from studies.pages.context import Context, ReportInput
+from studies.pages.replay import chosen_designs, designs_of_ids, picked_departures, replay, rows_of_numbers
+from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
+from studies.pages.text import number, symbols
+from studies.results import Case, FailedDesign, StudyResults
 
 DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
@@ -163,3 +188,255 @@ def test_charts_hold_the_changes(page: Page) -> None:
 def test_the_same_bytes(tmp_path: Path) -> None:
     first = write_compare_page(COMPARISON, tmp_path / "a.html").read_bytes()
     assert first == write_compare_page(COMPARISON, tmp_path / "b.html").read_bytes()
+
+
+BLUE = Style(0, "", "o")
+
+
+def points(body: str) -> list[tuple[float, float]]:
+    """Centres of round markers."""
+    return [(float(x) + 3.6, float(y)) for x, y in re.findall(r'class="mark c0" d="M([\d.-]+) ([\d.-]+)a', body)]
+
+
+def test_round_steps() -> None:
+    assert nice_step(1.0, 5) == pytest.approx(0.2)
+    assert nice_step(43.0, 4) == 20.0
+    assert nice_step(0.013, 5) == pytest.approx(0.005)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+def test_ticks_lie_inside_and_are_round(low: float, span: float) -> None:
+    axis = Axis("", low, low + span)
+    if not axis.low < axis.high:
+        return
+    for value, text in axis.ticks(300.0):
+        assert low - 1e-6 * span <= value <= low + span * (1 + 1e-6)
+        assert len(text) < 16
+
+
+def test_an_axis_around_nothing_is_an_axis() -> None:
+    axis = Axis.around("x", np.array([np.nan]))
+    assert axis.low < axis.high
+    assert Axis.around("x", [2.0, 2.0]).low < 2.0 < Axis.around("x", [2.0, 2.0]).high
+    assert Axis.around("x", [1.0, 5.0], zero=True).low == 0.0
+
+
+def test_log_axes_have_tens() -> None:
+    axis = Axis.around("n", [2.0, 5000.0], log=True)
+    assert [text for _, text in axis.ticks(300.0)] == ["10", "100", "1000"]
+    assert axis.at([axis.low, axis.high]).tolist() == [0.0, 1.0]
+
+
+def test_points_are_where_the_numbers_are() -> None:
+    x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
+    cloud = Cloud(x, y, BLUE, np.array([True, True, True]), ("a", "b", "c"))
+    found = points(scatter("s", "title", [cloud], Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0)).body)
+    assert [a for a, _ in found] == pytest.approx([58.0, 234.0, 410.0], abs=0.1)
+    assert found[0][1] > found[2][1] > found[1][1]
+
+
+def test_a_missing_number_is_no_point() -> None:
+    cloud = Cloud(np.array([1.0, np.nan]), np.array([1.0, 2.0]), BLUE, np.array([True, True]), ("a", "b"))
+    assert len(points(scatter("s", "t", [cloud], Axis("x", 0, 2), Axis("y", 0, 2)).body)) == 1
+
+
+def test_curves_bands_limits_and_rings() -> None:
+    x = np.linspace(0.0, 1.0, 5)
+    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, points=True)
+    body = lines(
+        "l", "t", [one], Axis("x", 0, 1), Axis("y", 0, 1), limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0)
+    ).body
+    assert body.count('class="band c0"') == 1
+    assert "a &lt;b&gt;" in body
+    assert body.count('class="limit"') == body.count('class="ring"') == 1
+
+
+def test_a_distribution_rises_to_one() -> None:
+    body = ecdf("e", "t", [("a", np.array([1.0, 2.0, 3.0]), BLUE)], Axis("x", 0, 4), "share").body
+    path = re.search(r'class="curve c0" d="([^"]+)"', body)
+    assert path is not None
+    heights = [float(one) for one in re.findall(r"V([\d.]+)", path[1])]
+    assert heights == sorted(heights, reverse=True)
+    assert heights[-1] == pytest.approx(10.0)  # the top of the frame
+
+
+def test_intervals_without_ends_have_none() -> None:
+    rows = [[Dot("a", 1.0, 0.5, 1.5, BLUE)], [Dot("b", 1.0, np.nan, np.nan, BLUE, open=True)]]
+    body = dots("d", "t", rows, Axis("x", 0, 2), at=1.0, at_text="here").body
+    assert body.count('class="curve c0"') == 1
+    assert body.count('class="mark c0 open"') == 1
+
+
+def test_bars_and_outlines() -> None:
+    edges = np.array([0.0, 1.0, 2.0])
+    body = bars(
+        "b", "t", edges, [("a", np.array([1.0, 2.0]), BLUE)], "x", "y", outlines=[("m", np.array([2.0, 1.0]), BLUE)]
+    ).body
+    assert body.count('class="bar c0"') == 1
+    assert body.count('class="curve c0"') == 1
+
+
+def test_a_heat_map_shows_its_numbers_and_leaves_gaps() -> None:
+    values = np.array([[1.0, 2.0], [np.nan, 3.0]])
+    body = heat_map("h", "t", values, [["1", "2"], ["", "3"]], ("x", ["a", "b"]), ("y", ["c", "d"]), ring=(0, 0)).body
+    assert body.count("<rect") == 4  # three cells and the frame around one
+    assert "<title>3</title>" in body
+
+
+def test_law_styles_differ() -> None:
+    styles = law_styles(["none", *(f"law{i}" for i in range(12))])
+    assert styles["none"] is charts.RECORDED
+    assert len(set(styles.values())) == 13
+
+
+def test_tables_escape_and_sort_by_numbers() -> None:
+    columns = [Column("A", text=True), Column("S", "m", key="S")]
+    rows = [TableRow(("<b>", Cell("0.5", 0.5, bad=True)), "winner", later=True)]
+    made = str(table("c", columns, rows, id="t", sortable=True))
+    assert "&lt;b&gt;" in made
+    assert '<tr class="winner later">' in made
+    assert 'data-v="0.5"' in made
+    assert 'data-key="S"' in made
+    assert "data-sortable" in made
+
+
+def test_data_cannot_end_a_script() -> None:
+    assert "</" not in script_json({"a": "</script>"})
+    assert packed([1, 2, 3], "u1") == {"type": "u1", "data": "AQID"}
+
+
+def test_text_of_numbers_and_symbols() -> None:
+    assert number(-0.0004, 3) == "0.000"
+    assert str(symbols("K_psi <= 0")) == "K<sub>ψ</sub> &lt;= 0"
+    assert "<summary>" in details("a", symbols("b"))
+
+
+def data_of(report: ReportInput) -> dict[str, Any]:
+    one, _ = section_of(explorer.section, report)
+    assert one.data is not None
+    return dict(one.data)
+
+
+def test_departures_are_named_by_the_shown_designs_scores(report: ReportInput) -> None:
+    context = Context.of(report)
+    picks = picked_departures(context, chosen_designs(context))
+    roles = {role: pick.row for pick in picks for role in pick.roles}
+    S, side = context.S(context.shown), context.scenarios.side
+    for which, name in ((1, "left"), (-1, "right")):
+        rows = np.flatnonzero(side == which)
+        assert roles[f"largest S, {name}"] == rows[S[rows].argmax()]
+        order = rows[np.argsort(S[rows], kind="stable")]
+        assert roles[f"median S, {name}"] == order[(rows.size - 1) // 2]
+    assert len({pick.row for pick in picks}) == len(picks)
+
+
+def test_designs_are_the_shown_one_the_best_of_each_law_and_table_1(report: ReportInput) -> None:
+    context = Context.of(report)
+    chosen = chosen_designs(context)
+    assert chosen[0].place == context.shown
+    laws = [context.ranking.designs[one.place].law for one in chosen]
+    assert {"lqr", "preview_proportional"} <= set(laws)
+    assert "none" not in laws
+    assert "Table I of the paper" in [one.why for one in chosen] or any(
+        one.why == "best of its law" and context.ranking.designs[one.place].law == "preview_proportional"
+        for one in chosen
+    )
+
+
+def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
+    wanted = report.results.designs[-1]
+    given = dataclasses.replace(report, departures=(7, 93), shown_designs=(wanted.id[:8],))
+    data = data_of(given)
+    assert [one["number"] for one in data["departures"][:2]] == ["7", "93"]
+    assert "requested" in data["departures"][0]["name"]
+    assert "requested" in [one["why"] for one in data["designs"]]
+
+
+def test_asked_for_but_not_there(results: StudyResults) -> None:
+    with pytest.raises(InputError, match=r"departure: 100; allowed: 0 to 99, the nearest is 99"):
+        rows_of_numbers(results.scenarios, [100])
+    with pytest.raises(InputError, match=r"design: 'zz'; no design begins like this, the nearest is \w+; allowed"):
+        designs_of_ids(results.designs, ["zz"])
+    same = [dataclasses.replace(results.designs[0]), results.designs[0]]
+    with pytest.raises(InputError, match=r"allowed: more digits"):
+        designs_of_ids(same, [same[0].id[:6]])
+
+
+def test_the_script_draws_what_was_driven(report: ReportInput) -> None:
+    context = Context.of(report)
+    designs = chosen_designs(context)
+    picks = picked_departures(context, designs)
+    again, data = replay(context, picks, designs), data_of(report)
+    assert again.mismatch < 1e-9
+    count, start = unpacked(data["count"]), unpacked(data["start"])
+    y, a_y = (unpacked(data["paths"][name]) * data["resolution"][name] for name in ("y", "a_y"))
+    first = np.concatenate([[0], np.cumsum(count)])
+    for i, k in ((0, 0), (1, 5), (len(designs) - 1, len(picks) - 1)):
+        at, paths = i * len(picks) + k, again.paths[i]
+        t = start[at] + data["step"] * np.arange(count[at])
+        known = np.isfinite(paths.t[k])
+        for name, drawn in (("y", y), ("a_y", a_y)):
+            exact = np.interp(t, paths.t[k][known], getattr(paths, name)[k][known])
+            assert drawn[first[at] : first[at + 1]] == pytest.approx(exact, abs=data["resolution"][name])
+
+
+def test_no_axis_cuts_what_is_drawn(report: ReportInput) -> None:
+    """The default axis cut an acceleration at -5.5 of 43 m/s^2."""
+    data = data_of(report)
+    for name in ("y", "delta", "a_y"):
+        values = unpacked(data["paths"][name]) * data["resolution"][name]
+        low, high = min(0.0, values.min()), max(0.0, values.max())
+        assert any(one["low"] <= low and high <= one["high"] for one in data["scales"][name])
+        for one in data["scales"][name]:
+            assert all(one["low"] <= value <= one["high"] for value, _ in one["ticks"])
+            assert 2 <= len(one["ticks"]) <= 12
+
+
+def test_facts_are_the_stored_ones(report: ReportInput) -> None:
+    context, data = Context.of(report), data_of(report)
+    designs = chosen_designs(context)
+    picks = picked_departures(context, designs)
+    S = context.S(designs[0].place)[picks[3].row]
+    assert data["facts"][0][3][0] == f"{S:.3f}"
+    assert re.fullmatch(r"[\d.−–]+", data["facts"][0][3][3])
+
+
+def test_recorded_paths_begin_and_end_on_the_line(report: ReportInput) -> None:
+    data = data_of(report)
+    count = unpacked(data["recorded"]["count"])
+    y = unpacked(data["recorded"]["y"]) * data["resolution"]["y"]
+    ends = np.cumsum(count)
+    assert np.abs(y[np.concatenate([[0], ends[:-1]])]).max() < 0.002
+    assert np.abs(y[ends - 1]).max() < 0.002
+
+
+def test_a_study_of_no_control_has_no_explorer() -> None:
+    one, page = section_of(explorer.section, only(Design.of(NoControl(), 0.2)))
+    assert one.data is not None or "No design intervenes" in page.words()
+
+
+def test_another_machines_scores_are_reported(results: StudyResults) -> None:
+    case = dataclasses.replace(results.cases[0], S=1.01 * results.cases[0].S)
+    given = report_input(dataclasses.replace(results, cases=(case, *results.cases[1:])))
+    _, page = section_of(explorer.section, given)
+    assert "differ from the stored scores by up to 1.0 %" in page.words()
+
+
+def test_distributions_hold_every_value(report: ReportInput) -> None:
+    one, _ = section_of(explorer.section, report)
+    names = [chart.name for chart in one.charts]
+    assert names == [
+        "distribution-S-left", "distribution-S-right", "distribution-deepest", "distribution-dtle",
+        "distribution-a-y-added-peak", "distribution-jerk-added-peak",
+    ]  # fmt: skip
+    assert "ISO 11270" in one.charts[4].body
+    assert "Euro NCAP" in one.charts[3].body
+
+
+def test_the_worst_part_of_S() -> None:
+    scenarios = invented_scenarios(40, 40)
+    given = only(Design.of(LQR(r_delta=100.0), 0.1), scenarios=scenarios)
+    context = Context.of(given)
+    S = np.sort(context.S(0))[::-1]
+    share = 100 * S[:4].sum() / S.sum()
+    assert f"The worst 5 % of departures (4) make up {share:.0f}\u00a0% of the sum" in explorer.worst_sentence(context)

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.extractions import make_extraction
 from helpers.models import make_departures, make_model, skewed
 from helpers.pages import EVIL, Page, whole
-from helpers.recordings import drive
+from helpers.recordings import drive, make_extraction
 from ldctoolkit.departures import Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.errors import InputError, StoreError

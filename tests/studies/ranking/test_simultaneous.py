@@ -10,7 +10,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.examples import examples
+from helpers.bits import examples
 from ldctoolkit.errors import InputError
 from studies.ranking.inference import (
     Resampled,

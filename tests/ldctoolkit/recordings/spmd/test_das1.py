@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers import spmd
-from helpers.examples import examples
+from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.departures_table import PartResult, combined_results

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from helpers import spmd
-from helpers.examples import examples
+from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.recording import Problem, Recording

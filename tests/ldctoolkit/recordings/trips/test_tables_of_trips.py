@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from helpers.examples import examples
+from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import trip_index
 from ldctoolkit.recordings.trip_index import TEXT_COMPILED_FROM, Stretch, index_trips, read_cells

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.examples import examples
+from helpers.bits import examples
 from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation, local_slope, merge_repeated, rising_rows, values_at
