@@ -9,7 +9,6 @@ import sys
 import tomllib
 import types
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
