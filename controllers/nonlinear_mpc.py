@@ -134,31 +134,20 @@ class NonlinearMPCState:
 
     Attributes
     ----------
-    U : (n, N) [rad]
-        Last commands planned.
     ready : (n,) bool
         Whether they are a solution.
-    rung : (n,) int8
-        1 to 3, the rung of the ladder that the last command came from; 0 before the first.
-    iterations : (n,) int
-        Of the last solve.
-    residual : (n,) [rad]
-        Largest change of a command in its last iteration.
-    cost : (n,)
-        Of the last plan: the sum of weighted squares, without penalties.
-    sent : (n, delay + 1) [rad]
-        The last commands, the oldest first; this and what follows is NaN before the first sample.
-    past : (n, 2, window) [m/s^2]
-        Lateral acceleration less that of the lane before and after each of the last samples.
     """
 
-    U: FloatArray
+    U: FloatArray  # (n, N) [rad] Last commands planned
     has_plan: BoolArray
+    # (n,) int8 1 to 3, the rung of the ladder that the last command came from; 0 before the first
     rung: npt.NDArray[np.int8]
-    iterations: IntArray
-    residual: FloatArray
-    cost: FloatArray
+    iterations: IntArray  # (n,) int Of the last solve
+    residual: FloatArray  # (n,) [rad] Largest change of a command in its last iteration
+    cost: FloatArray  # (n,) Of the last plan: the sum of weighted squares, without penalties
+    # (n, delay + 1) [rad] The last commands, the oldest first; this and what follows is NaN before the first sample
     sent: FloatArray
+    # (n, 2, window) [m/s^2] Lateral acceleration less that of the lane before and after each of the last samples
     past: FloatArray
 
 

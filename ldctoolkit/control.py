@@ -56,54 +56,31 @@ class EventStatus(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Preview:
-    """The lane ahead, at the lookahead times that a law requested.
+    """The lane ahead, at the lookahead times that a law requested."""
 
-    Attributes
-    ----------
-    yaw_rate : (n, p) [rad/s]
-        psi_l' = v c at each lookahead time.
-    heading : (n, p) [rad]
-        Change of the lane's heading from now to each lookahead time, the integral of psi_l'.
-    """
-
-    yaw_rate: FloatArray
+    yaw_rate: FloatArray  # (n, p) [rad/s] psi_l' = v c at each lookahead time
+    # (n, p) [rad] Change of the lane's heading from now to each lookahead time, the integral of psi_l'
     heading: FloatArray
 
 
 @final
 @dataclasses.dataclass(frozen=True)
 class LinearLaw:
-    """A law that is linear in what it sees; runs without a call back into Python code of the controller.
+    """A law that is linear in what it sees; runs without a call back into Python code of the controller."""
 
-    Attributes
-    ----------
-    F : (n, 4) [rad per unit of state]
-        Feedback on (e_y, de_y/dt, e_psi, de_psi/dt).
-    preview_times : (p,) [s]
-        Lookahead times, 0 is now.
-    G_yaw_rate : (n, p) [rad per rad/s]
-        Weights of the lane's yaw rate there.
-    G_heading : (n, p) [rad/rad]
-        Weights of the lane's heading change until there.
-    f_u : (n,) [rad/rad]
-        Weight of the previous command.
-    f_i : (n,) [rad/(m s)], optional
-        Weight of z, the integral of e_y as the law sees it: z = 0 at the trigger, and z + dt e_y at the next sample.
-    f_past : (n, q) [rad/rad], optional
-        Weights of the commands before the previous one, the latest first. Before the trigger every command is the
-        steering angle of the recorded path.
-    f_wheel : (n,) [rad/rad], optional
-        Weight of the steering angle of the wheels, as measured at the moment of the state that the law sees: now, or
-        `Plant.age` ago where the design knows the camera's delay.
-    """
-
-    F: FloatArray
-    preview_times: FloatArray
-    G_yaw_rate: FloatArray
-    G_heading: FloatArray
-    f_u: FloatArray
+    F: FloatArray  # (n, 4) [rad per unit of state] Feedback on (e_y, de_y/dt, e_psi, de_psi/dt)
+    preview_times: FloatArray  # (p,) [s] Lookahead times, 0 is now
+    G_yaw_rate: FloatArray  # (n, p) [rad per rad/s] Weights of the lane's yaw rate there
+    G_heading: FloatArray  # (n, p) [rad/rad] Weights of the lane's heading change until there
+    f_u: FloatArray  # (n,) [rad/rad] Weight of the previous command
+    # (n,) [rad/(m s)] Weight of z, the integral of e_y as the law sees it: z = 0 at the trigger, and z + dt e_y at
+    # the next sample
     f_i: FloatArray | None = None
+    # (n, q) [rad/rad] Weights of the commands before the previous one, the latest first. Before the trigger every
+    # command is the steering angle of the recorded path.
     f_past: FloatArray | None = None
+    # (n,) [rad/rad] Weight of the steering angle of the wheels, as measured at the moment of the state that the law
+    # sees: now, or `Plant.age` ago where the design knows the camera's delay
     f_wheel: FloatArray | None = None
 
     @property
@@ -114,24 +91,13 @@ class LinearLaw:
 
 @dataclasses.dataclass(frozen=True)
 class SolverCalls:
-    """What a solver did for the commands of one sample: a row for each call.
+    """What a solver did for the commands of one sample: a row for each call."""
 
-    Attributes
-    ----------
-    place : (k,) int
-        The scenario, by its place in the batch.
-    status : (k,) int
-        How the call ended, in the law's own numbers.
-    iterations : (k,) int
-    primal_residual, dual_residual : (k,)
-        In the law's own units; NaN where the solver does not tell.
-    """
-
-    place: IntArray
-    status: IntArray
-    iterations: IntArray
-    primal_residual: FloatArray
-    dual_residual: FloatArray
+    place: IntArray  # (k,) int The scenario, by its place in the batch
+    status: IntArray  # (k,) int How the call ended, in the law's own numbers
+    iterations: IntArray  # (k,) int
+    primal_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
+    dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
 
     def of(self, places: IntArray) -> SolverCalls:
         """Only those of some places in the batch."""
@@ -340,17 +306,6 @@ class LinearSteps(SteeringLaw):
     The wheel angle is not measured here: it is what the nominal actuator makes of the commands. Sums are made term by
     term: a scenario's command has the same bits in a batch of any size.
 
-    Attributes
-    ----------
-    law : LinearLaw
-    dt : float [s]
-    kept : int
-        c.
-    whole : int [samples]
-        Age of the younger command that moves the wheel within a sample.
-    wheel : (n, 3)
-        Weights of the wheel angle, that command and the older one in the angle a sample later.
-
     Examples
     --------
     >>> import numpy as np
@@ -362,10 +317,10 @@ class LinearSteps(SteeringLaw):
     """
 
     law: LinearLaw
-    dt: float
-    kept: int
-    whole: int
-    wheel: FloatArray
+    dt: float  # [s]
+    kept: int  # c
+    whole: int  # [samples] Age of the younger command that moves the wheel within a sample
+    wheel: FloatArray  # (n, 3) Weights of the wheel angle, that command and the older one in the angle a sample later
 
     @classmethod
     def of(cls, law: LinearLaw, plant: Plant) -> LinearSteps:

@@ -80,39 +80,17 @@ def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
 
 @dataclasses.dataclass(frozen=True)
 class DepartureParameters:
-    """The eight parameters of n departures and the side each went to.
+    """The eight parameters of n departures and the side each went to."""
 
-    Attributes
-    ----------
-    side : (n,) int
-        ``LEFT`` (+1) or ``RIGHT`` (-1).
-    T : (n,) [s]
-        Duration.
-    d_y : (n,) [m]
-        Peak lateral departure of the fitted parabola.
-    sigma_y : (n,) [m]
-        Standard deviation of y about the parabola.
-    v_mean : (n,) [m/s]
-        Mean speed.
-    a_mean : (n,) [m/s^2]
-        Mean acceleration.
-    sigma_v : (n,) [m/s]
-        Standard deviation of v about its straight line.
-    c_0 : (n,) [1/m]
-        Lane curvature at the start, outward frame.
-    dc : (n,) [1/m]
-        Change of curvature from start to end, outward frame.
-    """
-
-    side: IntArray
-    T: FloatArray
-    d_y: FloatArray
-    sigma_y: FloatArray
-    v_mean: FloatArray
-    a_mean: FloatArray
-    sigma_v: FloatArray
-    c_0: FloatArray
-    dc: FloatArray
+    side: IntArray  # (n,) int ``LEFT`` (+1) or ``RIGHT`` (-1)
+    T: FloatArray  # (n,) [s] Duration
+    d_y: FloatArray  # (n,) [m] Peak lateral departure of the fitted parabola
+    sigma_y: FloatArray  # (n,) [m] Standard deviation of y about the parabola
+    v_mean: FloatArray  # (n,) [m/s] Mean speed
+    a_mean: FloatArray  # (n,) [m/s^2] Mean acceleration
+    sigma_v: FloatArray  # (n,) [m/s] Standard deviation of v about its straight line
+    c_0: FloatArray  # (n,) [1/m] Lane curvature at the start, outward frame
+    dc: FloatArray  # (n,) [1/m] Change of curvature from start to end, outward frame
 
     @property
     def n(self) -> int:
@@ -134,24 +112,12 @@ class DepartureParameters:
 
 @dataclasses.dataclass(frozen=True)
 class Departures(DepartureParameters):
-    """Departures found in recordings: the parameters and where each came from.
+    """Departures found in recordings: the parameters and where each came from."""
 
-    Attributes
-    ----------
-    recording : (n,) str
-        Identifier of the recording.
-    start_time : (n,) [s]
-        Interpolated time of the crossing outwards, on the recording's own clock.
-    samples : (n,) int
-        Recorded samples inside the event (the two interpolated crossings are not counted).
-    extra : tuple of ExtraColumn
-        Columns of the source's own, such as driver or road; they travel along.
-    """
-
-    recording: npt.NDArray[np.str_]
-    start_time: FloatArray
-    samples: IntArray
-    extra: tuple[ExtraColumn, ...] = ()
+    recording: npt.NDArray[np.str_]  # (n,) str Identifier of the recording
+    start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
+    samples: IntArray  # (n,) int Recorded samples inside the event (the two interpolated crossings are not counted)
+    extra: tuple[ExtraColumn, ...] = ()  # Columns of the source's own, such as driver or road; they travel along
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
@@ -163,28 +129,15 @@ class Departures(DepartureParameters):
 
 @dataclasses.dataclass(frozen=True)
 class DepartureSignals:
-    """Signals of n departures, one after the other in flat arrays (events differ in length).
+    """Signals of n departures, one after the other in flat arrays (events differ in length)."""
 
-    Attributes
-    ----------
-    offsets : (n + 1,) int
-        Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y = 0), the
-        last the crossing back (t = T, y = 0), the ones between are samples.
-    t : (m,) [s]
-        Time since the event's start.
-    y : (m,) [m]
-        Distance of the vehicle's edge beyond the line, outward.
-    v : (m,) [m/s]
-        Speed.
-    c : (m,) [1/m]
-        Lane curvature, outward frame.
-    """
-
+    # (n + 1,) int Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y =
+    # 0), the last the crossing back (t = T, y = 0), the ones between are samples
     offsets: IntArray
-    t: FloatArray
-    y: FloatArray
-    v: FloatArray
-    c: FloatArray
+    t: FloatArray  # (m,) [s] Time since the event's start
+    y: FloatArray  # (m,) [m] Distance of the vehicle's edge beyond the line, outward
+    v: FloatArray  # (m,) [m/s] Speed
+    c: FloatArray  # (m,) [1/m] Lane curvature, outward frame
 
     @property
     def n(self) -> int:

@@ -20,37 +20,17 @@ GainValue = float | int | str | bool
 
 @dataclasses.dataclass(frozen=True)
 class Gain:
-    """Declaration of one gain or option of a controller.
+    """Declaration of one gain or option of a controller."""
 
-    Attributes
-    ----------
-    name : str
-        Field name on the controller, the literature's symbol.
-    unit : str
-        SI unit, ``"1"`` for a pure number.
-    default : float, int, str or bool
-        Value of a design that does not set it.
-    lower, upper : float
-        Allowed range, ends included; infinite for none.
-    scale : {"linear", "log"}
-        How a sweep should space its values.
-    choices : tuple of str
-        Allowed words of an option; empty for a number, or for any text.
-    description : str
-        One line.
-    text : bool
-        An option that takes any text.
-    """
-
-    name: str
-    unit: str
-    default: GainValue
-    lower: float
-    upper: float
-    scale: Literal["linear", "log"]
-    choices: tuple[str, ...]
-    description: str
-    text: bool = False
+    name: str  # Field name on the controller, the literature's symbol
+    unit: str  # SI unit, ``"1"`` for a pure number
+    default: GainValue  # Value of a design that does not set it
+    lower: float  # Allowed range, ends included; infinite for none
+    upper: float  # Allowed range, ends included; infinite for none
+    scale: Literal["linear", "log"]  # How a sweep should space its values
+    choices: tuple[str, ...]  # Allowed words of an option; empty for a number, or for any text
+    description: str  # One line
+    text: bool = False  # An option that takes any text
 
     def check(self, value: Any, owner: str) -> GainValue:
         """Return the value in the gain's own type, or raise.

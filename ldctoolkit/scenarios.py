@@ -32,14 +32,10 @@ class Scenarios(DepartureParameters):
     """n departures to be replayed: side and the eight parameters, arrays of n, outward frame.
 
     Built with `from_arrays`, which checks them, or by ``ScenarioModel.sample``.
-
-    Attributes
-    ----------
-    index : (n,) int
-        Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario follows from
-        the seed and this number.
     """
 
+    # (n,) int Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
+    # follows from the seed and this number
     index: IntArray
 
     @classmethod

@@ -35,23 +35,15 @@ FOLLOWS_CASE: Final = "case"  # value of that option in a design that leaves the
 class Design:
     """One row of a ranking.
 
-    Attributes
-    ----------
-    law : str
-        Registry name of the controller.
-    y_s : float [m]
-        Trigger threshold.
-    gains : tuple of (name, value)
-        Every declared gain and option in the law's own order, defaults included. The option `convention` holds
-        `FOLLOWS_CASE` where the study's case decides it.
-
     Notes
     -----
     A run is identified by the design's `id` and the case's convention; together they name one set of numbers.
     """
 
-    law: str
-    y_s: float
+    law: str  # Registry name of the controller
+    y_s: float  # [m] Trigger threshold
+    # Every declared gain and option in the law's own order, defaults included. The option `convention` holds
+    # `FOLLOWS_CASE` where the study's case decides it.
     gains: tuple[tuple[str, GainValue], ...]
 
     def __post_init__(self) -> None:

@@ -41,32 +41,18 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class CaseResults:
-    """Per-scenario results of all d designs on all n scenarios in one case.
-
-    Attributes
-    ----------
-    case : Case
-    S : (d, n) [m s]
-        NaN in a scenario that cannot be driven (`EventStatus.INVALID`), and nowhere else.
-    S_uncorrected : (d, n) [m s]
-        The recorded path's score over the same window; equal for all designs in the departure window (they may then be
-        one row in memory, not to be written into), dependent on the design's y_s in the control window.
-    status : (d, n) int8
-        `ldctoolkit.EventStatus`.
-    companions : Companions
-        Arrays (d, n).
-    failed_solves : (d, n) int32
-    law_time : (d,) [s]
-        Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was not
-        measured. The one number here that another run does not give again.
-    """
+    """Per-scenario results of all d designs on all n scenarios in one case."""
 
     case: Case
-    S: FloatArray
+    S: FloatArray  # (d, n) [m s] NaN in a scenario that cannot be driven (`EventStatus.INVALID`), and nowhere else
+    # (d, n) [m s] The recorded path's score over the same window; equal for all designs in the departure window (they
+    # may then be one row in memory, not to be written into), dependent on the design's y_s in the control window
     S_uncorrected: FloatArray
-    status: npt.NDArray[np.int8]
-    companions: MetricValues
-    failed_solves: npt.NDArray[np.int32]
+    status: npt.NDArray[np.int8]  # (d, n) int8 `ldctoolkit.EventStatus`
+    companions: MetricValues  # Arrays (d, n)
+    failed_solves: npt.NDArray[np.int32]  # (d, n) int32
+    # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
+    # not measured. The one number here that another run does not give again.
     law_time: FloatArray
 
     @property
@@ -213,30 +199,15 @@ class Race:
 
 @dataclasses.dataclass(frozen=True)
 class StudyResults:
-    """Everything a finished study knows.
+    """Everything a finished study knows."""
 
-    Attributes
-    ----------
-    designs : tuple of Design
-        d designs, in the study's own order, without those that failed.
-    scenarios : Scenarios
-        The n scenarios that every design was run on: left ones first.
-    cases : tuple of CaseResults
-        The first one is the study's primary case.
-    failed : tuple of FailedDesign
-        Designs whose law failed, in any case: they are in no array here, and never ranked.
-    fresh : StudyResults or None
-        The finalists, some of the designs, on scenarios that no design was chosen on.
-    race : Race or None
-        Where designs were given up early: they are in no array here.
-    """
-
-    designs: tuple[Design, ...]
-    scenarios: Scenarios
-    cases: tuple[CaseResults, ...]
+    designs: tuple[Design, ...]  # d designs, in the study's own order, without those that failed
+    scenarios: Scenarios  # The n scenarios that every design was run on: left ones first
+    cases: tuple[CaseResults, ...]  # The first one is the study's primary case
+    # Designs whose law failed, in any case: they are in no array here, and never ranked
     failed: tuple[FailedDesign, ...] = ()
-    fresh: StudyResults | None = None
-    race: Race | None = None
+    fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
+    race: Race | None = None  # Where designs were given up early: they are in no array here
 
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""

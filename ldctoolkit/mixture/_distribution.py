@@ -200,21 +200,11 @@ SAMPLE_BLOCK: Final = 8192
 
 @dataclasses.dataclass(frozen=True)
 class Distribution:
-    """Density sum_k eta_k g_k/P_k in the coordinates of a transform.
+    """Density sum_k eta_k g_k/P_k in the coordinates of a transform."""
 
-    Attributes
-    ----------
-    weights : (K,)
-        eta_k.
-    truncated : TruncatedNormal
-        The components, in the transform's coordinates.
-    transform : Transform
-        From the data's units; it holds the box in them.
-    """
-
-    weights: FloatArray
-    truncated: TruncatedNormal
-    transform: Transform
+    weights: FloatArray  # (K,) eta_k
+    truncated: TruncatedNormal  # The components, in the transform's coordinates
+    transform: Transform  # From the data's units; it holds the box in them
 
     @property
     def dimension(self) -> int:

@@ -37,18 +37,10 @@ from ldctoolkit.mixture.checks import (
 
 @dataclasses.dataclass(frozen=True)
 class Failure:
-    """A K that could not be fitted.
+    """A K that could not be fitted."""
 
-    Attributes
-    ----------
-    n_components : int
-        K.
-    message : str
-        Why not.
-    """
-
-    n_components: int
-    message: str
+    n_components: int  # K
+    message: str  # Why not
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,24 +133,13 @@ def split_rows(events: Events, share: float, seed: int) -> IntArray:
 
 @dataclasses.dataclass(frozen=True)
 class Criteria:
-    """Information criteria of a mixture on its events; lower is better.
+    """Information criteria of a mixture on its events; lower is better."""
 
-    Attributes
-    ----------
-    events : float
-        Sum of the weights n; the number of rows without any.
-    log_likelihood : float
-        Sum of ln f over the events.
-    entropy : float
-        Entropy of the shares, -sum_i sum_k tau_ik ln tau_ik [nats]: none where each event has one component.
-    n_parameters : int
-        Free parameters p.
-    """
-
-    events: float
-    log_likelihood: float
+    events: float  # Sum of the weights n; the number of rows without any
+    log_likelihood: float  # Sum of ln f over the events
+    # Entropy of the shares, -sum_i sum_k tau_ik ln tau_ik [nats]: none where each event has one component
     entropy: float
-    n_parameters: int
+    n_parameters: int  # Free parameters p
 
     @property
     def aic(self) -> float:
@@ -274,50 +255,25 @@ _SMALL: Final = 100_000  # up to so many numbers times components to fit, other 
 
 @dataclasses.dataclass(frozen=True)
 class Selection:
-    """Fits over a range of K, their criteria, and the one that was chosen.
+    """Fits over a range of K, their criteria, and the one that was chosen."""
 
-    Attributes
-    ----------
-    n_components : (m,) int
-        The K that could be fitted, ascending.
-    n_parameters : (m,) int
-        Free parameters p of each.
-    log_likelihood : (m,)
-        Log-likelihood per event [nats].
-    bic, aic, icl : (m,)
-        -2 ln L + p ln n, -2 ln L + 2 p, and BIC plus twice the entropy of the shares; lower is better.
-    held_out : (m,)
-        Log-likelihood per held-out event of a fit to the others [nats]; NaN for another criterion.
-    held_out_error : (m,)
-        Its standard error.
-    held_out_gap_error : (m,)
-        Standard error of its paired difference to the best one; it is what the rule looks at.
-    models : tuple of BoundedGaussianMixture
-        The fits, to all events.
-    failures : tuple of Failure
-        The K that could not be fitted, each with its message.
-    criterion : {"bic", "aic", "icl", "held_out"}
-        What the choice went by.
-    chosen : int
-        Index of the chosen K.
-    reason : str
-        One sentence: which K was taken and by which rule.
-    """
-
-    n_components: IntArray
-    n_parameters: IntArray
-    log_likelihood: FloatArray
+    n_components: IntArray  # (m,) int The K that could be fitted, ascending
+    n_parameters: IntArray  # (m,) int Free parameters p of each
+    log_likelihood: FloatArray  # (m,) Log-likelihood per event [nats]
+    # (m,) -2 ln L + p ln n, -2 ln L + 2 p, and BIC plus twice the entropy of the shares; lower is better
     bic: FloatArray
     aic: FloatArray
     icl: FloatArray
+    # (m,) Log-likelihood per held-out event of a fit to the others [nats]; NaN for another criterion
     held_out: FloatArray
-    held_out_error: FloatArray
+    held_out_error: FloatArray  # (m,) Its standard error
+    # (m,) Standard error of its paired difference to the best one; it is what the rule looks at
     held_out_gap_error: FloatArray
-    models: tuple[BoundedGaussianMixture, ...]
-    failures: tuple[Failure, ...]
-    criterion: Criterion
-    chosen: int
-    reason: str
+    models: tuple[BoundedGaussianMixture, ...]  # The fits, to all events
+    failures: tuple[Failure, ...]  # The K that could not be fitted, each with its message
+    criterion: Criterion  # What the choice went by
+    chosen: int  # Index of the chosen K
+    reason: str  # One sentence: which K was taken and by which rule
 
     @property
     def best(self) -> BoundedGaussianMixture:

@@ -86,19 +86,12 @@ class UncorrectedPath:
     """Recorded paths of n scenarios, functions of the time t since the departure's start.
 
     Built with `of`. Times are (n,) or (n, k); results have their shape.
-
-    Attributes
-    ----------
-    scenarios : Scenarios
-        n departures.
-    modes_y : (n, J_y) [m]
-        Amplitudes a_j of eps_y(t) = sum a_j sin(j pi t/T); no columns without this residual.
-    modes_v : (n, J_v) [m/s]
-        Amplitudes b_j of eps_v(t) = sum b_j cos(j pi t/T); no columns without this residual.
     """
 
-    scenarios: Scenarios
+    scenarios: Scenarios  # n departures
+    # (n, J_y) [m] Amplitudes a_j of eps_y(t) = sum a_j sin(j pi t/T); no columns without this residual
     modes_y: FloatArray
+    # (n, J_v) [m/s] Amplitudes b_j of eps_v(t) = sum b_j cos(j pi t/T); no columns without this residual
     modes_v: FloatArray
 
     @classmethod

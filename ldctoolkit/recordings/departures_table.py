@@ -43,27 +43,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class PartResult:
-    """What was found in some recordings.
+    """What was found in some recordings."""
 
-    Attributes
-    ----------
-    departures : Departures
-        In the order of the recordings and of time; extra columns: source, lane_scale, labels.
-    accounts : tuple of Account
-        One an origin.
-    evidence : Evidence
-        For warnings.
-    drawn : Drawn
-        Departures with their signals, to be looked at.
-    problems : tuple of Problem
-        What could not be used.
-    """
-
+    # In the order of the recordings and of time; extra columns: source, lane_scale, labels
     departures: Departures = dataclasses.field(default_factory=no_departures)
-    accounts: tuple[Account, ...] = ()
-    evidence: QualityStatistics = dataclasses.field(default_factory=no_statistics)
-    drawn: Drawn = dataclasses.field(default_factory=Drawn)
-    problems: tuple[Problem, ...] = ()
+    accounts: tuple[Account, ...] = ()  # One an origin
+    evidence: QualityStatistics = dataclasses.field(default_factory=no_statistics)  # For warnings
+    drawn: Drawn = dataclasses.field(default_factory=Drawn)  # Departures with their signals, to be looked at
+    problems: tuple[Problem, ...] = ()  # What could not be used
 
 
 def combined_results(parts: Iterable[PartResult]) -> PartResult:
@@ -80,33 +67,22 @@ def combined_results(parts: Iterable[PartResult]) -> PartResult:
 
 @dataclasses.dataclass(frozen=True)
 class Refused:
-    """Refused candidates, counted by reason. One candidate has one reason: the first that holds, in this order.
+    """Refused candidates, counted by reason. One candidate has one reason: the first that holds, in this order."""
 
-    Attributes
-    ----------
-    lane_change, invalid, gap, jump : int
-        Something broke into the manoeuvre: the lane changed, samples were invalid, time or offset jumped.
-    cut_by_end : int
-        The recording started or ended with the edge beyond the line.
-    too_short, too_long, too_few_samples, slow : int
-        A criterion was not met; fewer than three samples cannot be reduced to the eight parameters.
-    intended : int
-        The turn signal was on towards the departed side.
-    implausible : int
-        The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
-        the lane is no wider than the vehicle: one of its lines is not the lane's.
-    """
-
+    # Something broke into the manoeuvre: the lane changed, samples were invalid, time or offset jumped
     lane_change: int = 0
     invalid: int = 0
     gap: int = 0
     jump: int = 0
-    cut_by_end: int = 0
+    cut_by_end: int = 0  # The recording started or ended with the edge beyond the line
+    # Four criteria that were not met; fewer than three samples cannot be reduced to the eight parameters
     too_short: int = 0
     too_long: int = 0
     too_few_samples: int = 0
     slow: int = 0
-    intended: int = 0
+    intended: int = 0  # The turn signal was on towards the departed side
+    # The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
+    # the lane is no wider than the vehicle: one of its lines is not the lane's.
     implausible: int = 0
 
     @property
@@ -121,69 +97,32 @@ class Refused:
 
 @dataclasses.dataclass(frozen=True)
 class Provenance:
-    """Where departures come from and how they were found; kept in the departures table.
+    """Where departures come from and how they were found; kept in the departures table."""
 
-    Attributes
-    ----------
-    criteria : Criteria
-        What counted as a departure.
-    refused : Refused
-        Candidates that did not.
-    sources : tuple of SourceFile
-        Files read; empty when the recordings were given as arrays.
-    recordings, samples, invalid_samples : int
-        Amounts read; invalid samples are those marked so and those with a missing number.
-    hours : float [h]
-        Time driven: steps between usable neighbours, without gaps.
-    curvature : str
-        "measured", "yaw_rate", "none" or "mixed".
-    warnings : tuple of str
-        What looked wrong with the recordings.
-    reader : str
-        Name of the reader: "table", "spmd-das1", ...
-    preparation : Preparation
-        How recordings were brought to a common form.
-    problems : tuple of str
-        What could not be used, with file and line.
-    """
-
-    criteria: Criteria = dataclasses.field(default_factory=Criteria)
-    refused: Refused = dataclasses.field(default_factory=Refused)
-    sources: tuple[SourceFile, ...] = ()
-    recordings: int = 0
-    samples: int = 0
-    invalid_samples: int = 0
-    hours: float = 0.0
-    curvature: str = "none"
-    warnings: tuple[str, ...] = ()
-    reader: str = "table"
+    criteria: Criteria = dataclasses.field(default_factory=Criteria)  # What counted as a departure
+    refused: Refused = dataclasses.field(default_factory=Refused)  # Candidates that did not
+    sources: tuple[SourceFile, ...] = ()  # Files read; empty when the recordings were given as arrays
+    recordings: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
+    samples: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
+    invalid_samples: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
+    hours: float = 0.0  # [h] Time driven: steps between usable neighbours, without gaps
+    curvature: str = "none"  # "measured", "yaw_rate", "none" or "mixed"
+    warnings: tuple[str, ...] = ()  # What looked wrong with the recordings
+    reader: str = "table"  # Name of the reader: "table", "spmd-das1", ...
+    # How recordings were brought to a common form
     preparation: Preparation = dataclasses.field(default_factory=Preparation)
-    problems: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()  # What could not be used, with file and line
 
 
 @dataclasses.dataclass(frozen=True)
 class Extraction:
-    """Departures found, and the account of everything else.
+    """Departures found, and the account of everything else."""
 
-    Attributes
-    ----------
-    departures : Departures
-        In the order of the recordings and, inside each, of time.
-    provenance : Provenance
-        Criteria, counts and sources.
-    accounts : tuple of Account
-        Counts of each source and label.
-    drawn : Drawn
-        Some departures with their signals, to be looked at.
-    problems : tuple of Problem
-        What could not be used; the rest was.
-    """
-
-    departures: Departures
-    provenance: Provenance
-    accounts: tuple[Account, ...] = ()
-    drawn: Drawn = dataclasses.field(default_factory=Drawn)
-    problems: tuple[Problem, ...] = ()
+    departures: Departures  # In the order of the recordings and, inside each, of time
+    provenance: Provenance  # Criteria, counts and sources
+    accounts: tuple[Account, ...] = ()  # Counts of each source and label
+    drawn: Drawn = dataclasses.field(default_factory=Drawn)  # Some departures with their signals, to be looked at
+    problems: tuple[Problem, ...] = ()  # What could not be used; the rest was
 
     @property
     def refused(self) -> Refused:

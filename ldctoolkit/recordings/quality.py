@@ -27,18 +27,10 @@ SIDES: Final = 2  # left first, then right
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """What a recording came from: recordings of one origin are counted together.
+    """What a recording came from: recordings of one origin are counted together."""
 
-    Attributes
-    ----------
-    source : str
-        File or folder.
-    labels : tuple of Label
-        Such as driver, behaviour, road.
-    """
-
-    source: str = ""
-    labels: tuple[Label, ...] = ()
+    source: str = ""  # File or folder
+    labels: tuple[Label, ...] = ()  # Such as driver, behaviour, road
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "source", printable(self.source))
@@ -46,33 +38,19 @@ class Origin:
 
 @dataclasses.dataclass(frozen=True)
 class Account:
-    """Counts of all recordings of one origin.
+    """Counts of all recordings of one origin."""
 
-    Attributes
-    ----------
-    origin : Origin
-        What they came from.
-    recordings, samples, usable : int
-        Amounts; samples after resampling.
-    read_ns, valid_ns : int [ns]
-        Time in steps between neighbours, and between usable neighbours; without gaps. Whole numbers, whose sums do not
-        depend on how the recordings were split.
-    departures : (2,) int
-        Left, right.
-    refused : (2, k) int
-        Candidates by side of their first crossing and by reason, in the order of `REASONS`.
-    widths : (80,) int
-        Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones.
-    """
-
-    origin: Origin
-    recordings: int
-    samples: int
-    usable: int
+    origin: Origin  # What they came from
+    recordings: int  # Amounts; samples after resampling
+    samples: int  # Amounts; samples after resampling
+    usable: int  # Amounts; samples after resampling
+    # [ns] Time in steps between neighbours, and between usable neighbours; without gaps. Whole numbers, whose sums do
+    # not depend on how the recordings were split.
     read_ns: int
     valid_ns: int
-    departures: IntArray
-    refused: IntArray
+    departures: IntArray  # (2,) int Left, right
+    refused: IntArray  # (2, k) int Candidates by side of their first crossing and by reason, in the order of `REASONS`
+    # (80,) int Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones
     widths: IntArray
 
     @property
@@ -380,33 +358,18 @@ KEPT: Final = 12  # departures of each kind that are kept of each source and sid
 
 @dataclasses.dataclass(frozen=True)
 class DrawnEvent:
-    """One departure with its signals, outward frame.
+    """One departure with its signals, outward frame."""
 
-    Attributes
-    ----------
-    source, recording : str
-        Where it was found.
-    side : int
-        `LEFT` or `RIGHT`.
-    start_time : float [s]
-        Of the crossing outwards, on the recording's clock.
-    parameters : (8,)
-        In the order of `PARAMETER_NAMES`.
-    t, y, v, c : (k,) [s], [m], [m/s], [1/m]
-        From crossing to crossing.
-    lot : int
-        Decides which departures are drawn by lot; from recording and time alone, so no split of the work matters.
-    """
-
-    source: str
-    recording: str
-    side: int
-    start_time: float
-    parameters: FloatArray
-    t: FloatArray
-    y: FloatArray
-    v: FloatArray
-    c: FloatArray
+    source: str  # Where it was found
+    recording: str  # Where it was found
+    side: int  # `LEFT` or `RIGHT`
+    start_time: float  # [s] Of the crossing outwards, on the recording's clock
+    parameters: FloatArray  # (8,) In the order of `PARAMETER_NAMES`
+    t: FloatArray  # (k,) [s] From crossing to crossing
+    y: FloatArray  # (k,) [m]
+    v: FloatArray  # (k,) [m/s]
+    c: FloatArray  # (k,) [1/m]
+    # Decides which departures are drawn by lot; from recording and time alone, so no split of the work matters
     lot: int
 
     @property
@@ -417,17 +380,10 @@ class DrawnEvent:
 
 @dataclasses.dataclass(frozen=True)
 class Drawn:
-    """Departures to look at.
+    """Departures to look at."""
 
-    Attributes
-    ----------
-    deepest : tuple of DrawnEvent
-        Up to 12 of each source and side, deepest first; left before right.
-    by_lot : tuple of DrawnEvent
-        Up to 12 of each source and side, in the order of their lots; left before right.
-    """
-
-    deepest: tuple[DrawnEvent, ...] = ()
+    deepest: tuple[DrawnEvent, ...] = ()  # Up to 12 of each source and side, deepest first; left before right
+    # Up to 12 of each source and side, in the order of their lots; left before right
     by_lot: tuple[DrawnEvent, ...] = ()
 
 

@@ -17,21 +17,11 @@ from ldctoolkit.errors import RecordingError
 
 @dataclasses.dataclass(frozen=True)
 class SourceFile:
-    """A file that was read.
+    """A file that was read."""
 
-    Attributes
-    ----------
-    name : str
-        File name without its folder; for files that share names, with the folders inside the source.
-    bytes : int
-        Size.
-    sha256 : str
-        Digest of the content, hexadecimal.
-    """
-
-    name: str
-    bytes: int
-    sha256: str
+    name: str  # File name without its folder; for files that share names, with the folders inside the source
+    bytes: int  # Size
+    sha256: str  # Digest of the content, hexadecimal
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", printable(self.name))
@@ -68,19 +58,13 @@ def _text(value: object, what: str) -> str:
 class Label:
     """A property of a recording that departures can be grouped by. Its texts are made printable.
 
-    Attributes
-    ----------
-    name : str
-        Becomes a column of the departures table: ``driver``, ``behaviour``, ``road``.
-    value : str
-
     Raises
     ------
     RecordingError
         For what is no text.
     """
 
-    name: str
+    name: str  # Becomes a column of the departures table: ``driver``, ``behaviour``, ``road``
     value: str
 
     def __post_init__(self) -> None:
@@ -92,24 +76,15 @@ class Label:
 class Problem:
     """Something in a source that could not be used; the rest is. Its texts are made printable.
 
-    Attributes
-    ----------
-    file : str
-        Name of the file, without folders of this machine.
-    place : str
-        ``"line 17"``, ``"row 5"``; empty for the file as a whole.
-    what : str
-        What is wrong and what was done about it.
-
     Examples
     --------
     >>> str(Problem("DataLane.csv", "line 17", "the time runs backwards; the row is left out"))
     'DataLane.csv, line 17: the time runs backwards; the row is left out'
     """
 
-    file: str
-    place: str
-    what: str
+    file: str  # Name of the file, without folders of this machine
+    place: str  # ``"line 17"``, ``"row 5"``; empty for the file as a whole
+    what: str  # What is wrong and what was done about it
 
     def __post_init__(self) -> None:
         for name in ("file", "place", "what"):

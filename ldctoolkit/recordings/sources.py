@@ -341,21 +341,11 @@ def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class OpenedRecordings:
-    """Recordings that a reader has looked through.
+    """Recordings that a reader has looked through."""
 
-    Attributes
-    ----------
-    reader : RecordingReader
-        What reads them.
-    source : RecordingSource
-        Parts, files, problems.
-    found : str
-        What was found, in a short text.
-    """
-
-    reader: RecordingReader
-    source: RecordingSource
-    found: str
+    reader: RecordingReader  # What reads them
+    source: RecordingSource  # Parts, files, problems
+    found: str  # What was found, in a short text
 
 
 def open_recordings(

@@ -343,29 +343,14 @@ TIGHTEST = 50.0  # radius [m] of the tightest bend: below 10 m/s it is this one,
 
 @dataclasses.dataclass(frozen=True)
 class Review:
-    """What the review of a design found.
+    """What the review of a design found."""
 
-    Attributes
-    ----------
-    law : str
-        Registry name.
-    title : str
-    gains : tuple of (name, value)
-        Every gain of the design.
-    dt : float [s]
-        Sample time.
-    loop : LoopNumbers or None
-        None for a design that leaves the recorded path alone.
-    findings : tuple of Finding
-        Faults first.
-    """
-
-    law: str
+    law: str  # Registry name
     title: str
-    gains: tuple[tuple[str, GainValue], ...]
-    dt: float
-    loop: LoopNumbers | None
-    findings: tuple[Finding, ...]
+    gains: tuple[tuple[str, GainValue], ...]  # Every gain of the design
+    dt: float  # [s] Sample time
+    loop: LoopNumbers | None  # None for a design that leaves the recorded path alone
+    findings: tuple[Finding, ...]  # Faults first
 
     @property
     def faults(self) -> tuple[Finding, ...]:

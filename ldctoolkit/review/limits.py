@@ -22,22 +22,6 @@ Severity = Literal["fault", "warning", "note"]
 class Finding:
     """One thing that a review found.
 
-    Attributes
-    ----------
-    severity : {"fault", "warning", "note"}
-        A fault makes the design useless or dangerous somewhere in the range, a warning is worth a second look, a note
-        says what the numbers stand on.
-    name : str
-        The check.
-    sentence : str
-        What was found, what is allowed, what helps.
-    value : float
-        The worst value, in SI units; NaN where there is none.
-    allowed : float
-        Where the finding starts; NaN where there is none.
-    v : float [m/s]
-        Speed of the worst value; NaN where it does not depend on the speed.
-
     Raises
     ------
     InputError
@@ -49,12 +33,14 @@ class Finding:
     'note'
     """
 
+    # A fault makes the design useless or dangerous somewhere in the range, a warning is worth a second look, a note
+    # says what the numbers stand on
     severity: Severity
-    name: str
-    sentence: str
-    value: float = math.nan
-    allowed: float = math.nan
-    v: float = math.nan
+    name: str  # The check
+    sentence: str  # What was found, what is allowed, what helps
+    value: float = math.nan  # The worst value, in SI units; NaN where there is none
+    allowed: float = math.nan  # Where the finding starts; NaN where there is none
+    v: float = math.nan  # [m/s] Speed of the worst value; NaN where it does not depend on the speed
 
     def __post_init__(self) -> None:
         if self.severity not in get_args(Severity):

@@ -200,57 +200,28 @@ MISMATCH = 0.2  # relative error of the cornering stiffness of each axle, up and
 
 @dataclasses.dataclass(frozen=True)
 class LoopNumbers:
-    """What the linear loop is like at n speeds; margins and bends are NaN where the closed loop is unstable.
+    """What the linear loop is like at n speeds; margins and bends are NaN where the closed loop is unstable."""
 
-    Attributes
-    ----------
-    v : (n,) [m/s]
-    bend : (n,) [rad/s]
-        Lane yaw rate of the steady bend.
-    stable : (n,) bool
-    radius : (n,)
-        Largest |z| of the closed loop's poles.
-    damping : (n,)
-        Smallest damping ratio.
-    slowest : (n,) [s]
-        Longest time constant.
-    gain_margin, gain_reduction_margin : (n,) [dB]
-        Factor by which the gain may grow, and shrink.
-    phase_margin : (n,) [rad]
-    delay_margin : (n,) [s]
-    disk_margin : (n,)
-    crossover : (n,) [rad/s]
-        Highest frequency at which the sampled loop's gain is 1.
-    bandwidth : (n,) [rad/s]
-        The same before sampling.
-    e_y_bend : (n,) [m]
-        Steady e_y in a bend, on the nominal vehicle.
-    e_y_bend_mismatched : (n,) [m]
-        The same with other cornering stiffness, the worst of the four corners; infinite where one is unstable.
-    bend_error : (n,)
-        Of a law without memory, how far its command in the steady bend is from that of its linearisation, relative to
-        the latter's largest term; 0 for linear laws. Above `BEND_ERROR` there is no offset in a bend: it is NaN.
-    hessian_condition : (n,)
-        Condition number of the condensed Hessian; NaN for a law that is no MPC.
-    """
-
-    v: FloatArray
-    bend: FloatArray
-    stable: BoolArray
-    radius: FloatArray
-    damping: FloatArray
-    slowest: FloatArray
-    gain_margin: FloatArray
-    gain_reduction_margin: FloatArray
-    phase_margin: FloatArray
-    delay_margin: FloatArray
-    disk_margin: FloatArray
-    crossover: FloatArray
-    bandwidth: FloatArray
-    e_y_bend: FloatArray
+    v: FloatArray  # (n,) [m/s]
+    bend: FloatArray  # (n,) [rad/s] Lane yaw rate of the steady bend
+    stable: BoolArray  # (n,) bool
+    radius: FloatArray  # (n,) Largest |z| of the closed loop's poles
+    damping: FloatArray  # (n,) Smallest damping ratio
+    slowest: FloatArray  # (n,) [s] Longest time constant
+    gain_margin: FloatArray  # (n,) [dB] Factor by which the gain may grow, and shrink
+    gain_reduction_margin: FloatArray  # (n,) [dB] Factor by which the gain may grow, and shrink
+    phase_margin: FloatArray  # (n,) [rad]
+    delay_margin: FloatArray  # (n,) [s]
+    disk_margin: FloatArray  # (n,)
+    crossover: FloatArray  # (n,) [rad/s] Highest frequency at which the sampled loop's gain is 1
+    bandwidth: FloatArray  # (n,) [rad/s] The same before sampling
+    e_y_bend: FloatArray  # (n,) [m] Steady e_y in a bend, on the nominal vehicle
+    # (n,) [m] The same with other cornering stiffness, the worst of the four corners; infinite where one is unstable
     e_y_bend_mismatched: FloatArray
+    # (n,) Of a law without memory, how far its command in the steady bend is from that of its linearisation, relative
+    # to the latter's largest term; 0 for linear laws. Above `BEND_ERROR` there is no offset in a bend: it is NaN.
     bend_error: FloatArray
-    hessian_condition: FloatArray
+    hessian_condition: FloatArray  # (n,) Condition number of the condensed Hessian; NaN for a law that is no MPC
 
 
 def loop_numbers(

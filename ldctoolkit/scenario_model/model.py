@@ -193,13 +193,6 @@ class _Source:
 class ScenarioModel:
     """Left and right mixture, their bounds, constants and provenance.
 
-    Attributes
-    ----------
-    left_side, right_side : SideModel
-        Mixture over the parameters that vary, and the constants.
-    provenance : ModelProvenance
-        Where the model comes from.
-
     Notes
     -----
     Parameters are in the outward frame, SI units, in the order of ``PARAMETER_NAMES``.
@@ -213,9 +206,9 @@ class ScenarioModel:
     [1, 1, 1, -1, -1]
     """
 
-    left_side: SideModel
-    right_side: SideModel
-    provenance: ModelProvenance
+    left_side: SideModel  # Mixture over the parameters that vary, and the constants
+    right_side: SideModel  # Mixture over the parameters that vary, and the constants
+    provenance: ModelProvenance  # Where the model comes from
 
     @property
     def left(self) -> BoundedGaussianMixture:

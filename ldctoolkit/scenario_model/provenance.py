@@ -36,21 +36,11 @@ LEAST_LOWER: Final[Mapping[str, float]] = {"T": 0.0, "d_y": 0.0, "sigma_y": 0.0,
 
 @dataclasses.dataclass(frozen=True)
 class SideModel:
-    """One side: a mixture over the parameters that vary, and the values of those that do not.
+    """One side: a mixture over the parameters that vary, and the values of those that do not."""
 
-    Attributes
-    ----------
-    mixture : BoundedGaussianMixture
-        Over `names`, in that order.
-    names : tuple of str
-        Parameters that vary, in the order of `PARAMETER_NAMES`.
-    constants : tuple of (str, float)
-        The other parameters.
-    """
-
-    mixture: BoundedGaussianMixture
-    names: tuple[str, ...]
-    constants: tuple[tuple[str, float], ...] = ()
+    mixture: BoundedGaussianMixture  # Over `names`, in that order
+    names: tuple[str, ...]  # Parameters that vary, in the order of `PARAMETER_NAMES`
+    constants: tuple[tuple[str, float], ...] = ()  # The other parameters
 
     def columns(self, x: FloatArray) -> dict[str, FloatArray]:
         """All eight parameters of drawn events x (n, len(names))."""
@@ -96,22 +86,6 @@ _MOST_LOOKED_AT: Final = 50_000
 class SourceSummary:
     """Quantiles, rank correlations and coarse joint shares of one side's departures.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The d parameters that vary, in the order of the side's mixture.
-    departures : int
-        Departures that were looked at.
-    effective : float
-        Kish's effective number of them.
-    quantiles : tuple of tuple of float
-        (d, m), SI units: at the probabilities (i + 1/2)/m.
-    rank_correlations : tuple of float
-        Spearman's, of the pairs (0, 1), (0, 2), ..., (d-2, d-1).
-    cells : tuple of tuple of int
-        The same pairs: shares in 1/10,000 of b x b cells between the `edges` of both parameters, row by row, the first
-        parameter's cells one after the other.
-
     Notes
     -----
     A quantile is the mean of the quantile function over a window that holds ten departures or more, and windows do not
@@ -125,11 +99,13 @@ class SourceSummary:
     (True, True)
     """
 
-    names: tuple[str, ...]
-    departures: int
-    effective: float
-    quantiles: tuple[tuple[float, ...], ...]
-    rank_correlations: tuple[float, ...]
+    names: tuple[str, ...]  # The d parameters that vary, in the order of the side's mixture
+    departures: int  # Departures that were looked at
+    effective: float  # Kish's effective number of them
+    quantiles: tuple[tuple[float, ...], ...]  # (d, m), SI units: at the probabilities (i + 1/2)/m
+    rank_correlations: tuple[float, ...]  # Spearman's, of the pairs (0, 1), (0, 2), ..., (d-2, d-1)
+    # The same pairs: shares in 1/10,000 of b x b cells between the `edges` of both parameters, row by row, the first
+    # parameter's cells one after the other
     cells: tuple[tuple[int, ...], ...]
 
     @property
@@ -268,135 +244,62 @@ def _rounded(value: float) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class SideSummary:
-    """How one side was fitted. Tuples over K are empty where a criterion was not computed.
+    """How one side was fitted. Tuples over K are empty where a criterion was not computed."""
 
-    Attributes
-    ----------
-    events : int
-        Departures used.
-    n_components : tuple of int
-        The K that were fitted.
-    bic, log_likelihood : tuple of float
-        Criterion, and log-likelihood per event [nats], of each.
-    converged : bool
-        Whether the chosen fit reached its tolerance.
-    moved_inside : tuple of (str, int)
-        Events that lay exactly on a bound, per parameter.
-    redrawn_share : float
-        Share of drawn events that fall below the speed floor and are drawn again.
-    n_parameters : tuple of int
-        Free parameters of each K.
-    aic, icl : tuple of float
-        Other criteria of each K, lower is better.
-    held_out : tuple of float
-        Log-likelihood per event [nats] on events that were kept out of the fit.
-    criterion : str
-        By which K was taken; ``""`` where one K was fitted as requested.
-    reason : str
-        Why this K, as text.
-    failed : tuple of (int, str)
-        The K that could not be fitted, and why.
-    passes : int, optional
-        Of the chosen fit.
-    stop_reason : str
-        Of the chosen fit, as in `BoundedGaussianMixture`.
-    weight : float, optional
-        Sum of the weights, where the departures had any.
-    bounds_from : tuple of (str, str, str)
-        Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``,
-        ``"physical"`` or ``"auto"``.
-    source_summary : SourceSummary, optional
-        How the departures spread; None where weights rest on too few departures.
-    """
-
-    events: int
-    n_components: tuple[int, ...]
-    bic: tuple[float, ...]
-    log_likelihood: tuple[float, ...]
-    converged: bool
-    moved_inside: tuple[tuple[str, int], ...]
-    redrawn_share: float
-    n_parameters: tuple[int, ...] = ()
-    aic: tuple[float, ...] = ()
-    icl: tuple[float, ...] = ()
-    held_out: tuple[float, ...] = ()
-    criterion: str = ""
-    reason: str = ""
-    failed: tuple[tuple[int, str], ...] = ()
-    passes: int | None = None
-    stop_reason: str = ""
-    weight: float | None = None
+    events: int  # Departures used
+    n_components: tuple[int, ...]  # The K that were fitted
+    bic: tuple[float, ...]  # Criterion, and log-likelihood per event [nats], of each
+    log_likelihood: tuple[float, ...]  # Criterion, and log-likelihood per event [nats], of each
+    converged: bool  # Whether the chosen fit reached its tolerance
+    moved_inside: tuple[tuple[str, int], ...]  # Events that lay exactly on a bound, per parameter
+    redrawn_share: float  # Share of drawn events that fall below the speed floor and are drawn again
+    n_parameters: tuple[int, ...] = ()  # Free parameters of each K
+    aic: tuple[float, ...] = ()  # Other criteria of each K, lower is better
+    icl: tuple[float, ...] = ()  # Other criteria of each K, lower is better
+    held_out: tuple[float, ...] = ()  # Log-likelihood per event [nats] on events that were kept out of the fit
+    criterion: str = ""  # By which K was taken; ``""`` where one K was fitted as requested
+    reason: str = ""  # Why this K, as text
+    failed: tuple[tuple[int, str], ...] = ()  # The K that could not be fitted, and why
+    passes: int | None = None  # Of the chosen fit
+    stop_reason: str = ""  # Of the chosen fit, as in `BoundedGaussianMixture`
+    weight: float | None = None  # Sum of the weights, where the departures had any
+    # Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``, ``"physical"``
+    # or ``"auto"``
     bounds_from: tuple[tuple[str, str, str], ...] = ()
+    # How the departures spread; None where weights rest on too few departures
     source_summary: SourceSummary | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class FitSettings:
-    """Settings of the fits, the same for both sides.
+    """Settings of the fits, the same for both sides."""
 
-    Attributes
-    ----------
-    criterion : {"bic", "aic", "icl", "held_out"}
-        What K is chosen by.
-    slack : float, optional
-        The smallest K within this distance of the best criterion is taken; None is the criterion's own.
-    indifference : float
-        The same in nats per event; the larger of the two counts.
-    prior_strength : float
-        Pseudo-events per component.
-    tol : float
-        Gain per pass [nats an event] below which a fit has converged.
-    n_init : int
-        Starts.
-    max_iter : int
-        Most passes.
-    """
-
-    criterion: str
+    criterion: str  # What K is chosen by
+    # The smallest K within this distance of the best criterion is taken; None is the criterion's own
     slack: float | None
-    indifference: float
-    prior_strength: float
-    tol: float
-    n_init: int
-    max_iter: int
+    indifference: float  # The same in nats per event; the larger of the two counts
+    prior_strength: float  # Pseudo-events per component
+    tol: float  # Gain per pass [nats an event] below which a fit has converged
+    n_init: int  # Starts
+    max_iter: int  # Most passes
 
 
 @dataclasses.dataclass(frozen=True)
 class ModelProvenance:
-    """Where a scenario model comes from.
+    """Where a scenario model comes from."""
 
-    Attributes
-    ----------
-    source : mapping
-        JSON values that describe the data; ``"criteria"`` and ``"refused"`` are those of the extraction.
-    synthetic : bool
-        True where the data were drawn from a stated population and not recorded.
-    created : str
-        Time in UTC, ISO 8601.
-    software : str
-        Name and version of the program that fitted it.
-    seed : int
-        Seed of the fit.
-    warnings : tuple of str
-        What a user of the model should know.
-    left, right : SideSummary, optional
-        How each side was fitted.
-    versions : mapping of str to str
-        Software behind the numbers, see `software_versions`.
-    settings : FitSettings, optional
-        Of the fits.
-    """
-
+    # JSON values that describe the data; ``"criteria"`` and ``"refused"`` are those of the extraction
     source: Mapping[str, Any]
-    synthetic: bool = False
-    created: str = ""
-    software: str = ""
-    seed: int = 0
-    warnings: tuple[str, ...] = ()
-    left: SideSummary | None = None
-    right: SideSummary | None = None
+    synthetic: bool = False  # True where the data were drawn from a stated population and not recorded
+    created: str = ""  # Time in UTC, ISO 8601
+    software: str = ""  # Name and version of the program that fitted it
+    seed: int = 0  # Seed of the fit
+    warnings: tuple[str, ...] = ()  # What a user of the model should know
+    left: SideSummary | None = None  # How each side was fitted
+    right: SideSummary | None = None  # How each side was fitted
+    # Software behind the numbers, see `software_versions`
     versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    settings: FitSettings | None = None
+    settings: FitSettings | None = None  # Of the fits
 
 
 def software_versions() -> dict[str, str]:

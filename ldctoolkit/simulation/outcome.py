@@ -26,68 +26,33 @@ class Trajectories:
 
     NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and
     everywhere where it never triggered.
-
-    Attributes
-    ----------
-    rows : (c,) int
-        Row numbers of the scenarios.
-    t : (c, k) [s]
-        Time since the departure's start; the first column is the trigger.
-    x : (c, k, 4)
-        State (e_y, de_y/dt, e_psi, de_psi/dt).
-    delta : (c, k) [rad]
-        Steering angle of the wheel just after that time; in the last entry, at it.
     """
 
-    rows: IntArray
-    t: FloatArray
-    x: FloatArray
-    delta: FloatArray
+    rows: IntArray  # (c,) int Row numbers of the scenarios
+    t: FloatArray  # (c, k) [s] Time since the departure's start; the first column is the trigger
+    x: FloatArray  # (c, k, 4) State (e_y, de_y/dt, e_psi, de_psi/dt)
+    delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Scores of one design on n scenarios.
+    """Scores of one design on n scenarios."""
 
-    Attributes
-    ----------
-    window : {"departure", "control"}
-        Over which S is integrated: [0, T], or from the trigger to T.
-    S : (n,) [m s]
-        Integral of |e_y| under the design.
-    S_uncorrected : (n,) [m s]
-        The same of the recorded path.
-    triggered : (n,) bool
-    status : (n,) int8
-        `EventStatus`.
-    t_s : (n,) [s]
-        Trigger time, infinite where never triggered.
-    companions : Companions
-        Depth, way back, acceleration, jerk and steering, arrays of n.
-    failed_solves : (n,) int
-        Commands that came from the fallback law.
-    law_seconds : float [s]
-        Wall time of the law's own steps, all scenarios together, not reproducible; 0 for a linear law.
-    trajectories : Trajectories or None
-        On request; None where no control acted, since there is no path but the recorded one.
-    solver_log : SolverLog
-        Every solver call of a law that has a solver.
-    side : (n,) int or None
-        ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own.
-    """
-
-    window: Window
-    S: FloatArray
-    S_uncorrected: FloatArray
-    triggered: BoolArray
-    status: npt.NDArray[np.int8]
-    t_s: FloatArray
-    companions: metrics.MetricValues
-    failed_solves: IntArray
+    window: Window  # Over which S is integrated: [0, T], or from the trigger to T
+    S: FloatArray  # (n,) [m s] Integral of |e_y| under the design
+    S_uncorrected: FloatArray  # (n,) [m s] The same of the recorded path
+    triggered: BoolArray  # (n,) bool
+    status: npt.NDArray[np.int8]  # (n,) int8 `EventStatus`
+    t_s: FloatArray  # (n,) [s] Trigger time, infinite where never triggered
+    companions: metrics.MetricValues  # Depth, way back, acceleration, jerk and steering, arrays of n
+    failed_solves: IntArray  # (n,) int Commands that came from the fallback law
+    # [s] Wall time of the law's own steps, all scenarios together, not reproducible; 0 for a linear law
     law_seconds: float
+    # On request; None where no control acted, since there is no path but the recorded one
     trajectories: Trajectories | None
+    # Every solver call of a law that has a solver
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
-    side: IntArray | None = None
+    side: IntArray | None = None  # (n,) int or None ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
@@ -119,27 +84,16 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """One design driven from the trigger on: m triggered scenarios in the takeover's order.
-
-    Attributes
-    ----------
-    takeover : Takeover
-    area : (m,) [m s] or None
-        Integral of |e_y| from the trigger to T; None where no control acted.
-    status, failed_solves, companions, law_seconds, solver_log
-        As in `Outcome`, arrays of m.
-    trajectories : Trajectories or None
-        Of chosen ones of all n scenarios.
-    """
+    """One design driven from the trigger on: m triggered scenarios in the takeover's order."""
 
     takeover: Takeover
-    area: FloatArray | None
-    status: npt.NDArray[np.int8]
-    failed_solves: IntArray
-    companions: metrics.MetricValues
-    law_seconds: float
-    trajectories: Trajectories | None
-    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
+    area: FloatArray | None  # (m,) [m s] or None Integral of |e_y| from the trigger to T; None where no control acted
+    status: npt.NDArray[np.int8]  # As in `Outcome`, arrays of m
+    failed_solves: IntArray  # As in `Outcome`, arrays of m
+    companions: metrics.MetricValues  # As in `Outcome`, arrays of m
+    law_seconds: float  # As in `Outcome`, arrays of m
+    trajectories: Trajectories | None  # Of chosen ones of all n scenarios
+    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))  # As in `Outcome`, arrays of m
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
         """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""

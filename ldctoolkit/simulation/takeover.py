@@ -131,63 +131,27 @@ _REACH, _LONGEST = 0.25, 0.03
 
 @dataclasses.dataclass(frozen=True)
 class Takeover:
-    """The m triggered of n scenarios at their trigger times, in an order that suits the compiled loops.
+    """The m triggered of n scenarios at their trigger times, in an order that suits the compiled loops."""
 
-    Attributes
-    ----------
-    scenarios : Scenarios
-        All n.
-    setup : Setup
-        Vehicle, plant, clock and seed.
-    y_s : float [m]
-        Trigger threshold.
-    valid : (n,) bool
-        Scenarios that can be driven at all.
-    path : UncorrectedPath
-        Recorded paths of all n.
-    rows : (m,) int
-        Which scenarios triggered, in the order used by every array of m.
-    t_s : (n,) [s]
-        Trigger time, infinite where never triggered.
-    S_uncorrected : (n,) [m s]
-        Score of the recorded path over the whole departure; NaN where not valid.
-    S_before : (n,) [m s]
-        Its part before the trigger; all of it where never triggered.
-    driven : UncorrectedPath
-        The m rows of `path`.
-    vehicles : TrueVehicles
-        What is driven, m rows.
-    start : (m,) [s]
-        Trigger times.
-    x_0 : (m, 4)
-        Start states.
-    delta_0 : (m,) [rad]
-        Steady steering angle of the recorded path at the trigger: the command before the first.
-    full_steps : (m,) int
-        Whole steps of dt until the departure ends; descending among scenarios that take as many substeps.
-    rest : (m,) [s]
-        What remains after them, 0 <= rest < dt.
-    plant : Plant
-        The nominal vehicle at the trigger speeds: what a design is prepared with.
-    """
-
-    scenarios: Scenarios
-    setup: Setup
-    y_s: float
-    valid: BoolArray
-    path: UncorrectedPath
-    rows: IntArray
-    t_s: FloatArray
-    S_uncorrected: FloatArray
-    S_before: FloatArray
-    driven: UncorrectedPath
-    vehicles: TrueVehicles
-    start: FloatArray
-    x_0: FloatArray
+    scenarios: Scenarios  # All n
+    setup: Setup  # Vehicle, plant, clock and seed
+    y_s: float  # [m] Trigger threshold
+    valid: BoolArray  # (n,) bool Scenarios that can be driven at all
+    path: UncorrectedPath  # Recorded paths of all n
+    rows: IntArray  # (m,) int Which scenarios triggered, in the order used by every array of m
+    t_s: FloatArray  # (n,) [s] Trigger time, infinite where never triggered
+    S_uncorrected: FloatArray  # (n,) [m s] Score of the recorded path over the whole departure; NaN where not valid
+    S_before: FloatArray  # (n,) [m s] Its part before the trigger; all of it where never triggered
+    driven: UncorrectedPath  # The m rows of `path`
+    vehicles: TrueVehicles  # What is driven, m rows
+    start: FloatArray  # (m,) [s] Trigger times
+    x_0: FloatArray  # (m, 4) Start states
+    # (m,) [rad] Steady steering angle of the recorded path at the trigger: the command before the first
     delta_0: FloatArray
+    # (m,) int Whole steps of dt until the departure ends; descending among scenarios that take as many substeps
     full_steps: IntArray
-    rest: FloatArray
-    plant: Plant
+    rest: FloatArray  # (m,) [s] What remains after them, 0 <= rest < dt
+    plant: Plant  # The nominal vehicle at the trigger speeds: what a design is prepared with
 
     @property
     def m(self) -> int:

@@ -39,21 +39,11 @@ CHECKS: Final[dict[str, Check]] = {name: getattr(law_checks, name) for name in _
 
 @dataclasses.dataclass(frozen=True)
 class Fault:
-    """One thing that a design does against the contract.
+    """One thing that a design does against the contract."""
 
-    Attributes
-    ----------
-    design : str
-        Name of the law, and the gains that differ from their defaults.
-    check : str
-        Key of `CHECKS`.
-    sentence : str
-        What is wrong, with the numbers, and what is allowed.
-    """
-
-    design: str
-    check: str
-    sentence: str
+    design: str  # Name of the law, and the gains that differ from their defaults
+    check: str  # Key of `CHECKS`
+    sentence: str  # What is wrong, with the numbers, and what is allowed
 
     def __str__(self) -> str:
         return f"{self.design}: {self.check}: {self.sentence}"
@@ -183,15 +173,6 @@ def _faults(design: Controller, checks: Iterable[str], settings: ContractSetting
 class ControllerContract:
     """The contract as tests: subclass it under pytest, in a class whose name starts with ``Test``.
 
-    Attributes
-    ----------
-    controller : type or Controller
-        The law under test.
-    designs : sequence of Controller
-        More designs of it than the one with all defaults.
-    settings : ContractSettings
-        Size and tolerances.
-
     Examples
     --------
     >>> from controllers import LQR
@@ -201,9 +182,9 @@ class ControllerContract:
     >>> TestLQR().test_mirrored_input_gives_the_mirrored_command()
     """
 
-    controller: ClassVar[type[Controller] | Controller]
-    designs: ClassVar[Sequence[Controller]] = ()
-    settings: ClassVar[ContractSettings] = ContractSettings()
+    controller: ClassVar[type[Controller] | Controller]  # The law under test
+    designs: ClassVar[Sequence[Controller]] = ()  # More designs of it than the one with all defaults
+    settings: ClassVar[ContractSettings] = ContractSettings()  # Size and tolerances
 
     def _keeps(self, check: str) -> None:
         given = getattr(self, "controller", None)

@@ -25,33 +25,18 @@ class Plant:
     """The vehicle discretised once for a scenario set, shared by every design.
 
     It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
-
-    Attributes
-    ----------
-    model : BicycleModel
-        The continuous model.
-    v : (n,) [m/s]
-        Speed of each scenario, frozen at the trigger.
-    dt : float [s]
-        Sample time of the controller.
-    step : Discretization
-        One step of dt at each speed, of the vehicle alone.
-    lag : float [s]
-        Time constant of the nominal actuator; 0 for none.
-    delay : float [s]
-        From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
-        `age`.
-    age : float [s]
-        How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of the
-        present.
     """
 
-    model: BicycleModel
-    v: FloatArray
-    dt: float
-    step: Discretization
-    lag: float = 0.0
+    model: BicycleModel  # The continuous model
+    v: FloatArray  # (n,) [m/s] Speed of each scenario, frozen at the trigger
+    dt: float  # [s] Sample time of the controller
+    step: Discretization  # One step of dt at each speed, of the vehicle alone
+    lag: float = 0.0  # [s] Time constant of the nominal actuator; 0 for none
+    # [s] From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
+    # `age`
     delay: float = 0.0
+    # [s] How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of
+    # the present.
     age: float = 0.0
 
     @classmethod
@@ -177,17 +162,10 @@ class SingleTrack(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class SteadyState:
-    """Steady cornering per unit of lane yaw rate, at each of n speeds.
+    """Steady cornering per unit of lane yaw rate, at each of n speeds."""
 
-    Attributes
-    ----------
-    delta : (n,) [rad per rad/s]
-        Steering angle that holds the bend with e_y = 0.
-    e_psi : (n,) [rad per rad/s]
-        Heading error that belongs to it (the vehicle's side slip, with its sign turned).
-    """
-
-    delta: FloatArray
+    delta: FloatArray  # (n,) [rad per rad/s] Steering angle that holds the bend with e_y = 0
+    # (n,) [rad per rad/s] Heading error that belongs to it (the vehicle's side slip, with its sign turned)
     e_psi: FloatArray
 
 

@@ -89,24 +89,14 @@ _PADE_RADIUS = 5.371920351148152
 
 @dataclasses.dataclass(frozen=True)
 class Discretization:
-    """One step of n systems: x+ = A x + B delta + E_0 r + E_1 r+, and the integral of x[0] over the step.
+    """One step of n systems: x+ = A x + B delta + E_0 r + E_1 r+, and the integral of x[0] over the step."""
 
-    Attributes
-    ----------
-    A : (n, 4, 4)
-    B : (n, 4)
-    E_0, E_1 : (n, 4)
-        Weights of the lane's yaw rate at the start and at the end of the step.
-    area_x : (n, 4)
-    area_delta, area_r_0, area_r_1 : (n,)
-        The integral of x[0] over the step is area_x . x + area_delta delta + area_r_0 r + area_r_1 r+.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    E_0: FloatArray
-    E_1: FloatArray
-    area_x: FloatArray
+    A: FloatArray  # (n, 4, 4)
+    B: FloatArray  # (n, 4)
+    E_0: FloatArray  # (n, 4) Weights of the lane's yaw rate at the start and at the end of the step
+    E_1: FloatArray  # (n, 4) Weights of the lane's yaw rate at the start and at the end of the step
+    area_x: FloatArray  # (n, 4)
+    # (n,) The integral of x[0] over the step is area_x . x + area_delta delta + area_r_0 r + area_r_1 r+.
     area_delta: FloatArray
     area_r_0: FloatArray
     area_r_1: FloatArray

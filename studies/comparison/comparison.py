@@ -79,48 +79,24 @@ class CaseComparison:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """An old and a new study on shared scenarios.
+    """An old and a new study on shared scenarios."""
 
-    Attributes
-    ----------
-    old, new : str
-        Folders.
-    old_name, new_name : str
-        Names of the studies.
-    differences : tuple of str
-        What decides the numbers and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``.
-    shared : SharedScenarios
-        Those that could be driven in both.
-    cases : tuple of CaseComparison
-        Cases that both studies have, in the new study's order.
-    only_old, only_new : tuple of Design
-        Designs that one study has results of and the other does not hold.
-    new_failures, repaired, failed_in_both : tuple of FailedDesign
-        Designs of both studies whose law failed in the new one only, in the old one only, and in both.
-    given_up : tuple of Design
-        Designs of both studies that a race gave up in one of them.
-    bootstrap : int
-        Resamples.
-    confidence : float
-        Of the intervals, all designs and cases together.
-    warnings : tuple of str
-    """
-
-    old: str
-    new: str
-    old_name: str
-    new_name: str
-    differences: tuple[str, ...]
-    shared: SharedScenarios
-    cases: tuple[CaseComparison, ...]
-    only_old: tuple[Design, ...]
-    only_new: tuple[Design, ...]
+    old: str  # Folders
+    new: str  # Folders
+    old_name: str  # Names of the studies
+    new_name: str  # Names of the studies
+    differences: tuple[str, ...]  # What decides the numbers and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``
+    shared: SharedScenarios  # Those that could be driven in both
+    cases: tuple[CaseComparison, ...]  # Cases that both studies have, in the new study's order
+    only_old: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
+    only_new: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
+    # Designs of both studies whose law failed in the new one only, in the old one only, and in both
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]
     failed_in_both: tuple[FailedDesign, ...]
-    given_up: tuple[Design, ...]
-    bootstrap: int
-    confidence: float
+    given_up: tuple[Design, ...]  # Designs of both studies that a race gave up in one of them
+    bootstrap: int  # Resamples
+    confidence: float  # Of the intervals, all designs and cases together
     warnings: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:

@@ -243,64 +243,30 @@ class Machine(BaseModel):
 
 
 class Manifest(BaseModel):
-    """``manifest.json``.
-
-    Attributes
-    ----------
-    format_version : int
-    study : dict
-        Content of the study; `read_study` makes a `Study` of it.
-    study_hash, model_hash : str
-        Identity of the study and content hash of the scenario model.
-    model : str
-        Name of the model, or its file's name.
-    model_notes : tuple of str
-        Where the model comes from, for readers.
-    model_synthetic : bool
-        Whether it was fitted to invented driving.
-    inputs : dict
-        What decides the numbers of any design.
-    seed : int
-    versions : dict of str to str
-        Packages.
-    python : str
-    machine : Machine
-    created, finished : str
-        UTC, ISO 8601; `finished` is empty until every design is done.
-    wall_time_s : float
-        Summed over all runs into the folder.
-    executor : str
-        Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``.
-    workers : int
-        Of the last run.
-    part_of : str
-        Of finalists: which ranking they are the finalists of (`Study.ranked_as`); empty otherwise.
-    command : str
-        Command line of the last run, absolute paths reduced to file names.
-    """
+    """``manifest.json``."""
 
     # "model" is the scenario model here; pydantic keeps the word for itself otherwise
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
     format_version: int = FORMAT_VERSION
-    study: dict[str, Any]
-    study_hash: str
-    model: str
-    model_hash: str
-    model_notes: tuple[str, ...] = ()
-    model_synthetic: bool = False
-    inputs: dict[str, Any]
+    study: dict[str, Any]  # Content of the study; `read_study` makes a `Study` of it
+    study_hash: str  # Identity of the study and content hash of the scenario model
+    model: str  # Name of the model, or its file's name
+    model_hash: str  # Identity of the study and content hash of the scenario model
+    model_notes: tuple[str, ...] = ()  # Where the model comes from, for readers
+    model_synthetic: bool = False  # Whether it was fitted to invented driving
+    inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
-    versions: dict[str, str]
+    versions: dict[str, str]  # Packages
     python: str
     machine: Machine
-    created: str
-    finished: str = ""
-    wall_time_s: float = 0.0
-    executor: str = "serial"
-    workers: int = 1
-    part_of: str = ""
-    command: str = ""
+    created: str  # UTC, ISO 8601; `finished` is empty until every design is done
+    finished: str = ""  # UTC, ISO 8601; `finished` is empty until every design is done
+    wall_time_s: float = 0.0  # Summed over all runs into the folder
+    executor: str = "serial"  # Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``
+    workers: int = 1  # Of the last run
+    part_of: str = ""  # Of finalists: which ranking they are the finalists of (`Study.ranked_as`); empty otherwise
+    command: str = ""  # Command line of the last run, absolute paths reduced to file names
 
     @classmethod
     def of(
