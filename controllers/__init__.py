@@ -12,6 +12,7 @@ from controllers.preview_proportional import PreviewProportional
 from controllers.pure_pursuit import PurePursuit
 from controllers.sliding_mode import SlidingMode
 from controllers.stanley import Stanley
+from ldctoolkit.control import check_class
 
 __all__ = [
     "LQI",
@@ -27,3 +28,6 @@ __all__ = [
     "SlidingMode",
     "Stanley",
 ]
+
+for _name in __all__:
+    check_class(globals()[_name])  # their documentation then lists their gains

@@ -120,22 +120,6 @@ def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
 class BarrierFilter(Controller):
     """Barrier function filter around another law.
 
-    Parameters
-    ----------
-    inner : str
-        Registry key of the law inside; `none` and the filter itself cannot be.
-    inner_gains : str
-        Gains of the law inside, ``"K_y=-0.02, T_lp=0.5"``; those not named keep their defaults. An option `convention`
-        is set here as well and does not follow a study's case.
-    e_y_max : float [m]
-        Half width of the corridor of the vehicle's centre about the lane's centre.
-    gamma_1 : float [1]
-        Share of h that may be lost in a sample, at the present rate.
-    gamma_2 : float [1]
-        Share of psi that may be lost in a sample.
-    delta_max : float [rad]
-        Limit of the steering angle.
-
     Raises
     ------
     InputError

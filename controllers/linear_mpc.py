@@ -35,32 +35,6 @@ from ldctoolkit import Controller, Plant, gain, option
 class LinearMPC(Controller):
     """Linear MPC, one QP a sample.
 
-    Parameters
-    ----------
-    horizon : int [samples]
-        N.
-    q_y, q_y_rate, q_psi, q_psi_rate, r_delta : float
-        Weights as in `LQR`.
-    delta_max : float [rad]
-        Limit of the steering angle.
-    rate_max : float [rad/s]
-        Limit of the steering rate.
-    a_y_max : float [m/s^2]
-        Soft limit of the lateral acceleration less that of the lane, just after each command and at the end of each
-        step; 0 for none.
-    jerk_max : float [m/s^3]
-        Soft limit of its mean change over 0.5 s; 0 for none.
-    e_y_max : float [m]
-        Soft limit of the offset |e_y| at each sample ahead; 0 for none.
-    soft_weight : float
-        Weight of going beyond a soft limit, as a share of it, against half the squared corrections [rad^2].
-    blocks : int
-        Number of free moves over the horizon; 0, or `horizon` and more, for one a sample.
-    solver : str
-        "osqp", "daqp", or another solver that qpsolvers finds installed (a slow reference).
-    always_solve : bool
-        Call the solver even where the solution is known without, and take what it says; for tests and timing.
-
     Raises
     ------
     InputError

@@ -29,21 +29,6 @@ from ldctoolkit import Controller, LinearLaw, Plant, gain
 class LQI(Controller):
     """Linear quadratic regulator with integral action on e_y.
 
-    Parameters
-    ----------
-    q_y : float [1/m^2]
-        Weight on e_y^2.
-    q_y_rate : float [s^2/m^2]
-        Weight on (de_y/dt)^2.
-    q_psi : float [1/rad^2]
-        Weight on e_psi^2.
-    q_psi_rate : float [s^2/rad^2]
-        Weight on (de_psi/dt)^2.
-    q_i : float [1/(m s)^2]
-        Weight on the square of the integral of e_y.
-    r_delta : float [1/rad^2]
-        Weight on delta^2.
-
     Examples
     --------
     >>> LQI(q_i=0.1).q_y

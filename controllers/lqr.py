@@ -21,19 +21,6 @@ from ldctoolkit import Controller, LinearLaw, Plant, gain
 class LQR(Controller):
     """Linear quadratic regulator on the full error state.
 
-    Parameters
-    ----------
-    q_y : float [1/m^2]
-        Weight on e_y^2.
-    q_y_rate : float [s^2/m^2]
-        Weight on (de_y/dt)^2.
-    q_psi : float [1/rad^2]
-        Weight on e_psi^2.
-    q_psi_rate : float [s^2/rad^2]
-        Weight on (de_psi/dt)^2.
-    r_delta : float [1/rad^2]
-        Weight on delta^2.
-
     Examples
     --------
     >>> LQR(r_delta=200.0).q_y

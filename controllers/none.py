@@ -11,7 +11,7 @@ from ldctoolkit import Controller, Plant, RecordedPath
 @final
 @dataclasses.dataclass(frozen=True)
 class NoControl(Controller):
-    """Nobody intervenes; S equals S_uncorrected to the bit.
+    """No control acts; S equals S_uncorrected to the bit.
 
     Examples
     --------

@@ -49,26 +49,6 @@ _SPEED = 8  # place of v in a column
 class NonlinearMPC(Controller):
     """Nonlinear MPC, solved to convergence at every sample.
 
-    Parameters
-    ----------
-    horizon : int [samples]
-        N.
-    q_y, q_y_rate, q_psi, q_psi_rate, r_delta : float
-        Weights as in `LQR`.
-    delta_max : float [rad]
-        Limit of the steering angle.
-    rate_max : float [rad/s]
-        Limit of the steering rate.
-    a_y_max : float [m/s^2]
-        Soft limit of the lateral acceleration less that of the lane, just after each command and at each sample's end;
-        0 for none.
-    jerk_max : float [m/s^3]
-        Soft limit of its mean change over 0.5 s; 0 for none.
-    e_y_max : float [m]
-        Soft limit of |e_y| at each sample's end; 0 for none.
-    mu : float [1]
-        Friction coefficient that the law believes in.
-
     Examples
     --------
     >>> NonlinearMPC(horizon=10, mu=0.3).delta_max

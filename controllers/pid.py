@@ -43,21 +43,6 @@ from ldctoolkit.arrays import FloatArray, IntArray
 class PID(Controller):
     """PID on the offset at the preview point.
 
-    Parameters
-    ----------
-    K_p : float [rad/m]
-        Gain on e_p.
-    K_i : float [rad/(m s)]
-        Gain on the integral of e_p.
-    K_d : float [rad s/m]
-        Gain on the rate of e_p.
-    T_lp : float [s]
-        Preview time.
-    T_t : float [s]
-        Tracking time of the back-calculation: how fast the integral gives way while the command is limited.
-    delta_max : float [rad]
-        Limit of the steering angle.
-
     Examples
     --------
     >>> PID(K_i=0.0).K_p

@@ -42,21 +42,6 @@ from ldctoolkit.arrays import FloatArray
 class PreviewLQR(Controller):
     """Linear quadratic regulator with optimal preview of the lane's yaw rate.
 
-    Parameters
-    ----------
-    horizon : int [samples]
-        N, how far ahead the lane is known.
-    q_y : float [1/m^2]
-        Weight on e_y^2.
-    q_y_rate : float [s^2/m^2]
-        Weight on (de_y/dt)^2.
-    q_psi : float [1/rad^2]
-        Weight on e_psi^2.
-    q_psi_rate : float [s^2/rad^2]
-        Weight on (de_psi/dt)^2.
-    r_delta : float [1/rad^2]
-        Weight on delta^2.
-
     Examples
     --------
     >>> from ldctoolkit import BicycleModel, Plant

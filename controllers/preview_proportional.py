@@ -21,17 +21,6 @@ from ldctoolkit import Controller, LinearLaw, Plant, gain, option
 class PreviewProportional(Controller):
     """Proportional feedback on lateral offset and previewed heading error.
 
-    Parameters
-    ----------
-    K_y : float [rad/m]
-        Gain on e_y.
-    K_psi : float [rad/rad]
-        Gain on the heading error at the preview point.
-    T_lp : float [s]
-        Preview time.
-    convention : {"consistent", "as_printed"}
-        Sign of the preview integral.
-
     Examples
     --------
     >>> PreviewProportional(K_y=-0.01).K_psi

@@ -42,15 +42,6 @@ _STEP = 0.1  # s between two looks at the lane
 class PurePursuit(Controller):
     """Pure pursuit of a point on the lane's centre line.
 
-    Parameters
-    ----------
-    T_lp : float [s]
-        Lookahead time: the lookahead distance is T_lp v.
-    l_min : float [m]
-        Least lookahead distance, more than l_r.
-    delta_max : float [rad]
-        Limit of the steering angle.
-
     Examples
     --------
     >>> PurePursuit(T_lp=1.5).l_min

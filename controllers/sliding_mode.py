@@ -54,19 +54,6 @@ from ldctoolkit.arrays import FloatArray, IntArray
 class SlidingMode(Controller):
     """Super-twisting control of the offset at a point ahead.
 
-    Parameters
-    ----------
-    lambda_ : float [1/s]
-        Rate at which the offset decays on the sliding surface.
-    k_1 : float [m^(1/2)/s^(3/2)]
-        Gain on the root of the sliding variable.
-    k_2 : float [m/s^3]
-        Rate of the integral part.
-    T_lp : float [s]
-        Preview time of the point whose offset is controlled.
-    delta_max : float [rad]
-        Limit of the steering angle.
-
     Examples
     --------
     >>> SlidingMode(lambda_=2.0).T_lp

@@ -38,21 +38,6 @@ from ldctoolkit.arrays import FloatArray, IntArray
 class Stanley(Controller):
     """The steering law of the vehicle Stanley.
 
-    Parameters
-    ----------
-    k : float [1/s]
-        Gain on the offset of the front axle; on a vehicle without side slip it decays at the rate k v/(k_soft + v).
-    k_soft : float [m/s]
-        Added to the speed, so that the law stays calm at low speed.
-    k_d_yaw : float [s]
-        Gain on the yaw rate against the lane's.
-    k_d_steer : float [rad/rad]
-        Gain on the last change of the command.
-    k_ag : float
-        Share of the side slip of steady cornering that is taken off the heading error.
-    delta_max : float [rad]
-        Limit of the steering angle.
-
     Examples
     --------
     >>> Stanley(k=2.0).k_soft

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import Gain, check_declarations, declared_gains
+from ldctoolkit.gains import Gain, check_declarations, declared_gains, document_gains
 from ldctoolkit.vehicle import Plant
 
 State = tuple[FloatArray, FloatArray | None, FloatArray]
@@ -295,6 +295,7 @@ def check_class(controller: type[Controller]) -> None:
         abstract = ", ".join(sorted(controller.__abstractmethods__))
         raise InputError(f"{called}: no {abstract}; allowed: a class that defines it")
     check_declarations(controller)
+    document_gains(controller)
     _checked.add(controller)
 
 

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import math
 import numbers
+import re
 from typing import Any, Literal
 
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
@@ -221,6 +222,21 @@ def _contradiction(declared: Gain, kind: str) -> str:
     if declared.scale not in ("linear", "log"):
         return f"scale={declared.scale!r}; {nearest(str(declared.scale), ('linear', 'log'))}"
     return f"scale='log' with lower={lower!r}; allowed: lower > 0" if declared.scale == "log" and lower <= 0 else ""
+
+
+def document_gains(owner: type) -> None:
+    """Add the declared gains to a class's documentation, as its section of parameters."""
+    rows = [
+        f"    {one.name} : {type(one.default).__name__}{'' if one.unit == '1' else f' [{one.unit}]'}\n"
+        f"        {one.description[:1].upper()}{one.description[1:]}."
+        for one in declared_gains(owner)
+    ]
+    text = owner.__doc__ or ""
+    if rows and "\n    Parameters\n" not in text:
+        first = re.search(r"\n    \w+\n    -{3,}\n", text)
+        place = first.start() if first else len(text)
+        section = "\n".join(["    Parameters", "    ----------", *rows])
+        owner.__doc__ = f"{text[:place].rstrip()}\n\n{section}\n{text[place:] or '    '}"
 
 
 def find_gain(owner: Any, name: str, owner_name: str) -> Gain:
