@@ -230,7 +230,12 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
     compiler = None if sys.platform == "win32" else shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
-    text = _c_text(functions, name)
+    import casadi as ca
+
+    generator = ca.CodeGenerator(name)
+    for function in functions:
+        generator.add(function)
+    text = str(generator.dump())
     key = hashlib.sha256("\n".join([compiler, *_OPTIONS, platform.platform(), text]).encode()).hexdigest()[:24]
     try:
         folder = cache_folder()
@@ -241,15 +246,6 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
     except (OSError, RuntimeError, subprocess.SubprocessError):
         return None
     return target
-
-
-def _c_text(functions: tuple[Any, ...], name: str) -> str:
-    import casadi as ca
-
-    generator = ca.CodeGenerator(name)
-    for function in functions:
-        generator.add(function)
-    return str(generator.dump())
 
 
 def _compile(compiler: str, text: str, target: Path) -> None:

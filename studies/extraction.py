@@ -109,11 +109,15 @@ def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria
     """What decides the numbers of all parts."""
     home = Path(ldctoolkit.__file__).parent
     keys = json.dumps([part.key for part in source.parts])
+    # The package that a reader comes with, and its version; of each, where several work together
+    names = reader.name.split(" + ")
+    points = [point for point in importlib.metadata.entry_points(group=GROUP) if point.name in names]
     plan = {
         "format_version": FORMAT_VERSION,
         "reader": reader.name,
         "program": _program(home, _others(home, reader, source.parts)),
-        "versions": dict(versions(("ldctoolkit", *PACKAGES))) | _offered_by(reader.name),
+        "versions": dict(versions(("ldctoolkit", *PACKAGES)))
+        | {point.dist.name: point.dist.version for point in points if point.dist is not None},
         "criteria": dataclasses.asdict(criteria),
         "preparation": dataclasses.asdict(preparation),
         "files": [[file.name, file.bytes, file.sha256] for file in source.files],
@@ -145,13 +149,6 @@ def _others(home: Path, reader: RecordingReader, parts: Iterable[RecordingPart])
         file = getattr(sys.modules.get(name), "__file__", None)
         if file is not None and not Path(file).is_relative_to(home):
             yield name, Path(file)
-
-
-def _offered_by(reader: str) -> dict[str, str]:
-    """The package that a reader comes with, and its version; of each, where several work together."""
-    names = reader.split(" + ")
-    points = [point for point in importlib.metadata.entry_points(group=GROUP) if point.name in names]
-    return {point.dist.name: point.dist.version for point in points if point.dist is not None}
 
 
 def what_differs(there: Plan, now: Plan) -> str:

@@ -90,7 +90,12 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
             problems.append(item)
         elif isinstance(item, Recording):
             try:
-                _check_labels(item)
+                for label in item.labels:
+                    if not label.name or label.name in TAKEN:
+                        raise RecordingError(
+                            f"recording {item.name!r}: label {label.name!r}; allowed: a name that is no column of the "
+                            "departures table"
+                        )
                 recording = prepare(item, preparation, criteria.max_jump)
             except RecordingError as error:
                 problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
@@ -105,15 +110,6 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
             raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
     search()
     return combined_results([*results, PartResult(problems=tuple(problems))])
-
-
-def _check_labels(recording: Recording) -> None:
-    for label in recording.labels:
-        if not label.name or label.name in TAKEN:
-            raise RecordingError(
-                f"recording {recording.name!r}: label {label.name!r}; allowed: a name that is no column of the "
-                "departures table"
-            )
 
 
 _OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal")

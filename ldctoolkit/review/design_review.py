@@ -70,10 +70,20 @@ def loop_findings(numbers: LoopNumbers, controller: Controller, dt: float, thres
     """What the numbers of a loop say."""
     softer = _softer(controller)
     yield from _instability(numbers, dt, softer)
+    sampling = 2.0 * math.pi / dt
+    beyond = float(numbers.bandwidth.max()) > 0.5 * sampling
+    above = ", above the Nyquist frequency, which is half of it" if beyond else ""
     checks = (
         *_margins(numbers, dt, thresholds, softer),
         *_bends(numbers, thresholds),
-        _sampling(numbers, dt, thresholds),
+        Check(
+            "sampling",
+            numbers.bandwidth / sampling,
+            thresholds.sampling,
+            f"the loop's bandwidth is {{value}} of the sampling frequency of {sampling:.3g} rad/s{above}",
+            f"Lower the gains or sample faster than every {dt:g} s",
+            at_least=False,
+        ),
     )
     for check in checks:
         found = check.finding(numbers.v)
@@ -163,20 +173,6 @@ def _bends(numbers: LoopNumbers, t: Thresholds) -> Iterator[Check]:
         f"on tyres that are {100 * MISMATCH:g} % softer or stiffer than the law knows {bend}",
         "Add integral action or raise the gain on e_y",
         unit="m",
-        at_least=False,
-    )
-
-
-def _sampling(numbers: LoopNumbers, dt: float, t: Thresholds) -> Check:
-    sampling = 2.0 * math.pi / dt
-    beyond = float(numbers.bandwidth.max()) > 0.5 * sampling
-    above = ", above the Nyquist frequency, which is half of it" if beyond else ""
-    return Check(
-        "sampling",
-        numbers.bandwidth / sampling,
-        t.sampling,
-        f"the loop's bandwidth is {{value}} of the sampling frequency of {sampling:.3g} rad/s{above}",
-        f"Lower the gains or sample faster than every {dt:g} s",
         at_least=False,
     )
 

@@ -12,10 +12,7 @@ from studies.cli._console import Subparsers, console, number, output_file, posit
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.departures_table import Extraction
-    from ldctoolkit.recordings.find_departures import Criteria
-    from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.recording import Problem, SourceFile
-    from ldctoolkit.recordings.sources import OpenedRecordings
 
 
 SOME_LEFT_OUT = 3  # exit code where departures were written, but not all of the input could be used
@@ -73,6 +70,8 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    from ldctoolkit.recordings.find_departures import Criteria
+    from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.sources import open_recordings
     from studies.extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
@@ -86,10 +85,17 @@ def run(chosen: argparse.Namespace) -> int:
         refuse_input("--report", page, paths, recordings.source.files)
     try:
         with progress_bar(f"reading {recordings.reader.name}") as progress:
+            width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
             found = run_extraction(
                 recordings,
-                _criteria(chosen, recordings),
-                _preparation(chosen, recordings),
+                Criteria(
+                    width, chosen.min_duration, chosen.max_duration, chosen.min_speed, chosen.max_gap, chosen.max_jump
+                ),
+                Preparation(
+                    step=recordings.reader.step if chosen.step is None else chosen.step,
+                    nominal_lane_width=chosen.nominal_lane_width,
+                    yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
+                ),
                 output=target,
                 workers=chosen.workers,
                 dask=chosen.dask,
@@ -132,23 +138,6 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
             raise StoreError(f"{error}; the departures are written to {target}") from None
 
     return write
-
-
-def _criteria(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Criteria:
-    from ldctoolkit.recordings.find_departures import Criteria
-
-    width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
-    return Criteria(width, chosen.min_duration, chosen.max_duration, chosen.min_speed, chosen.max_gap, chosen.max_jump)
-
-
-def _preparation(chosen: argparse.Namespace, recordings: OpenedRecordings) -> Preparation:
-    from ldctoolkit.recordings.preparation import Preparation
-
-    return Preparation(
-        step=recordings.reader.step if chosen.step is None else chosen.step,
-        nominal_lane_width=chosen.nominal_lane_width,
-        yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
-    )
 
 
 MOST_PROBLEMS: Final = 20

@@ -110,13 +110,27 @@ def run(chosen: argparse.Namespace) -> None:
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
-    bounds, transforms = _bounds(chosen), _transforms(chosen)
+    # The transform of all parameters, then those of single ones
+    from ldctoolkit.departures import PARAMETER_NAMES
+
+    pairs: list[tuple[str, str]] = chosen.transform or []
+    each_once("--transform", pairs)
+    by_name = dict(pairs)
+    bounds, transforms = _bounds(chosen), (dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name)
     departures, provenance = read_all_departures(chosen.departures)
     model = _fitted(chosen, departures, provenance, bounds, transforms)
     model.save(target)
     for warning in model.provenance.warnings:
         warn(warning)
-    _print_fits(model)
+    out = console()
+    for label, side, summary in (
+        ("left", model.left_side, model.provenance.left),
+        ("right", model.right_side, model.provenance.right),
+    ):
+        if summary is not None:
+            out.print(f"{label}: {summary.events} departures")
+            _print_curve(summary, side.mixture.weights_.size)
+            out.print(f"{label}: {summary.reason}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
     if chosen.page:
         _write_page(page, model, departures, chosen)
@@ -160,16 +174,6 @@ def _bounds(chosen: argparse.Namespace) -> dict[str, Any]:
     return dict.fromkeys(PARAMETER_NAMES, chosen.bounds) | dict(chosen.bound or ())
 
 
-def _transforms(chosen: argparse.Namespace) -> dict[str, str]:
-    """The transform of all parameters, then those of single ones."""
-    from ldctoolkit.departures import PARAMETER_NAMES
-
-    pairs: list[tuple[str, str]] = chosen.transform or []
-    each_once("--transform", pairs)
-    by_name = dict(pairs)
-    return dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
-
-
 def _source(provenance: Provenance) -> dict[str, Any]:
     """What a model tells of the recordings behind it; names of files, not where they lay."""
     return {
@@ -211,18 +215,6 @@ _COLUMNS = (
     ("ICL", "icl", ".1f"),
     ("held-out an event", "held_out", ".4f"),
 )
-
-
-def _print_fits(model: ScenarioModel) -> None:
-    out = console()
-    for label, side, summary in (
-        ("left", model.left_side, model.provenance.left),
-        ("right", model.right_side, model.provenance.right),
-    ):
-        if summary is not None:
-            out.print(f"{label}: {summary.events} departures")
-            _print_curve(summary, side.mixture.weights_.size)
-            out.print(f"{label}: {summary.reason}")
 
 
 def _print_curve(summary: SideSummary, taken: int) -> None:

@@ -11,7 +11,6 @@ from ldctoolkit.errors import InputError
 from studies.cli._console import Subparsers, number, output_file, positive_number, warn
 
 if TYPE_CHECKING:
-    from studies.ranking.ranking import Ranking
     from studies.study_file import Study
 
 
@@ -81,7 +80,12 @@ def run(chosen: argparse.Namespace) -> None:
         rankings[0], results, study.setup(), stored_robustness(Path(chosen.folder), study, results, rankings[0])
     )
     if chosen.baseline:
-        _check_baseline(chosen.baseline, rankings[0])
+        ranking = rankings[0]
+        if ranking.baseline is None:
+            raise InputError(
+                f"--baseline {chosen.baseline}: it failed or was given up in a race, and has no results to compare "
+                "with; allowed: a design with metrics in ranking.csv"
+            )
     if not (chosen.quiet or chosen.json):
         if results.race is not None:
             print_race(results.race)
@@ -114,11 +118,3 @@ def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
 def _same_chances(own: Study, study: Study) -> bool:
     """Whether no other setting was given that decides which design could be the best."""
     return (own.ranking.require, own.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
-
-
-def _check_baseline(baseline: str, ranking: Ranking) -> None:
-    if ranking.baseline is None:
-        raise InputError(
-            f"--baseline {baseline}: it failed or was given up in a race, and has no results to compare with; allowed: "
-            "a design with metrics in ranking.csv"
-        )
