@@ -120,10 +120,7 @@ def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
 class BarrierFilter(Controller):
     """Barrier function filter around another law.
 
-    Raises
-    ------
-    InputError
-        Also for a law inside that cannot be there, or gains of it that are wrong.
+    Raises `InputError` also for a law inside that cannot be there, or gains of it that are wrong.
 
     Examples
     --------

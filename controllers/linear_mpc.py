@@ -35,10 +35,7 @@ from ldctoolkit import Controller, Plant, gain, option
 class LinearMPC(Controller):
     """Linear MPC, one QP a sample.
 
-    Raises
-    ------
-    InputError
-        For a solver that is not installed, and as every design.
+    Raises `InputError` for a solver that is not installed, and as every design.
 
     Examples
     --------

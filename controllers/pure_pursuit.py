@@ -58,10 +58,7 @@ class PurePursuit(Controller):
     def prepare(self, plant: Plant) -> PurePursuitLaw:
         """Place the goal points and work out how the lane's position there follows from the preview.
 
-        Raises
-        ------
-        InputError
-            If l_min does not reach beyond the centre of gravity.
+        Raises `InputError` if l_min does not reach beyond the centre of gravity.
         """
         p = plant.model.parameters
         if self.l_min <= p.l_r:

@@ -225,12 +225,9 @@ _checked: weakref.WeakSet[type] = weakref.WeakSet()  # classes that follow `Cont
 class Controller(abc.ABC):
     """A controller design: a frozen dataclass whose fields are made with `gain` and `option`.
 
-    Every declared value is checked when the design is made, so that a wrong one is named where it was written.
-
-    Raises
-    ------
-    InputError
-        From the constructor, for a value outside its declaration, or a class that is not made as described here.
+    Every declared value is checked when the design is made, so that a wrong one is named where it was written. Raises
+    `InputError` from the constructor, for a value outside its declaration, or a class that is not made as described
+    here.
     """
 
     name: ClassVar[str]

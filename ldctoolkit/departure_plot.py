@@ -33,6 +33,8 @@ def plot_departure(
 ) -> Axes:
     """Draw the path of one scenario under control, from the trigger on.
 
+    Raises `InputError` if the outcome holds no trajectories, or not of this scenario.
+
     Parameters
     ----------
     outcome : Outcome
@@ -54,11 +56,6 @@ def plot_departure(
         Position of the vehicle's edge beyond the line [m], outward, against the time since the crossing [s]. The marker
         is the trigger; a scenario that never triggered has no path under control. Paths on the same axes differ in
         colour, dash and marker.
-
-    Raises
-    ------
-    InputError
-        If the outcome holds no trajectories, or not of this scenario.
 
     Examples
     --------

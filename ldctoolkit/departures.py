@@ -157,6 +157,8 @@ def _event_sum(values: FloatArray, starts: IntArray) -> FloatArray:
 def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureParameters:
     """Reduce signals to the eight parameters.
 
+    Raises `InputError` if an event has fewer than three samples or a duration that is not positive.
+
     Parameters
     ----------
     signals : DepartureSignals
@@ -168,11 +170,6 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     -------
     DepartureParameters
         n rows.
-
-    Raises
-    ------
-    InputError
-        If an event has fewer than three samples or a duration that is not positive.
 
     Notes
     -----
@@ -332,6 +329,8 @@ def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
 def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     """Rebuild the signals of every departure from its parameters, without the residuals.
 
+    Raises `InputError` if dt is not positive.
+
     Parameters
     ----------
     p : DepartureParameters
@@ -343,11 +342,6 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     -------
     DepartureSignals
         Samples at 0, dt, 2 dt, ... below T, and at T.
-
-    Raises
-    ------
-    InputError
-        If dt is not positive.
     """
     if not dt > 0:
         raise InputError(f"dt: {dt!r} s; allowed: > 0")

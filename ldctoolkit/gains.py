@@ -36,6 +36,8 @@ class Gain:
     def check(self, value: Any, owner: str) -> GainValue:
         """Return the value in the gain's own type, or raise.
 
+        Raises `InputError` naming ``owner.name``, the value and what is allowed.
+
         Parameters
         ----------
         value : object
@@ -46,11 +48,6 @@ class Gain:
         Returns
         -------
         float, int, str or bool
-
-        Raises
-        ------
-        InputError
-            Naming ``owner.name``, the value and what is allowed.
         """
         where = f"{owner}.{self.name}"
         if self.choices:

@@ -355,6 +355,8 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 def share_deeper(deepest: FloatArray, D_y: float) -> float:
     """Share of departures whose edge goes deeper than D_y beyond the line.
 
+    Raises `InputError` if D_y is not a number.
+
     Parameters
     ----------
     deepest : (n,) [m]
@@ -366,11 +368,6 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
     -------
     float [1]
         Of all n; 0 for no departures.
-
-    Raises
-    ------
-    InputError
-        If D_y is not a number.
 
     Examples
     --------
@@ -386,6 +383,8 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
     """Share of scenarios whose distance to lane edge never falls below a limit: dtle >= limit.
 
+    Raises `InputError` if the limit is not a number.
+
     Parameters
     ----------
     dtle : (n,) or (d, n) [m]
@@ -396,11 +395,6 @@ def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float |
     -------
     float or (d,) [1]
         Of all n; 0 for no scenarios.
-
-    Raises
-    ------
-    InputError
-        If the limit is not a number.
 
     Examples
     --------
@@ -419,6 +413,8 @@ def comfortable(
 ) -> BoolArray:
     """Which interventions induce no more than ISO 11270 allows: both added peaks within their limits.
 
+    Raises `InputError` for shapes that do not fit, or limits that are no numbers.
+
     Parameters
     ----------
     a_y_added_peak : (n,) or (d, n) [m/s^2]
@@ -431,11 +427,6 @@ def comfortable(
     -------
     (n,) or (d, n) bool
         False for a NaN.
-
-    Raises
-    ------
-    InputError
-        For shapes that do not fit, or limits that are no numbers.
 
     Examples
     --------
@@ -456,6 +447,8 @@ def comfortable_share(
 ) -> float | FloatArray:
     """Share of the interventions that induce no more lateral acceleration and jerk than allowed.
 
+    Raises `InputError` for shapes that do not fit, or limits that are no numbers.
+
     Parameters
     ----------
     a_y_added_peak : (n,) or (d, n) [m/s^2]
@@ -468,11 +461,6 @@ def comfortable_share(
     -------
     float or (d,) [1]
         Of the triggered scenarios; NaN where there was no intervention.
-
-    Raises
-    ------
-    InputError
-        For shapes that do not fit, or limits that are no numbers.
 
     Examples
     --------
@@ -487,6 +475,8 @@ def comfortable_share(
 def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> BoolArray:
     """Which interventions were needless: triggered, though the recorded departure itself keeps the lane-edge limit.
 
+    Raises `InputError` for shapes that do not fit, or a limit that is no number.
+
     Parameters
     ----------
     triggered : (n,) or (d, n) bool
@@ -500,11 +490,6 @@ def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_L
     (n,) or (d, n) bool
         Triggered and -d_y >= limit; False for a NaN.
 
-    Raises
-    ------
-    InputError
-        For shapes that do not fit, or a limit that is no number.
-
     Examples
     --------
     >>> needless([True, True, False], [0.3, 0.4, 0.1])
@@ -517,6 +502,8 @@ def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_L
 
 def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
     """Share of all scenarios in which the intervention was needless.
+
+    Raises `InputError` for shapes that do not fit, or a limit that is no number.
 
     Parameters
     ----------
@@ -532,11 +519,6 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = 
         Of all n, not of the interventions, so that a design cannot make it smaller by triggering more; 0 for no
         scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
 
-    Raises
-    ------
-    InputError
-        For shapes that do not fit, or a limit that is no number.
-
     Examples
     --------
     >>> needless_share([True, True, False, False], [0.3, 0.4, 0.1, 0.9])
@@ -549,6 +531,8 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = 
 def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
     """Share of the interventions after which the edge is back inside by the end of the settling horizon.
 
+    Raises `InputError` for shapes that do not fit.
+
     Parameters
     ----------
     t_back : (n,) or (d, n) [s]
@@ -559,11 +543,6 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
     -------
     float or (d,) [1]
         Of the triggered scenarios; NaN where there was no intervention.
-
-    Raises
-    ------
-    InputError
-        For shapes that do not fit.
 
     Examples
     --------
@@ -577,6 +556,8 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
 def opposite_crossed_share(opposite_crossing: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
     """Share of the interventions that take the vehicle beyond the opposite line: opposite_crossing > 0.
 
+    Raises `InputError` for shapes that do not fit.
+
     Parameters
     ----------
     opposite_crossing : (n,) or (d, n) [m]
@@ -586,11 +567,6 @@ def opposite_crossed_share(opposite_crossing: npt.ArrayLike, triggered: npt.Arra
     -------
     float or (d,) [1]
         Of the triggered scenarios; NaN where there was no intervention.
-
-    Raises
-    ------
-    InputError
-        For shapes that do not fit.
 
     Examples
     --------

@@ -25,8 +25,9 @@ _SHORTEST_PERIOD: Final = 1e-3  # shortest period [s] of a camera: each frame th
 class Actuator:
     """Steering actuator: pure delay, then the angle limit, then a first-order lag whose rate is limited.
 
-    With the delayed, limited command u, the steering angle follows d delta/dt = (u - delta)/lag, cut off at
-    +-rate_max; without a lag it moves towards u at rate_max, or is u at once.
+    With the delayed, limited command u, the steering angle follows d delta/dt = (u - delta)/lag, cut off at +-rate_max;
+    without a lag it moves towards u at rate_max, or is u at once. Raises `InputError` for a value outside what is
+    allowed.
 
     Attributes
     ----------
@@ -38,11 +39,6 @@ class Actuator:
         Time constant; 0 for none, otherwise at least 1e-4.
     delay : float [s]
         Pure delay, any part of a sample included.
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed.
 
     Examples
     --------
@@ -71,17 +67,14 @@ class Actuator:
 class Mismatch:
     """Ranges of factors on the true vehicle, one uniform draw per scenario; the law is designed on the nominal one.
 
+    Raises `InputError` for a range that is not 0 < low <= high.
+
     Attributes
     ----------
     m, I_z, C_af, C_ar : (float, float)
         Lowest and highest factor on mass, yaw inertia, and the stiffnesses.
     mu : (float, float)
         On the friction coefficient; only saturating tyres have one.
-
-    Raises
-    ------
-    InputError
-        For a range that is not 0 < low <= high.
 
     Examples
     --------
@@ -114,6 +107,8 @@ class Mismatch:
 class Tyres:
     """Lateral tyre force.
 
+    Raises `InputError` for a value outside what is allowed.
+
     Attributes
     ----------
     model : {"linear", "magic_formula"}
@@ -123,11 +118,6 @@ class Tyres:
         Friction coefficient.
     shape : float
         Shape factor C, 1 to 2.
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed.
 
     Examples
     --------
@@ -158,6 +148,8 @@ class Tyres:
 class KalmanFilter:
     """Stationary Kalman filter on the nominal vehicle; it gives the law all four states from the camera's two.
 
+    Raises `InputError` for a value that is not > 0.
+
     Attributes
     ----------
     q_y : float [m/s^2/sqrt(Hz)]
@@ -168,11 +160,6 @@ class KalmanFilter:
         Standard deviation of the measured e_y that the filter is designed for.
     r_psi : float [rad]
         Standard deviation of the measured e_psi that the filter is designed for.
-
-    Raises
-    ------
-    InputError
-        For a value that is not > 0.
 
     Examples
     --------
@@ -195,7 +182,7 @@ class Sensors:
 
     A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, one of them at the
     trigger, and arrives `delay` later; at each sample the law sees the latest that has arrived. Without a Kalman filter
-    the law sees the true rates.
+    the law sees the true rates. Raises `InputError` for a value outside what is allowed, or both `period` and `fps`.
 
     Attributes
     ----------
@@ -215,11 +202,6 @@ class Sensors:
     curvature_noise : float [1/m]
         Standard deviation of a further constant error, one draw per scenario.
     kalman : KalmanFilter or None
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed, or both `period` and `fps`.
 
     Examples
     --------
@@ -270,17 +252,14 @@ class Sensors:
 class Residuals:
     """What the eight parameters leave out of the recorded path, drawn anew from sigma_y and sigma_v.
 
+    Raises `InputError` for a value outside what is allowed.
+
     Attributes
     ----------
     y, v : bool
         Add eps_y to the lateral path, eps_v to the speed.
     bandwidth : float [Hz]
         Highest frequency.
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed.
 
     Examples
     --------
@@ -307,6 +286,8 @@ class Residuals:
 class PlantOptions:
     """Everything that may differ from the ideal plant.
 
+    Raises `InputError` for a value outside what is allowed.
+
     Attributes
     ----------
     speed : {"frozen", "profile"}
@@ -316,11 +297,6 @@ class PlantOptions:
     tyres : Tyres
     sensors : Sensors
     residuals : Residuals
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed.
 
     Examples
     --------

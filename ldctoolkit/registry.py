@@ -24,6 +24,9 @@ _sound: weakref.WeakSet[type] = weakref.WeakSet()  # classes that can be used by
 def register(controller: type[Controller]) -> type[Controller]:
     """Make a controller class known under its ``name``; usable as a decorator.
 
+    Raises `InputError` if it is not a controller class as `Controller` asks for, takes anything that is neither gain
+    nor option, or another class already has the name.
+
     Parameters
     ----------
     controller : type
@@ -33,12 +36,6 @@ def register(controller: type[Controller]) -> type[Controller]:
     -------
     type
         The same class.
-
-    Raises
-    ------
-    InputError
-        If it is not a controller class as `Controller` asks for, takes anything that is neither gain nor option, or
-        another class already has the name.
 
     Examples
     --------
@@ -102,6 +99,10 @@ def controller_names() -> tuple[str, ...]:
 def controller_class(name: str) -> type[Controller]:
     """The controller class of that name.
 
+    Raises `UnknownNameError` naming the nearest known controller; `ShadowedPackageError` if a user's own folder hides
+    the package that should hold it; `LdcError` if the installed controller cannot be loaded, or does not follow
+    `Controller`; the message carries the reason.
+
     Parameters
     ----------
     name : str
@@ -110,16 +111,6 @@ def controller_class(name: str) -> type[Controller]:
     Returns
     -------
     type
-
-    Raises
-    ------
-    UnknownNameError
-        Naming the nearest known controller.
-    ShadowedPackageError
-        If a user's own folder hides the package that should hold it.
-    LdcError
-        If the installed controller cannot be loaded, or does not follow `Controller`; the message carries the
-        reason.
     """
     if name in _registered:
         return _registered[name]

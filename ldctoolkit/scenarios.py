@@ -54,6 +54,8 @@ class Scenarios(DepartureParameters):
     ) -> Scenarios:
         """Build and check scenarios from arrays of n (scalars are repeated).
 
+        Raises `InputError` naming the column, the row and what is allowed.
+
         Parameters
         ----------
         T, d_y, v_mean, a_mean, c_0, dc, sigma_y, sigma_v : (n,)
@@ -67,11 +69,6 @@ class Scenarios(DepartureParameters):
         -------
         Scenarios
             n rows, float64.
-
-        Raises
-        ------
-        InputError
-            Naming the column, the row and what is allowed.
 
         Examples
         --------

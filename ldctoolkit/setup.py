@@ -25,7 +25,8 @@ class Setup:
     """How scenarios are driven, whichever design drives them; passed whole from a study to the closed loop.
 
     A field made with `declared` is an option of the simulation: it is checked here, and the table ``[simulation]`` of a
-    study file and the settings of a report have it too.
+    study file and the settings of a report have it too. Raises `InputError` for a value outside what is allowed, or
+    values that exclude each other.
 
     Attributes
     ----------
@@ -51,11 +52,6 @@ class Setup:
     plant_knowledge : {"nominal", "ideal"}
         What a design may know of actuator and camera: their lag and delays, or nothing, as if there were none. Limits,
         noise, bias and mismatch are never known.
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed, or values that exclude each other.
 
     Examples
     --------

@@ -71,12 +71,7 @@ class Design:
     def from_gains(cls, law: str, y_s: float, given: dict[str, Any]) -> Design:
         """The design of a law by name with some gains given; the rest keep their defaults.
 
-        Raises
-        ------
-        UnknownNameError
-            For an unknown law.
-        InputError
-            For a gain outside its declaration.
+        Raises `UnknownNameError` for an unknown law; `InputError` for a gain outside its declaration.
         """
         return cls.of(controller_class(law)(**given), y_s, follow_case=CONVENTION_GAIN not in given)
 

@@ -418,6 +418,10 @@ def run_extraction(
 ) -> Extraction:
     r"""Find the lane departures in recordings of any size; goes on where an earlier run was stopped.
 
+    Raises `NothingReadError` if no recording could be read; nothing is written; `StoreError` if the folder holds other
+    things, is in use, or cannot be written; `InputError` for arguments outside what is allowed; `LdcError` if workers
+    or a cluster cannot be used.
+
     Parameters
     ----------
     recordings : OpenedRecordings
@@ -444,17 +448,6 @@ def run_extraction(
     -------
     Extraction
         The same bits for any number of workers, with Dask, and however often it was stopped.
-
-    Raises
-    ------
-    NothingReadError
-        If no recording could be read; nothing is written.
-    StoreError
-        If the folder holds other things, is in use, or cannot be written.
-    InputError
-        For arguments outside what is allowed.
-    LdcError
-        If workers or a cluster cannot be used.
 
     Examples
     --------

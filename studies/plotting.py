@@ -135,6 +135,8 @@ def plot_landscape(
 ) -> Axes:
     """Least mean S over one or two swept quantities of a law, at the best of all the others.
 
+    Raises `InputError` for a law without designs, or a quantity that is not swept.
+
     Parameters
     ----------
     ranking : Ranking
@@ -151,11 +153,6 @@ def plot_landscape(
     -------
     Axes
         S in m s. The law's best design of those drawn has a star; cells without a design are empty.
-
-    Raises
-    ------
-    InputError
-        For a law without designs, or a quantity that is not swept.
 
     Examples
     --------
@@ -212,6 +209,8 @@ def plot_landscape(
 def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axes:
     """Mean S of the first designs with its simultaneous interval, the best on top.
 
+    Raises `InputError` if `top` is less than 1.
+
     Parameters
     ----------
     ranking : Ranking
@@ -224,11 +223,6 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     -------
     Axes
         S in m s. Filled markers are in the set of best; the upright line is no control.
-
-    Raises
-    ------
-    InputError
-        If `top` is less than 1.
 
     Examples
     --------
@@ -266,6 +260,8 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
 def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: Axes | None = None) -> Axes:
     """Two figures of all designs against each other, one marker a law, with the Pareto front of the two.
 
+    Raises `UnknownNameError` for a figure that does not exist; the message names the nearest.
+
     Parameters
     ----------
     ranking : Ranking
@@ -279,11 +275,6 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     Axes
         In the units of the report: shares in per cent, angles in degrees. The winner has a ring. Designs without one
         of the figures are not drawn, those that miss a requirement are in no front unless all do.
-
-    Raises
-    ------
-    UnknownNameError
-        For a figure that does not exist; the message names the nearest.
 
     Examples
     --------
@@ -336,6 +327,8 @@ def plot_distribution(
 ) -> Axes:
     """Empirical distribution of S with and without control.
 
+    Raises `InputError` for a case, side or design that is not there.
+
     Parameters
     ----------
     results : StudyResults
@@ -351,11 +344,6 @@ def plot_distribution(
     -------
     Axes
         S in m s, as it counts: a failed scenario at least as bad as without control.
-
-    Raises
-    ------
-    InputError
-        For a case, side or design that is not there.
 
     Examples
     --------
@@ -400,6 +388,8 @@ def plot_convergence(
 ) -> Axes:
     """Mean S over the first k scenarios with a band of 1.96 standard errors, left and right ones interleaved.
 
+    Raises `InputError` for a case or design that is not there.
+
     Parameters
     ----------
     results : StudyResults
@@ -416,11 +406,6 @@ def plot_convergence(
     -------
     Axes
         Bands are those of one curve by itself.
-
-    Raises
-    ------
-    InputError
-        For a case or design that is not there.
 
     Examples
     --------

@@ -54,6 +54,11 @@ def run_study(
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
+    Raises `StoreError` if the folder holds another study's results, model or seed, is in use, or cannot be written;
+    `ModelError, UnknownNameError` if the scenario model cannot be used; `InputError` for arguments outside what is
+    allowed; `LdcError` if every design fails, the message names the first and what it raised; if workers or a cluster
+    cannot be used.
+
     Parameters
     ----------
     study : Study
@@ -81,17 +86,6 @@ def run_study(
     StudyResults
         The same bits for any executor, number of workers and block size. Designs whose law raised, or gave what no
         law may give, are in `StudyResults.failed` with the reason; the others are not touched by it.
-
-    Raises
-    ------
-    StoreError
-        If the folder holds another study's results, model or seed, is in use, or cannot be written.
-    ModelError, UnknownNameError
-        If the scenario model cannot be used.
-    InputError
-        For arguments outside what is allowed.
-    LdcError
-        If every design fails, the message names the first and what it raised; if workers or a cluster cannot be used.
 
     Examples
     --------

@@ -232,20 +232,14 @@ class Search:
 
     Designs of tables without any choice, such as ``law = "none"``, come first. Then each law is searched for itself:
     half of the proposals go to the laws in turn, the other half to the laws of the best designs so far. A design that
-    is proposed again is not run again: Optuna gets its value at once, and the proposal is no trial. A design
-    that misses a requirement of the ranking is worse than every one that meets all.
+    is proposed again is not run again: Optuna gets its value at once, and the proposal is no trial. A design that
+    misses a requirement of the ranking is worse than every one that meets all. Raises `InputError` for a study without
+    ``[search]``, and if Optuna is not installed; `UnknownNameError` for an objective that is no figure.
 
     Parameters
     ----------
     study : Study
         With ``[search]``; its seed and its tables decide what is proposed, together with the values of `tell`.
-
-    Raises
-    ------
-    InputError
-        For a study without ``[search]``, and if Optuna is not installed.
-    UnknownNameError
-        For an objective that is no figure.
 
     Examples
     --------
@@ -289,10 +283,7 @@ class Search:
     def ask(self) -> tuple[Design, ...]:
         """The next designs, none of them proposed before; empty when there are no more.
 
-        Raises
-        ------
-        InputError
-            If values of the last batch are missing.
+        Raises `InputError` if values of the last batch are missing.
         """
         if self._untold:
             raise InputError(f"ask: the last batch has no values yet: {', '.join(self._untold)}")
@@ -308,6 +299,9 @@ class Search:
     def tell(self, values: Mapping[str, Values | None], margins: Mapping[str, Values] | None = None) -> None:
         """Say how good the designs of the last batch are.
 
+        Raises `InputError` if a design of the last batch is missing, another is given, the number of objectives or of
+        margins is wrong, or a margin is not a number. Nothing is taken then.
+
         Parameters
         ----------
         values : mapping
@@ -316,12 +310,6 @@ class Search:
         margins : mapping, optional
             ``Design.id`` -> one number for each requirement of the study, above 0 where the design misses it, and the
             larger the farther it is off; designs that failed need none. Left out: all requirements are met.
-
-        Raises
-        ------
-        InputError
-            If a design of the last batch is missing, another is given, the number of objectives or of margins is wrong,
-            or a margin is not a number. Nothing is taken then.
         """
         for name in self._untold:
             if name not in values:

@@ -208,6 +208,8 @@ def _vehicle(entry: Any) -> Any:
 class Study(Part):
     """A study: what is run, on what, and how it is ranked. Made with `from_toml` or from keyword arguments.
 
+    Raises `pydantic.ValidationError` from the constructor; `from_toml` and `from_dict` turn it into a `StudyError`.
+
     Attributes
     ----------
     name : str
@@ -228,11 +230,6 @@ class Study(Part):
     search : SearchSettings or None
         Ask for designs instead of running all that the tables stand for.
     design : tuple of DesignBlock
-
-    Raises
-    ------
-    pydantic.ValidationError
-        From the constructor; `from_toml` and `from_dict` turn it into a `StudyError`.
 
     Examples
     --------
@@ -309,6 +306,8 @@ class Study(Part):
     def from_toml(cls, path: str | Path) -> Study:
         """Read a study file.
 
+        Raises `StudyError` naming the file, the key path, the value, what is allowed and the nearest valid name.
+
         Parameters
         ----------
         path : path
@@ -317,11 +316,6 @@ class Study(Part):
         Returns
         -------
         Study
-
-        Raises
-        ------
-        StudyError
-            Naming the file, the key path, the value, what is allowed and the nearest valid name.
         """
         path = Path(path)
         try:
@@ -336,6 +330,8 @@ class Study(Part):
     def from_dict(cls, content: dict[str, Any], *, source: str = "study", folder: str | Path = ".") -> Study:
         """Make a study from what a study file holds.
 
+        Raises `StudyError` as in `from_toml`.
+
         Parameters
         ----------
         content : dict
@@ -348,11 +344,6 @@ class Study(Part):
         Returns
         -------
         Study
-
-        Raises
-        ------
-        StudyError
-            As in `from_toml`.
         """
         try:
             study = cls.model_validate(_tuples(content))

@@ -175,6 +175,8 @@ def diagnose(
 ) -> SideDiagnostics:
     """Check a fitted mixture against events.
 
+    Raises `InputError` on events or settings that do not fit, or fewer than ten events inside the box.
+
     Parameters
     ----------
     model : SideModel or BoundedGaussianMixture
@@ -201,11 +203,6 @@ def diagnose(
     -------
     SideDiagnostics
         Numbers and warnings.
-
-    Raises
-    ------
-    InputError
-        On events or settings that do not fit, or fewer than ten events inside the box.
 
     Notes
     -----
@@ -287,6 +284,8 @@ def diagnose_model(
 ) -> ModelDiagnostics:
     """Check both sides of a scenario model against departures.
 
+    Raises `InputError` as for `diagnose`; the message names the side.
+
     Parameters
     ----------
     model : ScenarioModel
@@ -304,11 +303,6 @@ def diagnose_model(
     -------
     ModelDiagnostics
         The left and the right side.
-
-    Raises
-    ------
-    InputError
-        As for `diagnose`; the message names the side.
 
     Examples
     --------

@@ -262,6 +262,9 @@ class Distribution:
     def condition(self, given: Conditions, names: Sequence[str] | None = None) -> Conditional:
         """The distribution given intervals or values of some columns, exactly.
 
+        Raises `InputError` for an unknown column, an interval that is reversed or misses the box, a value that is not
+        strictly inside it, what is not a number, or values for all columns.
+
         Parameters
         ----------
         given : mapping
@@ -273,12 +276,6 @@ class Distribution:
         -------
         Conditional
             A distribution too: its rows have all columns.
-
-        Raises
-        ------
-        InputError
-            For an unknown column, an interval that is reversed or misses the box, a value that is not strictly inside
-            it, what is not a number, or values for all columns.
 
         Notes
         -----

@@ -230,6 +230,8 @@ class FittedMixture(Parameters):
     def log_prob(self, X: npt.ArrayLike, given: Conditions | None = None) -> FloatArray:
         """Exact log-density of each row, for reweighting, (n,).
 
+        Raises `InputError` as for `sample`.
+
         Parameters
         ----------
         X : (n, d)
@@ -237,11 +239,6 @@ class FittedMixture(Parameters):
         given : mapping, optional
             Conditions as for `sample`. The density is then that of the columns without a given value, normalised over
             the rows that meet the conditions, and -inf for all others.
-
-        Raises
-        ------
-        InputError
-            As for `sample`.
 
         Examples
         --------
@@ -282,6 +279,10 @@ class FittedMixture(Parameters):
     ) -> tuple[FloatArray, IntArray]:
         """Draw events inside the box, exactly.
 
+        Raises `InputError` for conditions on unknown columns, reversed intervals, intervals and values outside the box,
+        what is not a number, or values for all columns; `ModelError` if a component cannot be sampled (proposals are
+        capped).
+
         Parameters
         ----------
         n_samples : int
@@ -298,14 +299,6 @@ class FittedMixture(Parameters):
             Events in random order, all columns.
         component : (n_samples,)
             The component each came from.
-
-        Raises
-        ------
-        InputError
-            For conditions on unknown columns, reversed intervals, intervals and values outside the box, what is not
-            a number, or values for all columns.
-        ModelError
-            If a component cannot be sampled (proposals are capped).
 
         Notes
         -----
@@ -506,6 +499,8 @@ class BoundedGaussianMixture(FittedMixture):
     ) -> BoundedGaussianMixture:
         """A mixture with known parameters, as good as fitted.
 
+        Raises `InputError` on wrong shapes, weights that are not shares, or a covariance that is not positive definite.
+
         Parameters
         ----------
         weights : (K,)
@@ -516,11 +511,6 @@ class BoundedGaussianMixture(FittedMixture):
             Sigma_k.
         lower, upper, transform, names
             As for the class.
-
-        Raises
-        ------
-        InputError
-            On wrong shapes, weights that are not shares, or a covariance that is not positive definite.
         """
         eta, mu = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
         if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:

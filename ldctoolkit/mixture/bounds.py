@@ -26,6 +26,8 @@ _TOO_FAR: Final = 7.0  # ln of 1/0.001: the least value lies further from zero t
 def auto_bounds(x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Lower and upper bounds of each column, infinite where the density thins out and does not end.
 
+    Raises `InputError` if `x` is no matrix of finite numbers.
+
     Parameters
     ----------
     x : (n, d)
@@ -35,11 +37,6 @@ def auto_bounds(x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     -------
     lower, upper : (d,)
         Strictly outside the data; -inf and inf are open. A constant column is open.
-
-    Raises
-    ------
-    InputError
-        If `x` is no matrix of finite numbers.
 
     Notes
     -----

@@ -297,6 +297,10 @@ def select_components(
 ) -> Selection:
     """Fit every K of a range, keep all of them, and choose one by a stated rule.
 
+    Raises `InputError` if the range is empty, a K is not a positive integer, an option is not allowed, or no K can be
+    fitted: then with the message of the smallest. A K that cannot be fitted beside others that can is left out and
+    reported; `LdcError` if a worker process ends abruptly.
+
     Parameters
     ----------
     X : (n, d)
@@ -330,14 +334,6 @@ def select_components(
     -------
     Selection
         In ascending K.
-
-    Raises
-    ------
-    InputError
-        If the range is empty, a K is not a positive integer, an option is not allowed, or no K can be fitted: then
-        with the message of the smallest. A K that cannot be fitted beside others that can is left out and reported.
-    LdcError
-        If a worker process ends abruptly.
 
     Notes
     -----

@@ -148,6 +148,9 @@ def moment_points(bounded: int) -> int:
 class TruncatedNormal:
     """K normals N(mu_k, Sigma_k), each truncated to the same box.
 
+    Raises `InputError` on wrong shapes, lower >= upper, numbers that are not finite, or a covariance that is not
+    positive definite.
+
     Parameters
     ----------
     mu : (K, d)
@@ -172,11 +175,6 @@ class TruncatedNormal:
         Covariance inside the box.
     bounded : (p,) int
         The dimensions with a finite bound.
-
-    Raises
-    ------
-    InputError
-        On wrong shapes, lower >= upper, numbers that are not finite, or a covariance that is not positive definite.
 
     Notes
     -----
@@ -304,6 +302,8 @@ class TruncatedNormal:
     ) -> FloatArray:
         """Draw exactly from one component.
 
+        Raises `ModelError` if the box has so little probability that neither route finds points (proposals are capped).
+
         Parameters
         ----------
         n : int
@@ -317,11 +317,6 @@ class TruncatedNormal:
         -------
         (n, d)
             Points inside the box.
-
-        Raises
-        ------
-        ModelError
-            If the box has so little probability that neither route finds points (proposals are capped).
 
         Notes
         -----

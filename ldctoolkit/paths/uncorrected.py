@@ -99,6 +99,8 @@ class UncorrectedPath:
     def of(cls, scenarios: Scenarios, residuals: Residuals, seed: int) -> Self:
         """Draw the residuals of every scenario.
 
+        Raises `InputError` for a seed outside what is allowed.
+
         Parameters
         ----------
         scenarios : Scenarios
@@ -111,11 +113,6 @@ class UncorrectedPath:
         Returns
         -------
         UncorrectedPath
-
-        Raises
-        ------
-        InputError
-            For a seed outside what is allowed.
 
         Notes
         -----

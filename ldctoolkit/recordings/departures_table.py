@@ -169,6 +169,9 @@ _SIDES: Final = {"left": LEFT, "right": RIGHT}
 def write_departures(path: str | os.PathLike[str], departures: Departures, provenance: Provenance) -> None:
     """Write a departures table, whole or not at all.
 
+    Raises `RecordingError` if the suffix differs, a value is outside what `read_departures` accepts, or the file cannot
+    be written.
+
     Parameters
     ----------
     path : path
@@ -177,11 +180,6 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
         n departures.
     provenance : Provenance
         Kept as JSON in the file's metadata.
-
-    Raises
-    ------
-    RecordingError
-        If the suffix differs, a value is outside what `read_departures` accepts, or the file cannot be written.
 
     Examples
     --------
@@ -227,6 +225,8 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
 def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:
     """Read and check a departures table.
 
+    Raises `RecordingError` naming file, column and row (the first row is 1).
+
     Parameters
     ----------
     path : path
@@ -238,11 +238,6 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
         n departures, perhaps none.
     provenance : Provenance
         Where they come from.
-
-    Raises
-    ------
-    RecordingError
-        Naming file, column and row (the first row is 1).
 
     Examples
     --------

@@ -182,6 +182,8 @@ def extract_departures(
 ) -> Extraction:
     """Find the lane departures in driving recordings and reduce each to its eight parameters.
 
+    Raises `InputError` for a criterion outside its range; `RecordingError` for recordings that cannot be used.
+
     Parameters
     ----------
     recordings : OpenedRecordings, or iterable of Recording
@@ -204,13 +206,6 @@ def extract_departures(
     -------
     Extraction
         Departures, refused candidates by reason, hours, warnings.
-
-    Raises
-    ------
-    InputError
-        For a criterion outside its range.
-    RecordingError
-        For recordings that cannot be used.
 
     Notes
     -----

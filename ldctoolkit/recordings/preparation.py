@@ -273,6 +273,8 @@ LONGEST_GAP = 10.0  # longest time [s] that may be bridged; bounds the memory, t
 class Preparation:
     """How recordings are brought to a common form.
 
+    Raises `InputError` for a value outside its range.
+
     Attributes
     ----------
     step : float [s] or None
@@ -283,11 +285,6 @@ class Preparation:
         Offset and width of each recording are scaled so that its median lane width is this; None leaves them.
     yaw_rate_factor : float
         Multiplies the source's yaw rate; -1 where it is positive to the right after all.
-
-    Raises
-    ------
-    InputError
-        For a value outside its range.
     """
 
     step: float | None = None

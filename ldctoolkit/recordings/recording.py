@@ -58,10 +58,7 @@ def _text(value: object, what: str) -> str:
 class Label:
     """A property of a recording that departures can be grouped by. Its texts are made printable.
 
-    Raises
-    ------
-    RecordingError
-        For what is no text.
+    Raises `RecordingError` for what is no text.
     """
 
     name: str  # Becomes a column of the departures table: ``driver``, ``behaviour``, ``road``
@@ -98,7 +95,9 @@ class Problem:
 class Recording:
     """m samples of one drive, in SI units and with the signs of ISO 8855.
 
-    What every reader gives. Numbers of samples that cannot be used may be NaN. Texts are made printable.
+    What every reader gives. Numbers of samples that cannot be used may be NaN. Texts are made printable. Raises
+    `RecordingError` for columns of different lengths, times that fall or are not finite, an empty name, or what is no
+    text.
 
     Attributes
     ----------
@@ -135,11 +134,6 @@ class Recording:
         What the recording lacks, in words.
     yaw_rate_measured : (m,) bool or None
         False where `yaw_rate` was worked out from the heading, which it cannot be checked against; None for nowhere.
-
-    Raises
-    ------
-    RecordingError
-        For columns of different lengths, times that fall or are not finite, an empty name, or what is no text.
 
     Examples
     --------

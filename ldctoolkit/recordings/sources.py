@@ -138,10 +138,7 @@ class RecordingReader(Protocol):
     def open(self, paths: Sequence[Path]) -> RecordingSource:
         """Look through files and folders.
 
-        Raises
-        ------
-        RecordingError
-            If nothing can be used; single faults are problems of the source.
+        Raises `RecordingError` if nothing can be used; single faults are problems of the source.
         """
 
 
@@ -159,12 +156,8 @@ def reader_names() -> tuple[str, ...]:
 def recording_reader(name: str) -> RecordingReader:
     """The reader of that name.
 
-    Raises
-    ------
-    UnknownNameError
-        Naming the nearest known reader.
-    LdcError
-        If it cannot be loaded, or is not made as `RecordingReader` asks for.
+    Raises `UnknownNameError` naming the nearest known reader; `LdcError` if it cannot be loaded, or is not made as
+    `RecordingReader` asks for.
 
     Examples
     --------
@@ -353,6 +346,10 @@ def open_recordings(
 ) -> OpenedRecordings:
     """Look through files and folders of recordings.
 
+    Raises `RecordingError` if a path does not exist or is given twice, or nothing of it can be used; `UnknownNameError`
+    for a reader that is not known; `InputError` if no path is given; `LdcError` if the reader fails over the paths, or
+    two of its parts have the same key.
+
     Parameters
     ----------
     paths : path or iterable of paths
@@ -364,17 +361,6 @@ def open_recordings(
     -------
     OpenedRecordings
         To be given to `extract_departures`.
-
-    Raises
-    ------
-    RecordingError
-        If a path does not exist or is given twice, or nothing of it can be used.
-    UnknownNameError
-        For a reader that is not known.
-    InputError
-        If no path is given.
-    LdcError
-        If the reader fails over the paths, or two of its parts have the same key.
 
     Examples
     --------
@@ -432,7 +418,8 @@ def read_recordings(
 ) -> Iterator[Recording]:
     r"""Read driving recordings, and stop at the first fault.
 
-    `open_recordings` goes on with what is sound, and names what is not.
+    `open_recordings` goes on with what is sound, and names what is not. Raises `RecordingError` as `open_recordings`;
+    while iterating, for content that cannot be used, naming file and place.
 
     Parameters
     ----------
@@ -445,11 +432,6 @@ def read_recordings(
     -------
     iterator of Recording
         Whole recordings in the order of the files; the content is read, and checked, while iterating.
-
-    Raises
-    ------
-    RecordingError
-        As `open_recordings`; while iterating, for content that cannot be used, naming file and place.
 
     Examples
     --------

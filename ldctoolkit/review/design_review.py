@@ -288,6 +288,8 @@ def review_plant(
 ) -> Plant:
     """The nominal vehicle of a review at its speeds.
 
+    Raises `InputError` for a sample time or speeds outside what is allowed, or a delay of too many samples.
+
     Parameters
     ----------
     model : BicycleModel
@@ -300,11 +302,6 @@ def review_plant(
     Returns
     -------
     Plant
-
-    Raises
-    ------
-    InputError
-        For a sample time or speeds outside what is allowed, or a delay of too many samples.
 
     Examples
     --------
@@ -369,6 +366,8 @@ def review(
 ) -> Review:
     """Check a design before it is run: poles, margins, sampling, limits, conditioning, bends.
 
+    Raises `InputError` for an argument outside what is allowed; `LdcError` if the design cannot be prepared.
+
     Parameters
     ----------
     controller : Controller
@@ -396,13 +395,6 @@ def review(
     Returns
     -------
     Review
-
-    Raises
-    ------
-    InputError
-        For an argument outside what is allowed.
-    LdcError
-        If the design cannot be prepared.
 
     Examples
     --------

@@ -22,10 +22,7 @@ Severity = Literal["fault", "warning", "note"]
 class Finding:
     """One thing that a review found.
 
-    Raises
-    ------
-    InputError
-        For an unknown severity.
+    Raises `InputError` for an unknown severity.
 
     Examples
     --------
@@ -57,7 +54,8 @@ class Thresholds:
     the two, or part of both at a time (P. Seiler, A. Packard, P. Gahinet, *An Introduction to Disk Margins*, IEEE
     Control Systems Magazine 40(5), 2020). Faults are at half of these. Sampling ten times faster than the bandwidth is
     a usual lower end (K. J. Astrom, B. Wittenmark, *Computer-Controlled Systems*); half the sampling frequency is
-    Nyquist's limit. The others are choices of this toolkit.
+    Nyquist's limit. The others are choices of this toolkit. Raises `InputError` for a value that is not > 0, or a fault
+    that starts before its warning.
 
     Attributes
     ----------
@@ -79,11 +77,6 @@ class Thresholds:
         The same on a vehicle with other tyres.
     hessian : (float, float)
         Condition number of the condensed Hessian.
-
-    Raises
-    ------
-    InputError
-        For a value that is not > 0, or a fault that starts before its warning.
 
     Examples
     --------

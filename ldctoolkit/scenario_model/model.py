@@ -51,15 +51,12 @@ class Condition:
 def conditions(given: Given | None) -> tuple[Condition, ...]:
     """The conditions in the order of `PARAMETER_NAMES`; those that are open on both sides are left out.
 
+    Raises `InputError` for an unknown parameter, or what is neither a number nor an ascending pair.
+
     Parameters
     ----------
     given : mapping, optional
         Parameter -> value or (lower, upper).
-
-    Raises
-    ------
-    InputError
-        For an unknown parameter, or what is neither a number nor an ascending pair.
 
     Examples
     --------
@@ -230,6 +227,9 @@ class ScenarioModel:
     def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
         """Draw scenarios, left ones first.
 
+        Raises `InputError` if a number or the seed is not a non-negative integer, or a condition names no parameter or
+        cannot be met; `ModelError` if hardly any event of the model can be replayed.
+
         Parameters
         ----------
         n_left, n_right : int
@@ -245,13 +245,6 @@ class ScenarioModel:
         -------
         Scenarios
             n_left + n_right rows inside the model's bounds.
-
-        Raises
-        ------
-        InputError
-            If a number or the seed is not a non-negative integer, or a condition names no parameter or cannot be met.
-        ModelError
-            If hardly any event of the model can be replayed.
 
         Notes
         -----
@@ -314,16 +307,13 @@ class ScenarioModel:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one JSON file, whole or not at all.
 
+        Raises `ModelError` if the file cannot be written, the provenance holds values that JSON does not know, or
+        `load` would refuse the file.
+
         Parameters
         ----------
         path : path
             An existing file is replaced.
-
-        Raises
-        ------
-        ModelError
-            If the file cannot be written, the provenance holds values that JSON does not know, or `load` would refuse
-            the file.
         """
         from ldctoolkit.scenario_model import json_form
 
@@ -387,6 +377,9 @@ def bundled_models() -> tuple[str, ...]:
 def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     """A bundled model by its name, or a model file by its path.
 
+    Raises `UnknownNameError` if it is neither a bundled name nor a file; the message lists the names; `ModelError` if
+    the file is broken.
+
     Parameters
     ----------
     name_or_path : str or path
@@ -396,13 +389,6 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     -------
     ScenarioModel
         The model.
-
-    Raises
-    ------
-    UnknownNameError
-        If it is neither a bundled name nor a file; the message lists the names.
-    ModelError
-        If the file is broken.
 
     Examples
     --------
@@ -429,10 +415,8 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
     """Read departures tables, in this order, as one.
 
-    Raises
-    ------
-    RecordingError
-        As `read_departures`; for tables of different criteria or preparations, or of the same recordings.
+    Raises `RecordingError` as `read_departures`; for tables of different criteria or preparations, or of the same
+    recordings.
     """
     given = [Path(path).absolute() for path in paths]
     for path in given:
@@ -449,10 +433,7 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
 def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:
     """Where the departures of several tables come from; `names` are the tables', for messages.
 
-    Raises
-    ------
-    RecordingError
-        If the criteria or the preparations differ, or a recording is in two tables.
+    Raises `RecordingError` if the criteria or the preparations differ, or a recording is in two tables.
     """
     first = found[0]
     if len(found) == 1:

@@ -68,6 +68,8 @@ def simulate(
 ) -> Outcome:
     """Run one controller design on all scenarios and score it.
 
+    Raises `InputError` for arguments outside what is allowed.
+
     Parameters
     ----------
     controller : Controller
@@ -93,11 +95,6 @@ def simulate(
     -------
     Outcome
         Arrays of n in the order of `scenarios`.
-
-    Raises
-    ------
-    InputError
-        For arguments outside what is allowed.
 
     References
     ----------
@@ -145,6 +142,8 @@ def drive(
 ) -> Run:
     """Drive one design from the trigger to the end of every departure and of the settling horizon.
 
+    Raises `InputError` if the design, its law or the result of a step is not what the interface promises.
+
     Parameters
     ----------
     controller, trajectories, threads
@@ -155,11 +154,6 @@ def drive(
     Returns
     -------
     Run
-
-    Raises
-    ------
-    InputError
-        If the design, its law or the result of a step is not what the interface promises.
     """
     rows = _chosen_rows(trajectories, takeover.scenarios.n)
     law = _prepared(controller, takeover)

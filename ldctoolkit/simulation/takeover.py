@@ -202,15 +202,12 @@ class Takeover:
     def build(cls, scenarios: Scenarios, setup: Setup, *, y_s: float) -> Takeover:
         """Prepare scenarios for a trigger threshold; shared by every design with that threshold.
 
+        Raises `InputError` for a threshold outside what is allowed.
+
         Parameters
         ----------
         scenarios, setup, y_s
             As in `Takeover`; y_s >= 0.
-
-        Raises
-        ------
-        InputError
-            For a threshold outside what is allowed.
         """
         y_s = checked_number("y_s", y_s, least=0.0)
         model, options, dt, seed = setup.model, setup.options, setup.dt, setup.seed

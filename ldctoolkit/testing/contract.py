@@ -71,6 +71,8 @@ def contract_faults(
 ) -> tuple[Fault, ...]:
     """Everything that a controller does against the contract.
 
+    Raises `InputError` if what is given is no controller, or a check is not known.
+
     Parameters
     ----------
     controller : Controller or type
@@ -86,11 +88,6 @@ def contract_faults(
     -------
     tuple of Fault
         Empty for a law that keeps the contract. Whatever the law raises is a fault too.
-
-    Raises
-    ------
-    InputError
-        If what is given is no controller, or a check is not known.
 
     Examples
     --------

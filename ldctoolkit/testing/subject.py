@@ -195,6 +195,8 @@ def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:
 class ContractSettings:
     """Size and tolerances of the checks.
 
+    Raises `InputError` for a value outside what is allowed.
+
     Attributes
     ----------
     scenarios : int
@@ -210,11 +212,6 @@ class ContractSettings:
         How far a command may exceed a declared limit: the accuracy of an iterative solver.
     quiet_tolerance : float [rad]
         How far a command on a straight road may be from 0.
-
-    Raises
-    ------
-    InputError
-        For a value outside what is allowed.
 
     Examples
     --------

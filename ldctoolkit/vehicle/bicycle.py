@@ -77,6 +77,8 @@ GRAVITY: Final = 9.81  # gravitational acceleration [m/s^2]
 class VehicleParameters:
     """Single-track vehicle and the lane it drives in; the defaults are the paper's Table I.
 
+    Raises `InputError` where a value is not a finite number > 0, or the vehicle is not narrower than the lane.
+
     Attributes
     ----------
     C_af, C_ar : float [N/rad]
@@ -91,11 +93,6 @@ class VehicleParameters:
         Lane width.
     w_v : float [m]
         Vehicle width, less than the lane's.
-
-    Raises
-    ------
-    InputError
-        Where a value is not a finite number > 0, or the vehicle is not narrower than the lane.
 
     Examples
     --------
@@ -173,17 +170,14 @@ class SteadyState:
 class BicycleModel:
     """Error dynamics of one vehicle, for any speeds at once.
 
+    Raises `InputError` for an unknown convention.
+
     Parameters
     ----------
     parameters : VehicleParameters
         Vehicle and lane.
     convention : {"consistent", "as_printed"}
         ``"as_printed"`` takes the paper's A[1, 3] with its sign slip; the default is Rajamani's.
-
-    Raises
-    ------
-    InputError
-        For an unknown convention.
 
     Examples
     --------
@@ -202,6 +196,8 @@ class BicycleModel:
     def matrices(self, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Continuous-time A, B, E of Rajamani's eq. 2.45.
 
+        Raises `InputError` for a speed that is not a finite number > 0.
+
         Parameters
         ----------
         v : (n,) [m/s]
@@ -212,11 +208,6 @@ class BicycleModel:
         A : (n, 4, 4)
         B : (n, 4)
         E : (n, 4)
-
-        Raises
-        ------
-        InputError
-            For a speed that is not a finite number > 0.
         """
         return error_dynamics_matrices(self.parameters, checked_speeds(v), self.convention)
 

@@ -105,6 +105,8 @@ class Discretization:
 def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -> Discretization:
     """Discretise n systems dx/dt = A x + B delta + E r exactly.
 
+    Raises `InputError` if a step is negative or not finite.
+
     Parameters
     ----------
     A : (n, 4, 4)
@@ -116,11 +118,6 @@ def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -
     -------
     Discretization
         Arrays of n.
-
-    Raises
-    ------
-    InputError
-        If a step is negative or not finite.
 
     Examples
     --------

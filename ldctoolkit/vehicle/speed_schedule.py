@@ -89,6 +89,9 @@ def scheduled(
 ) -> FloatArray:
     """Values of a smooth function of speed, from an interpolant that is made once.
 
+    Raises `InputError` for a speed outside `SPEED_RANGE`; `LdcError` if the function is not smooth enough over the
+    range.
+
     Parameters
     ----------
     solve : callable
@@ -105,13 +108,6 @@ def scheduled(
     -------
     (n, k)
         Or as many columns as are wanted.
-
-    Raises
-    ------
-    InputError
-        For a speed outside `SPEED_RANGE`.
-    LdcError
-        If the function is not smooth enough over the range.
 
     Examples
     --------

@@ -172,6 +172,9 @@ def compare(
 ) -> Comparison:
     """Compare two finished studies on the scenarios that they share.
 
+    Raises `StoreError` if a folder holds no study, or one that is broken or not finished; `InputError` if the studies
+    cannot be compared: the same folder twice, no scenario or no case in both.
+
     Parameters
     ----------
     old, new : path or FinishedStudy
@@ -185,13 +188,6 @@ def compare(
     -------
     Comparison
         Differences are new minus old, so that a negative one is an improvement.
-
-    Raises
-    ------
-    StoreError
-        If a folder holds no study, or one that is broken or not finished.
-    InputError
-        If the studies cannot be compared: the same folder twice, no scenario or no case in both.
 
     Notes
     -----

@@ -49,6 +49,8 @@ _STYLES: Final = {
 def write_compare_page(comparison: Comparison, path: str | Path) -> Path:
     """Write a comparison of two studies as one HTML file that needs nothing else.
 
+    Raises `StoreError` if it cannot be written.
+
     Parameters
     ----------
     comparison : Comparison
@@ -60,11 +62,6 @@ def write_compare_page(comparison: Comparison, path: str | Path) -> Path:
     -------
     Path
         The file.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
 
     Examples
     --------

@@ -157,6 +157,9 @@ class Ranking(RankedDesigns):
     ) -> Ranking:
         """Rank the designs of one case.
 
+        Raises `InputError` for settings outside what is allowed, a baseline that is not there, or scores that are not
+        finite; `UnknownNameError` for a metric or set that does not exist.
+
         Parameters
         ----------
         results : StudyResults
@@ -186,13 +189,6 @@ class Ranking(RankedDesigns):
         Returns
         -------
         Ranking
-
-        Raises
-        ------
-        InputError
-            For settings outside what is allowed, a baseline that is not there, or scores that are not finite.
-        UnknownNameError
-            For a metric or set that does not exist.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)

@@ -38,6 +38,8 @@ def metric(name: str) -> Metric:
 def metric_values(name: str, *sources: Any) -> FloatArray:
     """Values of a metric, one a design.
 
+    Raises `UnknownNameError` for an unknown name; `InputError` if no source has it.
+
     Parameters
     ----------
     name : str
@@ -50,13 +52,6 @@ def metric_values(name: str, *sources: Any) -> FloatArray:
     -------
     (d,)
         NaN where a design has none.
-
-    Raises
-    ------
-    UnknownNameError
-        For an unknown name.
-    InputError
-        If no source has it.
 
     Examples
     --------

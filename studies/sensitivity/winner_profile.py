@@ -164,6 +164,9 @@ def winner_profile(
 ) -> tuple[Profile, ...]:
     """Move one dimension at a time away from a design, over the range that the study's tables declare for its law.
 
+    Raises `InputError` if the winner is none of the designs, or for a negative number of points; `LdcError` if the
+    winner, driven anew, does not give the stored scores: another machine or version cannot add to them.
+
     Parameters
     ----------
     results : StudyResults
@@ -183,13 +186,6 @@ def winner_profile(
     -------
     tuple of Profile
         One for each dimension that varies in the study's designs of that law, the threshold first; empty for none.
-
-    Raises
-    ------
-    InputError
-        If the winner is none of the designs, or for a negative number of points.
-    LdcError
-        If the winner, driven anew, does not give the stored scores: another machine or version cannot add to them.
     """
     if winner not in results.designs:
         raise InputError(f"design {winner.id}: not among the results")

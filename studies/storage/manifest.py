@@ -393,6 +393,8 @@ def differences(found: dict[str, Any], wanted: dict[str, Any], prefix: str = "")
 def read_manifest(folder: str | Path) -> Manifest:
     """Read the manifest of a study's folder.
 
+    Raises `StoreError` if there is none, or it is broken or of another format.
+
     Parameters
     ----------
     folder : path
@@ -400,11 +402,6 @@ def read_manifest(folder: str | Path) -> Manifest:
     Returns
     -------
     Manifest
-
-    Raises
-    ------
-    StoreError
-        If there is none, or it is broken or of another format.
     """
     path = Path(folder) / "manifest.json"
     try:

@@ -222,6 +222,8 @@ class Store:
 def read_results(folder: str | Path) -> StudyResults:
     """Read the results of a finished study.
 
+    Raises `StoreError` if the folder holds no study, or something in it is missing or broken.
+
     Parameters
     ----------
     folder : path
@@ -230,10 +232,5 @@ def read_results(folder: str | Path) -> StudyResults:
     Returns
     -------
     StudyResults
-
-    Raises
-    ------
-    StoreError
-        If the folder holds no study, or something in it is missing or broken.
     """
     return Store.open(folder).results()

@@ -17,6 +17,9 @@ def make_executor(
 ) -> Executor:
     """The executor of that name.
 
+    Raises `InputError` for an unknown name, an empty address, or workers of a cluster that is not started here;
+    `LdcError` if a cluster cannot be used.
+
     Parameters
     ----------
     name : {"serial", "processes", "dask"} or None
@@ -27,13 +30,6 @@ def make_executor(
         Of a Dask scheduler, or ``"local"``.
     packages : tuple of str
         Whose versions must be the same on a cluster, besides those of every study.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, an empty address, or workers of a cluster that is not started here.
-    LdcError
-        If a cluster cannot be used.
     """
     if address is not None and not address.strip():
         raise InputError(f"dask: {address!r}; allowed: an address such as tcp://host:8786, or 'local'")

@@ -152,6 +152,9 @@ class _UnderWay:
 class DaskExecutor:
     """Runs work on a Dask cluster.
 
+    Raises `InputError` if a worker has other versions of the packages that decide numbers; `LdcError` if Dask is not
+    installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
+
     Parameters
     ----------
     address : str
@@ -160,13 +163,6 @@ class DaskExecutor:
         Processes of a local cluster; all cores by default.
     packages : tuple of str
         Whose versions must be the same on all workers, besides those of every study.
-
-    Raises
-    ------
-    InputError
-        If a worker has other versions of the packages that decide numbers.
-    LdcError
-        If Dask is not installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
     """
 
     name = "dask"
