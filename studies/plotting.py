@@ -1,4 +1,29 @@
-"""Plots of rankings and results for notebooks and scripts: each draws on matplotlib axes and returns them."""
+"""Plots of rankings and results for notebooks and scripts: each draws on the matplotlib axes `ax`, by default those of
+a new figure, and returns them.
+
+Examples
+--------
+>>> import tempfile
+>>> import matplotlib
+>>> matplotlib.use("agg")
+>>> from studies import Study, rank_study, run_study
+>>> design = {"law": "lqr", "y_s": [0.05, 0.1], "gains": {"r_delta": [30.0, 300.0]}}
+>>> study = Study.from_dict({"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [design]})
+>>> with tempfile.TemporaryDirectory() as folder:
+...     results = run_study(study, directory=folder, workers=1)
+>>> ranking = rank_study(results, study)[0]
+>>> ax = plot_landscape(ranking, y="r_delta")
+>>> ax.get_xlabel(), ax.get_ylabel()
+('y_s [m]', 'r_delta [1/rad²]')
+>>> len(plot_ranking(ranking).get_yticks())
+4
+>>> plot_trade_off(ranking, x="ay_p95").get_xlabel()
+'Peak a_y, 95 % quantile [m/s²], less is better'
+>>> len(plot_distribution(results, results.designs, side="left").lines)
+5
+>>> plot_convergence(results, [1], to=0).get_ylabel()
+'Mean paired difference of S [m·s]'
+"""
 
 from __future__ import annotations
 
@@ -146,27 +171,11 @@ def plot_landscape(
         ``"y_s"`` or a gain that the designs of the law differ in.
     y : str, optional
         A second one, for a heat map; a line over `x` without it.
-    ax : Axes, optional
-        To draw on; those of a new figure by default.
 
     Returns
     -------
     Axes
         S in m s. The law's best design of those drawn has a star; cells without a design are empty.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
-    >>> from studies import Study, rank_study, run_study
-    >>> design = {"law": "lqr", "y_s": [0.05, 0.1], "gains": {"r_delta": [30.0, 300.0]}}
-    >>> study = Study.from_dict({"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [design]})
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> ax = plot_landscape(rank_study(results, study)[0], y="r_delta")
-    >>> ax.get_xlabel(), ax.get_ylabel()
-    ('y_s [m]', 'r_delta [1/rad²]')
     """
     laws = list(dict.fromkeys(design.law for design in ranking.designs))
     if law is None:
@@ -214,8 +223,6 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     Parameters
     ----------
     ranking : Ranking
-    ax : Axes, optional
-        To draw on; those of a new figure by default.
     top : int
         How many designs. The winner and the baseline follow where they are further down.
 
@@ -223,20 +230,6 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     -------
     Axes
         S in m s. Filled markers are in the set of best; the upright line is no control.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
-    >>> from studies import Study, rank_study, run_study
-    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "lqr", "y_s": [0.05, 0.1]}]}
-    >>> study = Study.from_dict(content)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> ax = plot_ranking(rank_study(results, study)[0])
-    >>> ax.get_xlabel(), len(ax.get_yticks())
-    ('Mean S [m·s]', 2)
     """
     if top < 1:
         raise InputError(f"top: {top}; allowed: 1 or more")
@@ -258,36 +251,21 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
 
 
 def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: Axes | None = None) -> Axes:
-    """Two figures of all designs against each other, one marker a law, with the Pareto front of the two.
+    """Two metrics of all designs against each other, one marker a law, with the Pareto front of the two.
 
-    Raises `UnknownNameError` for a figure that does not exist; the message names the nearest.
+    Raises `UnknownNameError` for a metric that does not exist; the message names the nearest.
 
     Parameters
     ----------
     ranking : Ranking
     x, y : str
-        Figures, as `studies.ranking.requirements.metric` takes them.
-    ax : Axes, optional
-        To draw on; those of a new figure by default.
+        Metrics, as `studies.ranking.requirements.metric` takes them.
 
     Returns
     -------
     Axes
         In the units of the report: shares in per cent, angles in degrees. The winner has a ring. Designs without one
-        of the figures are not drawn, those that miss a requirement are in no front unless all do.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
-    >>> from studies import Study, rank_study, run_study
-    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "lqr", "y_s": [0.05, 0.1]}]}
-    >>> study = Study.from_dict(content)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> plot_trade_off(rank_study(results, study)[0], x="ay_p95").get_xlabel()
-    'Peak a_y, 95 % quantile [m/s²], less is better'
+        of the metrics are not drawn, those that miss a requirement are in no front unless all do.
     """
     of_x, of_y = metric(x), metric(y)
     across, up = (one.scale * metric_values(one.name, ranking) for one in (of_x, of_y))
@@ -334,8 +312,6 @@ def plot_distribution(
     results : StudyResults
     designs : iterable of Design or int
         Designs of the study, or their positions in ``results.designs``.
-    ax : Axes, optional
-        To draw on; those of a new figure by default.
     case : str or int
         Label or position of the case.
     side : {"both", "left", "right"}
@@ -344,19 +320,6 @@ def plot_distribution(
     -------
     Axes
         S in m s, as it counts: a failed scenario at least as bad as without control.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
-    >>> from studies import Study, run_study
-    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "lqr", "y_s": [0.05, 0.1]}]}
-    >>> study = Study.from_dict(content)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> len(plot_distribution(results, results.designs, side="left").lines)
-    3
     """
     if side not in _SIDES:
         raise InputError(f"side: {side!r}; {nearest(side, _SIDES)}")
@@ -395,8 +358,6 @@ def plot_convergence(
     results : StudyResults
     designs : sequence of Design or int
         Designs of the study, or their positions in ``results.designs``.
-    ax : Axes, optional
-        To draw on; those of a new figure by default.
     case : str or int
         Label or position of the case.
     to : Design or int, optional
@@ -406,20 +367,6 @@ def plot_convergence(
     -------
     Axes
         Bands are those of one curve by itself.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
-    >>> from studies import Study, run_study
-    >>> content = {"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [{"law": "lqr", "y_s": [0.05, 0.1]}]}
-    >>> study = Study.from_dict(content)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
-    >>> ax = plot_convergence(results, [1], to=0)
-    >>> ax.get_ylabel()
-    'Mean paired difference of S [m·s]'
     """
     results = results.drivable()
     found, chosen = chosen_case(results, case), chosen_designs(results, designs)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import field
 from typing import Any, Final, Literal, Self
 
 import numpy as np
@@ -168,15 +168,132 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-class Parameters:
-    """Constructor arguments that are kept as attributes of the same name."""
+@dataclasses.dataclass(eq=False, repr=False)
+class BoundedGaussianMixture:
+    """Mixture of K multivariate normals, each truncated to one box and normalised on it.
+
+    Follows scikit-learn's conventions (`fit`, `score_samples`, `get_params`, fitted attributes that end in ``_``)
+    without depending on it.
+
+    Parameters
+    ----------
+    n_components : int
+        K.
+    lower, upper : (d,), float or "auto", optional
+        The box, in the data's units; infinite entries are open, None is open everywhere. ``"auto"`` reads the bounds
+        off the data, see `auto_bounds`.
+    random_state : int or Generator, optional
+        Seed of the starts, and of `sample` when it is given none.
+    n_init : int
+        Short runs from different k-means starts; the best one is continued.
+    short_iter : int
+        Passes of a short run.
+    subsample : int
+        Rows used by the short runs, and by the moves.
+    split_merge : bool
+        Whether the best short run is led out of local optima: one component is split and two are merged, as long as
+        that raises the likelihood. It finds optima that many more starts miss, and takes longer than they do on few
+        events.
+    tol : float
+        Stop when the penalised log-likelihood per event gained less than this per pass, on average over five passes.
+    max_iter : int
+        Most passes over all events; the run on all lattice points makes one more where the one before used them up.
+    prior_strength : float
+        Pseudo-events per component, pulling its covariance towards the covariance of the events around it. Without
+        them the likelihood of data that pile up at a bound may have no maximum: a component runs away and its box
+        probability to zero. 10 is mild; 0 is plain maximum likelihood.
+    step : {"newton", "lee_scott"}
+        M-step, see Notes.
+    transform : {"none", "log", "logit", "auto"} or sequence of them, optional
+        Map of each column before the fit; none by default, as in the paper. ``"log"`` needs one finite bound,
+        ``"logit"`` two, ``"auto"`` takes what the bounds allow. A mapped column has no bound any more, so no mass can
+        pile up at it; `means_` and `covariances_` are in the mapped coordinates, densities and samples in the data's.
+    warm_start : bool
+        Go on from the last fit (or from `from_parameters`) in place of new starts.
+    verbose : int
+        1 tells of starts and of every pass on stderr, 0 is silent.
+    n_jobs : int, optional
+        Threads; all cores by default. It changes no number.
+    names : sequence of str, optional
+        Column names for messages.
+
+    Notes
+    -----
+    f(x) = sum_k eta_k g_k(x)/P_k, eta_k = pi_k P_k/sum_j pi_j P_j. In the M-step of Lee and Scott the weighted mean
+    and scatter are corrected by the moments of the truncated normal,
+
+        mu_k' = xbar_k - m_k,  m_k = E_k[x] - mu_k,
+        Sigma_k' = weighted scatter about mu_k' + H_k,  H_k = Sigma_k - E_k[(x - mu_k)(x - mu_k)^T].
+
+    It is a fixed-point step on the likelihood equations and converges slowly where much of a component lies outside.
+    The default ``"newton"`` solves the same equations by Newton's method with the Fisher matrix from the same
+    moments; dimensions open on both sides are a regression on the others, exact in one step. Either step is
+    shortened until the objective does not fall, and where no length gains the other is tried. Both have the same
+    fixed points.
+
+    References
+    ----------
+    Lee and Scott, CSDA 56(9):2816-2829, 2012. Zhao, Wang, LeBlanc, 2017, section III.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.abs(np.random.default_rng(0).normal(size=(2000, 1)))
+    >>> model = BoundedGaussianMixture(1, lower=0.0, random_state=0, n_init=1).fit(x)
+    >>> bool(model.sample(100, 1)[0].min() > 0)
+    True
+    """
+
+    n_components: int = 1
+    _: dataclasses.KW_ONLY
+    lower: npt.ArrayLike | Literal["auto"] | None = None
+    upper: npt.ArrayLike | Literal["auto"] | None = None
+    random_state: RandomState = None
+    n_init: int = 8
+    short_iter: int = 15
+    subsample: int = 25_000
+    split_merge: bool = True
+    tol: float = 1e-7
+    max_iter: int = 500
+    prior_strength: float = 10.0
+    step: Step = "newton"
+    transform: str | Sequence[str] | None = None
+    warm_start: bool = False
+    verbose: int = 0
+    n_jobs: int | None = None
+    names: Sequence[str] | None = None
+
+    weights_: FloatArray = field(init=False)  # (K,) eta_k, the share of events of each component
+    means_: FloatArray = field(init=False)  # (K, d) mu_k before truncation; it may lie outside the box
+    covariances_: FloatArray = field(init=False)  # (K, d, d) Sigma_k before truncation
+    log_probabilities_: FloatArray = field(init=False)  # (K,) ln P_k, of each normal's probability of the box
+    converged_: bool = field(init=False)  # Whether `tol` was reached at a maximum
+    # "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became too
+    # thin for the arithmetic; the pass before is kept)
+    stop_reason_: str = field(init=False)
+    n_iter_: int = field(
+        init=False
+    )  # Passes, those on few lattice points included; leaps that were refused are not counted
+    # Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates
+    lower_bound_: float = field(init=False)
+    # (m,) Its history over the final run, on all lattice points; it falls by no more than rounding, 1e-8
+    lower_bounds_: FloatArray = field(init=False)
+    lower_: FloatArray = field(init=False)  # (d,) The box
+    upper_: FloatArray = field(init=False)
+    # What a user should know before trusting the fit, the gravest first; empty where there is nothing to report
+    warnings_: tuple[str, ...] = field(init=False)
+    n_features_in_: int = field(init=False)  # d
+
+    _distribution: Distribution = field(init=False)
+
+    def __repr__(self) -> str:
+        shown = (f for f in dataclasses.fields(self) if f.init and getattr(self, f.name) is not f.default)
+        return f"{type(self).__name__}({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The constructor's arguments (scikit-learn's convention)."""
         del deep
-        return {
-            name: getattr(self, name) for name in inspect.signature(type(self).__init__).parameters if name != "self"
-        }
+        return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.init}
 
     def set_params(self, **params: Any) -> Self:
         """Change constructor arguments (scikit-learn's convention)."""
@@ -187,18 +304,43 @@ class Parameters:
             setattr(self, name, value)
         return self
 
-    def __repr__(self) -> str:
-        default = {k: v.default for k, v in inspect.signature(type(self).__init__).parameters.items()}
-        shown = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v is not default[k])
-        return f"{type(self).__name__}({shown})"
+    @classmethod
+    def from_parameters(
+        cls,
+        weights: npt.ArrayLike,
+        means: npt.ArrayLike,
+        covariances: npt.ArrayLike,
+        *,
+        lower: npt.ArrayLike | None = None,
+        upper: npt.ArrayLike | None = None,
+        transform: str | Sequence[str] | None = None,
+        names: Sequence[str] | None = None,
+    ) -> BoundedGaussianMixture:
+        """A mixture with known parameters, as good as fitted.
 
+        Raises `InputError` on wrong shapes, weights that are not shares, or a covariance that is not positive definite.
 
-class FittedMixture(Parameters):
-    """The questions of scikit-learn's mixtures, answered by a `Distribution`."""
-
-    _distribution: Distribution
-    random_state: RandomState
-    names: Sequence[str] | None
+        Parameters
+        ----------
+        weights : (K,)
+            eta_k, positive, summing to one.
+        means : (K, d)
+            mu_k.
+        covariances : (K, d, d)
+            Sigma_k.
+        lower, upper, transform, names
+            As for the class.
+        """
+        eta, mu = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
+        if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:
+            raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
+        if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
+            raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
+        model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
+        model._store(
+            eta, mu, np.asarray(covariances, dtype=float), _checked_transform(lower, upper, transform, mu.shape[1])
+        )
+        return model
 
     def score_samples(self, X: npt.ArrayLike) -> FloatArray:
         """Log-density ln f(x) of each row, (n,); -inf outside the box."""
@@ -327,201 +469,6 @@ class FittedMixture(Parameters):
         if not hasattr(self, "_distribution"):
             raise InputError(f"{type(self).__name__}: not fitted yet; call fit first")
         return self._distribution
-
-
-class BoundedGaussianMixture(FittedMixture):
-    """Mixture of K multivariate normals, each truncated to one box and normalised on it.
-
-    Follows scikit-learn's conventions (`fit`, `score_samples`, `get_params`, fitted attributes that end in ``_``)
-    without depending on it.
-
-    Parameters
-    ----------
-    n_components : int
-        K.
-    lower, upper : (d,), float or "auto", optional
-        The box, in the data's units; infinite entries are open, None is open everywhere. ``"auto"`` reads the bounds
-        off the data, see `auto_bounds`.
-    random_state : int or Generator, optional
-        Seed of the starts, and of `sample` when it is given none.
-    n_init : int
-        Short runs from different k-means starts; the best one is continued.
-    short_iter : int
-        Passes of a short run.
-    subsample : int
-        Rows used by the short runs, and by the moves.
-    split_merge : bool
-        Whether the best short run is led out of local optima: one component is split and two are merged, as long as
-        that raises the likelihood. It finds optima that many more starts miss, and takes longer than they do on few
-        events.
-    tol : float
-        Stop when the penalised log-likelihood per event gained less than this per pass, on average over five passes.
-    max_iter : int
-        Most passes over all events; the run on all lattice points makes one more where the one before used them up.
-    prior_strength : float
-        Pseudo-events per component, pulling its covariance towards the covariance of the events around it. Without
-        them the likelihood of data that pile up at a bound may have no maximum: a component runs away and its box
-        probability to zero. 10 is mild; 0 is plain maximum likelihood.
-    step : {"newton", "lee_scott"}
-        M-step, see Notes.
-    transform : {"none", "log", "logit", "auto"} or sequence of them, optional
-        Map of each column before the fit; none by default, as in the paper. ``"log"`` needs one finite bound,
-        ``"logit"`` two, ``"auto"`` takes what the bounds allow. A mapped column has no bound any more, so no mass can
-        pile up at it; `means_` and `covariances_` are in the mapped coordinates, densities and samples in the data's.
-    warm_start : bool
-        Go on from the last fit (or from `from_parameters`) in place of new starts.
-    verbose : int
-        1 tells of starts and of every pass on stderr, 0 is silent.
-    n_jobs : int, optional
-        Threads; all cores by default. It changes no number.
-    names : sequence of str, optional
-        Column names for messages.
-
-    Attributes
-    ----------
-    weights_ : (K,)
-        eta_k, the share of events of each component.
-    means_ : (K, d)
-        mu_k before truncation; it may lie outside the box.
-    covariances_ : (K, d, d)
-        Sigma_k before truncation.
-    log_probabilities_ : (K,)
-        ln P_k, the logarithm of each normal's probability of the box.
-    converged_ : bool
-        Whether `tol` was reached at a maximum.
-    stop_reason_ : str
-        "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became
-        too thin for the arithmetic; the pass before is kept).
-    n_iter_ : int
-        Passes, those on few lattice points included; leaps that were refused are not counted.
-    lower_bound_ : float
-        Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates.
-    lower_bounds_ : (m,)
-        Its history over the final run, on all lattice points; it falls by no more than rounding, 1e-8.
-    lower_, upper_ : (d,)
-        The box.
-    warnings_ : tuple of str
-        What a user should know before trusting the fit, the gravest first; empty where nothing is to be said.
-    n_features_in_ : int
-        d.
-
-    Notes
-    -----
-    f(x) = sum_k eta_k g_k(x)/P_k, eta_k = pi_k P_k/sum_j pi_j P_j. In the M-step of Lee and Scott the weighted mean
-    and scatter are corrected by the moments of the truncated normal,
-
-        mu_k' = xbar_k - m_k,  m_k = E_k[x] - mu_k,
-        Sigma_k' = weighted scatter about mu_k' + H_k,  H_k = Sigma_k - E_k[(x - mu_k)(x - mu_k)^T].
-
-    It is a fixed-point step on the likelihood equations and converges slowly where much of a component lies outside.
-    The default ``"newton"`` solves the same equations by Newton's method with the Fisher matrix from the same
-    moments; dimensions open on both sides are a regression on the others, exact in one step. Either step is
-    shortened until the objective does not fall, and where no length gains the other is tried. Both have the same
-    fixed points.
-
-    References
-    ----------
-    Lee and Scott, CSDA 56(9):2816-2829, 2012. Zhao, Wang, LeBlanc, 2017, section III.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.abs(np.random.default_rng(0).normal(size=(2000, 1)))
-    >>> model = BoundedGaussianMixture(1, lower=0.0, random_state=0, n_init=1).fit(x)
-    >>> bool(model.sample(100, 1)[0].min() > 0)
-    True
-    """
-
-    weights_: FloatArray
-    means_: FloatArray
-    covariances_: FloatArray
-    log_probabilities_: FloatArray
-    converged_: bool
-    stop_reason_: str
-    n_iter_: int
-    lower_bound_: float
-    lower_bounds_: FloatArray
-    lower_: FloatArray
-    upper_: FloatArray
-    warnings_: tuple[str, ...]
-    n_features_in_: int
-
-    def __init__(
-        self,
-        n_components: int = 1,
-        *,
-        lower: npt.ArrayLike | Literal["auto"] | None = None,
-        upper: npt.ArrayLike | Literal["auto"] | None = None,
-        random_state: RandomState = None,
-        n_init: int = 8,
-        short_iter: int = 15,
-        subsample: int = 25_000,
-        split_merge: bool = True,
-        tol: float = 1e-7,
-        max_iter: int = 500,
-        prior_strength: float = 10.0,
-        step: Step = "newton",
-        transform: str | Sequence[str] | None = None,
-        warm_start: bool = False,
-        verbose: int = 0,
-        n_jobs: int | None = None,
-        names: Sequence[str] | None = None,
-    ) -> None:
-        self.n_components = n_components
-        self.lower = lower
-        self.upper = upper
-        self.random_state = random_state
-        self.n_init = n_init
-        self.short_iter = short_iter
-        self.subsample = subsample
-        self.split_merge = split_merge
-        self.tol = tol
-        self.max_iter = max_iter
-        self.prior_strength = prior_strength
-        self.step = step
-        self.transform = transform
-        self.warm_start = warm_start
-        self.verbose = verbose
-        self.n_jobs = n_jobs
-        self.names = names
-
-    @classmethod
-    def from_parameters(
-        cls,
-        weights: npt.ArrayLike,
-        means: npt.ArrayLike,
-        covariances: npt.ArrayLike,
-        *,
-        lower: npt.ArrayLike | None = None,
-        upper: npt.ArrayLike | None = None,
-        transform: str | Sequence[str] | None = None,
-        names: Sequence[str] | None = None,
-    ) -> BoundedGaussianMixture:
-        """A mixture with known parameters, as good as fitted.
-
-        Raises `InputError` on wrong shapes, weights that are not shares, or a covariance that is not positive definite.
-
-        Parameters
-        ----------
-        weights : (K,)
-            eta_k, positive, summing to one.
-        means : (K, d)
-            mu_k.
-        covariances : (K, d, d)
-            Sigma_k.
-        lower, upper, transform, names
-            As for the class.
-        """
-        eta, mu = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
-        if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:
-            raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
-        if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
-            raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
-        model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
-        model._store(
-            eta, mu, np.asarray(covariances, dtype=float), _checked_transform(lower, upper, transform, mu.shape[1])
-        )
-        return model
 
     def _transform(self, events: Events) -> Transform:
         d = events.dimension
