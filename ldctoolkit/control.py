@@ -261,10 +261,6 @@ class Controller(abc.ABC):
         ----------
         plant : Plant
             Model, speeds (n,) and sample time.
-
-        Returns
-        -------
-        LinearLaw, SteeringLaw or RecordedPath
         """
 
 

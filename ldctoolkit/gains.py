@@ -44,10 +44,6 @@ class Gain:
             What was given.
         owner : str
             What the message names before the gain: the law.
-
-        Returns
-        -------
-        float, int, str or bool
         """
         where = f"{owner}.{self.name}"
         if self.choices:

@@ -32,11 +32,6 @@ def register(controller: type[Controller]) -> type[Controller]:
     controller : type
         A concrete subclass of `Controller`; all that its constructor takes is made with `gain` and `option`.
 
-    Returns
-    -------
-    type
-        The same class.
-
     Examples
     --------
     >>> import dataclasses
@@ -107,10 +102,6 @@ def controller_class(name: str) -> type[Controller]:
     ----------
     name : str
         Registry key.
-
-    Returns
-    -------
-    type
     """
     if name in _registered:
         return _registered[name]

@@ -312,10 +312,6 @@ class Study(Part):
         ----------
         path : path
             TOML file.
-
-        Returns
-        -------
-        Study
         """
         path = Path(path)
         try:
@@ -340,10 +336,6 @@ class Study(Part):
             What messages name first.
         folder : path
             Where a relative model path starts.
-
-        Returns
-        -------
-        Study
         """
         try:
             study = cls.model_validate(_tuples(content))

@@ -288,10 +288,6 @@ def kolmogorov_limit(effective_events: float, parameters: int) -> float:
     parameters : int
         d; each is given 0.05/d (Bonferroni), so that it is 5 % or fewer whatever their dependence.
 
-    Returns
-    -------
-    float
-
     Notes
     -----
     Kolmogorov's limit distribution with the correction of Vrbik (2018): from 20 events on within 0.6 % of the exact

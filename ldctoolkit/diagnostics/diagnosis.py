@@ -199,11 +199,6 @@ def diagnose(
     progress : callable, optional
         Called as ``progress("margins", done, total)``.
 
-    Returns
-    -------
-    SideDiagnostics
-        Numbers and warnings.
-
     Notes
     -----
     Marginals of a truncated mixture have no closed form. Shares next to bounds are integrated; a distribution
@@ -298,11 +293,6 @@ def diagnose_model(
         As for `diagnose`.
     progress : callable, optional
         Called as ``progress("left: margins", done, total)``, over both sides.
-
-    Returns
-    -------
-    ModelDiagnostics
-        The left and the right side.
 
     Examples
     --------

@@ -509,10 +509,6 @@ class BoundedGaussianMixture:
         sample_weight : (n,), optional
             Events that each row stands for, not negative; a row of weight 2 counts as two, one of weight 0 not at all.
 
-        Returns
-        -------
-        self
-
         Raises
         ------
         InputError

@@ -110,10 +110,6 @@ class UncorrectedPath:
         seed : int
             0 to 2^63 - 1; with a scenario's number it fixes the residuals.
 
-        Returns
-        -------
-        UncorrectedPath
-
         Notes
         -----
         A scenario has the modes j/(2 T) <= bandwidth, at least 3 and at most 100. Amplitudes are independent normal

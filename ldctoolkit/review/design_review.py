@@ -299,10 +299,6 @@ def review_plant(
     speeds : (n,) [m/s]
     plant_knowledge : {"nominal", "ideal"}
 
-    Returns
-    -------
-    Plant
-
     Examples
     --------
     >>> review_plant(BicycleModel(), 0.05, PlantOptions(), [20.0, 30.0]).n
@@ -392,10 +388,6 @@ def review(
     thresholds : Thresholds, optional
         Where findings start.
 
-    Returns
-    -------
-    Review
-
     Examples
     --------
     >>> from ldctoolkit import controller_class
@@ -442,10 +434,6 @@ def without_review(controller: Controller, dt: float, error: LdcError) -> Review
     dt : float [s]
     error : LdcError
         What `review` raised.
-
-    Returns
-    -------
-    Review
     """
     return Review(*_identity(controller), dt, None, (Finding("fault", "raises", f"No review: {error}"),))
 

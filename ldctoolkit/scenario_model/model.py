@@ -385,11 +385,6 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     name_or_path : str or path
         ``"reference"``, or a path to a JSON file.
 
-    Returns
-    -------
-    ScenarioModel
-        The model.
-
     Examples
     --------
     >>> load_model("reference").provenance.synthetic

@@ -150,10 +150,6 @@ def drive(
         As in `simulate`.
     takeover : Takeover
         Scenarios at their triggers.
-
-    Returns
-    -------
-    Run
     """
     rows = _chosen_rows(trajectories, takeover.scenarios.n)
     law = _prepared(controller, takeover)

@@ -220,11 +220,6 @@ class BicycleModel:
             Speeds, > 0.
         dt : float or (n,) [s]
             Step, one for all or one each, >= 0.
-
-        Returns
-        -------
-        Discretization
-            Arrays of n.
         """
         return discretize(*self.matrices(v), dt)
 

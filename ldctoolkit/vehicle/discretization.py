@@ -114,11 +114,6 @@ def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -
     dt : float or (n,) [s]
         Step, >= 0.
 
-    Returns
-    -------
-    Discretization
-        Arrays of n.
-
     Examples
     --------
     >>> import numpy as np

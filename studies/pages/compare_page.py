@@ -58,11 +58,6 @@ def write_compare_page(comparison: Comparison, path: str | Path) -> Path:
     path : path
         File to write; whole or not at all.
 
-    Returns
-    -------
-    Path
-        The file.
-
     Examples
     --------
     >>> import tempfile

@@ -185,10 +185,6 @@ class Ranking(RankedDesigns):
         vehicles : sequence of str
             Named vehicles, of `studies.ranking.named_vehicles.VEHICLES`, that `S_worst` and `comfortable_worst` are
             the worst of; they need `setup`.
-
-        Returns
-        -------
-        Ranking
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)

@@ -398,10 +398,6 @@ def read_manifest(folder: str | Path) -> Manifest:
     Parameters
     ----------
     folder : path
-
-    Returns
-    -------
-    Manifest
     """
     path = Path(folder) / "manifest.json"
     try:

@@ -228,9 +228,5 @@ def read_results(folder: str | Path) -> StudyResults:
     ----------
     folder : path
         What `run_study` wrote into.
-
-    Returns
-    -------
-    StudyResults
     """
     return Store.open(folder).results()
