@@ -445,22 +445,12 @@ def comfortable_share(
     a_y_limit: float = A_Y_LIMIT,
     jerk_limit: float = JERK_LIMIT,
 ) -> float | FloatArray:
-    """Share of the interventions that induce no more lateral acceleration and jerk than allowed.
-
-    Raises `InputError` for shapes that do not fit, or limits that are no numbers.
-
-    Parameters
-    ----------
-    a_y_added_peak : (n,) or (d, n) [m/s^2]
-    jerk_added_peak : (n,) or (d, n) [m/s^3]
-    triggered : (n,) or (d, n) bool
-    a_y_limit : float [m/s^2]
-    jerk_limit : float [m/s^3]
+    """Share of the interventions that induce no more lateral acceleration and jerk than allowed, as for `comfortable`.
 
     Returns
     -------
     float or (d,) [1]
-        Of the triggered scenarios; NaN where there was no intervention.
+        Of the scenarios that `triggered`, (n,) or (d, n) bool; NaN where there was no intervention.
 
     Examples
     --------
@@ -501,17 +491,7 @@ def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_L
 
 
 def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
-    """Share of all scenarios in which the intervention was needless.
-
-    Raises `InputError` for shapes that do not fit, or a limit that is no number.
-
-    Parameters
-    ----------
-    triggered : (n,) or (d, n) bool
-    d_y : (n,) [m]
-        Peak of the recorded departure beyond the line.
-    limit : float [m]
-        Distance to the lane edge that is still allowed, negative beyond the line.
+    """Share of all scenarios in which the intervention was needless, as for `needless`.
 
     Returns
     -------

@@ -171,6 +171,7 @@ def plot_landscape(
         ``"y_s"`` or a gain that the designs of the law differ in.
     y : str, optional
         A second one, for a heat map; a line over `x` without it.
+    ax : Axes, optional
 
     Returns
     -------
@@ -223,6 +224,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     Parameters
     ----------
     ranking : Ranking
+    ax : Axes, optional
     top : int
         How many designs. The winner and the baseline follow where they are further down.
 
@@ -260,6 +262,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     ranking : Ranking
     x, y : str
         Metrics, as `studies.ranking.requirements.metric` takes them.
+    ax : Axes, optional
 
     Returns
     -------
@@ -312,6 +315,7 @@ def plot_distribution(
     results : StudyResults
     designs : iterable of Design or int
         Designs of the study, or their positions in ``results.designs``.
+    ax : Axes, optional
     case : str or int
         Label or position of the case.
     side : {"both", "left", "right"}
@@ -358,6 +362,7 @@ def plot_convergence(
     results : StudyResults
     designs : sequence of Design or int
         Designs of the study, or their positions in ``results.designs``.
+    ax : Axes, optional
     case : str or int
         Label or position of the case.
     to : Design or int, optional

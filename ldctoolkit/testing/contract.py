@@ -123,25 +123,7 @@ def check_controller_contract(
     checks: str | Iterable[str] | None = None,
     settings: ContractSettings | None = None,
 ) -> None:
-    """Raise if a controller breaks the contract.
-
-    Parameters
-    ----------
-    controller : Controller or type
-        A design, or a class, of which the design with all defaults is taken.
-    designs : sequence of Controller
-        More designs of the same law.
-    checks : str or iterable of str, optional
-        One key, or some keys, of `CHECKS`; all by default.
-    settings : ContractSettings, optional
-        Size and tolerances.
-
-    Raises
-    ------
-    ContractError
-        One line a fault: the law, the check, and the sentence.
-    InputError
-        If what is given is no controller, or a check is not known.
+    """Raise a `ContractError` if a controller breaks the contract, one line a fault; parameters as `contract_faults`.
 
     Examples
     --------

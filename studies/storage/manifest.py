@@ -6,19 +6,19 @@ import dataclasses
 import datetime
 import importlib.metadata
 import json
-import math
 import os
 import platform
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import ldctoolkit
 from ldctoolkit.errors import StoreError, StudyError
+from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import Dropped, Race, RunKey
 from studies.storage.files import read_parquet, write_parquet, write_text
@@ -63,27 +63,33 @@ def read_designs(path: Path) -> tuple[Design, ...]:
 
 
 FAILURES = "failures.json"
+TIMING_FILE = "timing.json"
+RACE_FILE = "race.json"
+
+Kind = TypeVar("Kind", bound=BaseModel)
+
+
+def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
+    """A small file of a folder; None where it is missing."""
+    try:
+        return kind.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValidationError:
+        raise StoreError(f"{path}: broken; {hint}") from None
+
+
+class _Failures(BaseModel):
+    designs: dict[str, dict[Convention, str]]
 
 
 def read_failures(folder: Path) -> dict[RunKey, str]:
     """Why runs failed, of those that did; none where the file is missing."""
-    path = folder / FAILURES
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        found = {
-            (design, convention): sentence
-            for design, sentences in content["designs"].items()
-            for convention, sentence in sentences.items()
-        }
-        if not all(isinstance(sentence, str) for sentence in found.values()):
-            raise TypeError(found)
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise StoreError(f"{path}: broken; it holds which designs failed, and why") from None
-    return found
+    content = _read_json(folder / FAILURES, _Failures, "it holds which designs failed, and why")
+    designs = content.designs if content else {}
+    return {(design, one): text for design, sentences in designs.items() for one, text in sentences.items()}
 
 
 def write_failures(folder: Path, failures: Mapping[RunKey, str]) -> None:
@@ -96,9 +102,6 @@ def write_failures(folder: Path, failures: Mapping[RunKey, str]) -> None:
         write_text(path, json.dumps({"designs": designs}, indent=1) + "\n")
     else:
         path.unlink(missing_ok=True)
-
-
-TIMING_FILE = "timing.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,31 +121,25 @@ class LawTime:
         return LawTime(self.seconds + other.seconds, self.commands + other.commands)
 
 
+class _Time(BaseModel):
+    law_seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    commands: Annotated[int, Field(ge=0)]
+
+
+class _Times(BaseModel):
+    designs: dict[str, dict[Convention, _Time]]
+
+
 def read_times(folder: Path) -> dict[RunKey, LawTime]:
     """Times of the laws, of the runs for which they are known; none where the file is missing."""
-    path = folder / TIMING_FILE
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return {
-            (design, convention): _law_time(entry)
-            for design, entries in content["designs"].items()
-            for convention, entry in entries.items()
-        }
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise StoreError(
-            f"{path}: broken; it holds how long the laws took and nothing else: remove it to go on without"
-        ) from None
-
-
-def _law_time(entry: Any) -> LawTime:
-    time = LawTime(float(entry["law_seconds"]), int(entry["commands"]))
-    if not (math.isfinite(time.seconds) and time.seconds >= 0 and time.commands >= 0):
-        raise ValueError(entry)
-    return time
+    hint = "it holds how long the laws took and nothing else: remove it to go on without"
+    content = _read_json(folder / TIMING_FILE, _Times, hint)
+    designs = content.designs if content else {}
+    return {
+        (design, convention): LawTime(entry.law_seconds, entry.commands)
+        for design, entries in designs.items()
+        for convention, entry in entries.items()
+    }
 
 
 def write_times(folder: Path, times: Mapping[RunKey, LawTime]) -> None:
@@ -157,61 +154,47 @@ def write_times(folder: Path, times: Mapping[RunKey, LawTime]) -> None:
     write_text(folder / TIMING_FILE, json.dumps({"designs": designs}, indent=1) + "\n")
 
 
-RACE_FILE = "race.json"
+class _Dropped(BaseModel):
+    design: str
+    round: int
+    scenarios: int
+    S_m_s: float
+    difference_m_s: float
+    low_m_s: float
+
+
+class _Race(BaseModel):
+    ranked_as: str
+    rounds: tuple[int, ...]
+    alive: tuple[int, ...]
+    dropped: tuple[_Dropped, ...]
+    runs: int
+    full_runs: int
 
 
 def write_race(folder: Path, race: Race, ranked_as: str) -> None:
     """Write or replace the file; `ranked_as` tells which designs and settings it is the race of."""
+    dropped = [(one.design.id, one.round, one.scenarios, one.S, one.difference, one.low) for one in race.dropped]
+    names = tuple(_Dropped.model_fields)
     content = dataclasses.asdict(race) | {
         "ranked_as": ranked_as,
-        "dropped": [
-            {
-                "design": one.design.id,
-                "round": one.round,
-                "scenarios": one.scenarios,
-                "S_m_s": one.S,
-                "difference_m_s": one.difference,
-                "low_m_s": one.low,
-            }
-            for one in race.dropped
-        ],
+        "dropped": [dict(zip(names, values, strict=True)) for values in dropped],
     }
     write_text(folder / RACE_FILE, json.dumps(content, indent=1) + "\n")
 
 
 def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race | None:
     """What a folder knows of its race; None where the file is missing, or that of other designs or settings."""
-    path = folder / RACE_FILE
-    by_id = {design.id: design for design in designs}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["ranked_as"] != ranked_as:
-            return None
-        dropped = tuple(
-            Dropped(
-                design=by_id[one["design"]],
-                round=int(one["round"]),
-                scenarios=int(one["scenarios"]),
-                S=float(one["S_m_s"]),
-                difference=float(one["difference_m_s"]),
-                low=float(one["low_m_s"]),
-            )
-            for one in content["dropped"]
-            if one["design"] in by_id
-        )
-        return Race(
-            rounds=tuple(map(int, content["rounds"])),
-            alive=tuple(map(int, content["alive"])),
-            dropped=dropped,
-            runs=int(content["runs"]),
-            full_runs=int(content["full_runs"]),
-        )
-    except FileNotFoundError:
+    content = _read_json(folder / RACE_FILE, _Race, "run the study into this folder again to make it anew")
+    if content is None or content.ranked_as != ranked_as:
         return None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise StoreError(f"{path}: broken; run the study into this folder again to make it anew") from None
+    by_id = {design.id: design for design in designs}
+    dropped = tuple(
+        Dropped(by_id[one.design], one.round, one.scenarios, one.S_m_s, one.difference_m_s, one.low_m_s)
+        for one in content.dropped
+        if one.design in by_id
+    )
+    return Race(content.rounds, content.alive, dropped, content.runs, content.full_runs)
 
 
 FORMAT_VERSION: Final = 3
