@@ -23,7 +23,6 @@ from studies.design import NO_CONTROL, Design
 from studies.ranking.inference import row_blocks, row_means
 from studies.ranking.requirements import friction, metric, metric_values
 from studies.results import CaseResults, StudyResults, status_among
-from studies.storage.run_table import StoredColumn
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 
@@ -70,10 +69,6 @@ Values = dict[str, FloatArray]
 
 _BLOCK_ENTRIES: Final = 500_000  # runs that are looked at at once (4 MB for each metric); no number depends on it
 
-_STORED_ENTRIES: Final = 50_000_000
-"""Numbers that are read from a study's folder at once (400 MB): all at once where possible, as every file holds many
-designs and no design has a file of its own."""
-
 _MOST_THREADS: Final = 4
 
 
@@ -101,7 +96,6 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
     """Every metric of a design that is taken from those of its scenarios; d_y (n,) [m] is without control."""
     acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
     acted[[design.is_baseline for design in designs]] = False
-    blocks = _Blocks(case, acted)
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
@@ -113,7 +107,7 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
     found: Values = {}
     for group in _groups():
         names = tuple(dict.fromkeys(name for one in group for name in one.of))
-        found |= blocks.values(of(group, names), *names)
+        found |= _by_blocks(of(group, names), acted, [getattr(case.companions, name) for name in names])
     return found
 
 
@@ -144,42 +138,19 @@ def _taken(one: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
     return np.asarray(np.quantile(only, share, axis=1)) if of_all else masked_quantile(only, by.acted, share)
 
 
-class _Blocks:
-    """Metrics of scenarios that are in memory, or read when they are needed, by blocks of designs in threads."""
+def _by_blocks(function: Callable[..., Values], acted: BoolArray, columns: Sequence[FloatArray]) -> Values:
+    """Metrics of designs, by blocks in threads: where they took over, and the metrics of their scenarios, (d, n)."""
 
-    def __init__(self, case: CaseResults, acted: BoolArray) -> None:
-        self._case, self._acted = case, acted
-        self._size = max(1, _BLOCK_ENTRIES // acted.shape[1])
-        stored = not isinstance(case.companions.deepest, np.ndarray)
-        self._room = np.empty(max(min(_STORED_ENTRIES, acted.size), 2 * acted.shape[1]) if stored else 0)
+    def one(first: int) -> Values:
+        rows = slice(first, first + size)
+        # one row after the other in memory: the sum of a row depends on it in the last bit
+        return function(acted[rows], *(np.ascontiguousarray(column[rows], dtype=np.float64) for column in columns))
 
-    def values(self, function: Callable[..., Values], *names: str) -> Values:
-        """Metrics of designs: `function` takes where a block of designs took over, and each metric of the scenarios."""
-        columns: list[Any] = [getattr(self._case.companions, name) for name in names]
-        (d, n), count = self._acted.shape, max(1, len(names))
-        at_once = max(1, self._room.size // (count * n)) if self._room.size else d
-        found: list[Values] = []
-        for first in range(0, d, at_once):
-            rows = slice(first, min(first + at_once, d))
-            rooms = np.array_split(self._room, count)
-            values = [_values(column, rows, room) for column, room in zip(columns, rooms, strict=False)]
-            found += self._of_blocks(function, rows, values)
-        return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
-
-    def _of_blocks(self, function: Callable[..., Values], rows: slice, values: Sequence[FloatArray]) -> list[Values]:
-        def one(start: int) -> Values:
-            block = slice(start, min(start + self._size, rows.stop - rows.start))
-            acted = self._acted[rows][block]
-            # one row after the other in memory: the sum of a row depends on it in the last bit
-            return function(acted, *(np.ascontiguousarray(column[block], dtype=np.float64) for column in values))
-
-        starts = range(0, rows.stop - rows.start, self._size)
-        with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
-            return list(pool.map(one, starts))
-
-
-def _values(column: FloatArray | StoredColumn, rows: slice, room: FloatArray) -> FloatArray:
-    return column[rows] if isinstance(column, np.ndarray) else column.read(rows, room)
+    size = max(1, _BLOCK_ENTRIES // acted.shape[1])
+    starts = range(0, acted.shape[0], size)
+    with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
+        found = list(pool.map(one, starts))
+    return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
 
 
 _FEWEST_DIGITS = 6  # of an identifier, so that no law's name is taken for one

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import io
 import itertools
 import json
+import math
+import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,7 +22,6 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
-from ldctoolkit.vehicle import Convention
 from studies.design import Design
 from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from studies.storage.files import parse_parquet, read_bytes, stored_file
@@ -36,15 +36,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def prefetched(
-    function: Callable[[Item], Result], items: Iterable[Item], *, threads: int = 1
-) -> Iterator[tuple[Item, Future[Result]]]:
-    """Call a function on each item in threads; at most one result more than there are threads waits."""
-    with ThreadPoolExecutor(threads) as pool:
+def prefetched(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[tuple[Item, Future[Result]]]:
+    """Call a function on each item in a thread; at most two results wait."""
+    with ThreadPoolExecutor(1) as pool:
         waiting: deque[tuple[Item, Future[Result]]] = deque()
         for item in items:
             waiting.append((item, pool.submit(function, item)))
-            if len(waiting) > threads:
+            if len(waiting) > 1:
                 yield waiting.popleft()
         yield from waiting
 
@@ -125,15 +123,13 @@ def checked_content(path: Path) -> bytes:
     return data
 
 
-def parse_part(
-    path: Path, data: bytes, windows: Sequence[Window], n: int, *, companions: bool = True
-) -> Iterator[TaskResult]:
-    """Results that a part holds, one design and stretch of scenarios at a time; without `companions` only checked."""
+def parse_part(path: Path, data: bytes, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:
+    """Results that a part holds, one design and stretch of scenarios at a time."""
     table = parse_parquet(path, data, schema(windows), finite=False, change=_as_now)
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = list(float_columns(windows).values())
     _check_numbers(path, [table[column] for column in columns], status)
-    floats = np.stack([table[column].to_numpy() for column in (columns if companions else columns[: 2 * len(windows)])])
+    floats = np.stack([table[column].to_numpy() for column in columns])
     rows = table["scenario"].to_numpy().astype(np.int64)
     if rows.size and rows.max() >= n:
         raise StoreError(f"{path}: broken: scenario {rows.max()}; allowed: 0 to {n - 1}")
@@ -157,20 +153,6 @@ def parse_part(
         )
 
 
-def read_column(path: Path, column: str) -> FloatArray:
-    """One column of a part, (rows,), not checked again."""
-    import polars as pl
-
-    try:
-        there = pl.read_parquet_schema(path)
-        stored = next(name for name in (column, _FORMER.get(column), "scenario") if name in there)
-        table = pl.read_parquet(path, columns=[stored], glob=False, hive_partitioning=False)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise StoreError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    values: FloatArray = table[stored].to_numpy() if stored != "scenario" else np.full(table.height, np.nan)
-    return values
-
-
 def _as_now(table: pl.DataFrame) -> pl.DataFrame:
     """A part of an earlier version with the columns of this one."""
     import polars as pl
@@ -188,146 +170,6 @@ def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> Non
             continue
         if not good.all() and not good.to_numpy()[driven].all():
             raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")
-
-
-_THREADS: Final = 2  # that read parts; more would wait for the one that takes in what they read
-
-
-@dataclasses.dataclass(frozen=True)
-class _Stretch:
-    """Where a part holds some scenarios of a run: rows first to first + size of the part."""
-
-    part: int
-    first: int
-    size: int
-    scenarios: Any
-
-
-class PartIndex:
-    """Where the runs of a study stand in its parts, which were checked when they were added."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[Path, tuple[int, int]]] = []
-        self._stretches: dict[RunKey, list[_Stretch]] = {}
-
-    def add(self, path: Path, results: Sequence[TaskResult]) -> None:
-        """Remember what a part holds, one run after the other, as `parse_part` gives it."""
-        first = 0
-        for result in results:
-            (key,) = result.keys
-            rows, size = result.rows, result.rows.size
-            whole = rows[-1] - rows[0] + 1 == size
-            scenarios = slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
-            self._stretches.setdefault(key, []).append(_Stretch(len(self._parts), first, size, scenarios))
-            first += size
-        self._parts.append((path, _signature(path)))
-
-    def read(self, column: str, keys: Sequence[RunKey], n: int, out: FloatArray | None = None) -> FloatArray:
-        """A column of some runs on all n scenarios, (k, n); in `out` where that is given."""
-        table = np.empty((len(keys), n)) if out is None else out
-        wanted: dict[int, list[tuple[int, _Stretch]]] = {}
-        for i, key in enumerate(keys):
-            for stretch in self._stretches.get(key, ()):
-                wanted.setdefault(stretch.part, []).append((i, stretch))
-        # in the order in which they were checked: where two hold the same run, the last one counts
-        for part, future in prefetched(lambda part: self._column(part, column), sorted(wanted), threads=_THREADS):
-            values = future.result()
-            for i, stretch in wanted[part]:
-                table[i, stretch.scenarios] = values[stretch.first : stretch.first + stretch.size]
-        return table
-
-    def _column(self, part: int, column: str) -> FloatArray:
-        path, signature = self._parts[part]
-        values = read_column(path, column)
-        if _signature(path) != signature:
-            raise StoreError(f"{path}: changed since it was checked; read the study again")
-        return values
-
-
-def _signature(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return found.st_size, found.st_mtime_ns
-
-
-class StoredColumn(np.lib.mixins.NDArrayOperatorsMixin):
-    """A column of d runs on n scenarios, (d, n), that is read from the parts each time it is used.
-
-    Some designs are an array, ``column[3]``, ``column[[3, 5], :10]``, and only what is requested is read. Some
-    scenarios of all designs, ``column[:, mask]``, are a column again. Everything else that an array can do reads the
-    whole column first: NumPy's functions, operators, methods.
-    """
-
-    ndim = 2
-    dtype = np.dtype(np.float64)
-
-    def __init__(
-        self, index: PartIndex, name: str, keys: Sequence[RunKey], n: int, columns: IntArray | None = None
-    ) -> None:
-        self._index, self._name, self._keys, self._n, self._columns = index, name, tuple(keys), n, columns
-        self.shape = (len(self._keys), n if columns is None else columns.size)
-
-    @property
-    def size(self) -> int:
-        """Number of values."""
-        return self.shape[0] * self.shape[1]
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __repr__(self) -> str:
-        return f"<{self._name} of {self.shape[0]:,} designs on {self.shape[1]:,} scenarios, read when used>"
-
-    def read(self, rows: slice, room: FloatArray) -> FloatArray:
-        """Some designs, (k, m), in `room`, (k n or more,), where possible: memory is cleared when it is used first."""
-        if self._columns is not None:
-            result: FloatArray = self[rows]
-            return result
-        keys = self._keys[rows]
-        return self._index.read(self._name, keys, self._n, room[: len(keys) * self._n].reshape(len(keys), self._n))
-
-    def _read(self, rows: Sequence[int]) -> FloatArray:
-        table = self._index.read(self._name, [self._keys[i] for i in rows], self._n)
-        return table if self._columns is None else table[:, self._columns]
-
-    def __getitem__(self, at: Any) -> Any:
-        rows, *others = at if isinstance(at, tuple) else (at,)
-        of_all = isinstance(rows, slice) and rows == slice(None)
-        if of_all and len(others) == 1 and np.ndim(others[0]) == 1:
-            columns = np.arange(self._n) if self._columns is None else self._columns
-            return StoredColumn(self._index, self._name, self._keys, self._n, columns[np.asarray(others[0])])
-        if not _is_simple(rows, others):
-            return np.asarray(self)[at]
-        places = np.arange(len(self))[rows]
-        distinct, back = np.unique(places, return_inverse=True)
-        table = self._read(distinct.tolist())
-        if distinct.size < places.size or not np.array_equal(distinct, places):
-            table = table[back.reshape(places.shape)]
-        return table[(..., *others)] if others else table
-
-    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        if copy is False:
-            raise ValueError("a stored column is in memory after it was read only: it is always a copy")
-        return self._read(range(len(self))).astype(dtype or np.float64, copy=False)
-
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **named: Any) -> Any:
-        arrays = (np.asarray(one) if isinstance(one, StoredColumn) else one for one in inputs)
-        return getattr(ufunc, method)(*arrays, **named)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(np.asarray(self), name)
-
-
-def _is_simple(rows: Any, others: Sequence[Any]) -> bool:
-    """Whether an index is one of the rows, and perhaps one of the columns that has nothing to do with it."""
-    if rows is None or rows is Ellipsis or np.ndim(rows) > 1 or len(others) > 1:
-        return False
-    alone = isinstance(rows, slice) or np.ndim(rows) == 0
-    return not others or (others[0] is not Ellipsis and others[0] is not None and (alone or np.ndim(others[0]) == 0))
 
 
 class SharedRows:
@@ -378,17 +220,24 @@ class AllFailedError(LdcError):
     """Every design of a study failed: there is nothing to rank."""
 
 
+def _mapped(shape: tuple[int, ...]) -> FloatArray:
+    """Room in a temporary file that is mapped into memory: the system keeps of it what it has memory for."""
+    with tempfile.TemporaryFile(prefix="ldc-") as file:
+        file.truncate(8 * math.prod(shape))
+        return np.memmap(file, np.float64, mode="r+", shape=shape).view(np.ndarray)
+
+
 class RunTable:
     """Room for the runs of a study, taken once, so that no run is in memory twice."""
 
     def __init__(
-        self, study: Study, n: int, designs: Sequence[Design], *, keep: bool = False, stored: PartIndex | None = None
+        self, study: Study, n: int, designs: Sequence[Design], *, keep: bool = False, mapped: bool = False
     ) -> None:
         self._study = study
         self.n = n
         self._conventions = study.simulation.convention
         self._windows = study.simulation.window
-        self._stored = stored
+        self._mapped = mapped
         self._uncorrected: dict[tuple[int, int], SharedRows] = {}
         self._place: dict[str, int] = {}
         self._kept: dict[str, list[TaskResult]] | None = {} if keep else None
@@ -399,10 +248,9 @@ class RunTable:
     def _make_room(self, size: int) -> None:
         shape = (len(self._conventions), size, self.n)
         before = len(self.designs)
-        companions = 0 if self._stored else len(METRIC_UNITS)
         fresh: dict[str, Any] = {
             "_S": np.empty((len(self._windows), *shape)),
-            "_metrics": np.empty((companions, *shape)),
+            "_metrics": (_mapped if self._mapped else np.empty)((len(METRIC_UNITS), *shape)),
             "_status": np.empty(shape, dtype=np.int8),
             # zeros take no memory until something else is written
             "_failed_solves": np.zeros(shape, dtype=np.int32),
@@ -468,8 +316,7 @@ class RunTable:
             self._S[:, *at, rows] = values[:scores:2]
             for w in range(len(self._windows)):
                 self._uncorrected[w, at[0]].put(at[1], rows, values[2 * w + 1])
-            if self._stored is None:
-                self._metrics[:, *at, rows] = values[scores:]
+            self._metrics[:, *at, rows] = values[scores:]
             self._status[*at, rows] = result.status[i]
             if self._there[*at, rows].any() or result.failed_solves[i].any():
                 self._failed_solves[*at, rows] = result.failed_solves[i]
@@ -523,7 +370,7 @@ class RunTable:
                     S=some(self._S[w, c]),
                     S_uncorrected=self._uncorrected[w, c].take(None if whole else at, rows),
                     status=some(self._status[c]),
-                    companions=MetricValues(**self._metrics_of(ran, case.convention, rows, some)),
+                    companions=MetricValues(*(some(values[c]) for values in self._metrics)),
                     failed_solves=some(self._failed_solves[c]),
                     law_time=np.array([np.nan if one is None else one.per_command for one in known]),
                 )
@@ -534,16 +381,6 @@ class RunTable:
             cases=tuple(cases),
             failed=failed,
         )
-
-    def _metrics_of(
-        self, designs: Sequence[Design], convention: Convention, rows: IntArray | None, some: Callable[[Any], Any]
-    ) -> dict[str, Any]:
-        """Companions by name: arrays, or columns that are read from the parts."""
-        if self._stored is None:
-            c = self._conventions.index(convention)
-            return {name: some(self._metrics[i, c]) for i, name in enumerate(METRIC_UNITS)}
-        keys = [(design.id, convention) for design in designs]
-        return {name: StoredColumn(self._stored, column, keys, self.n, rows) for name, column in METRIC_COLUMNS.items()}
 
     def _incomplete(
         self, designs: Sequence[Design], there: BoolArray, lost: Mapping[RunKey, str], some_there: BoolArray

@@ -51,7 +51,6 @@ from studies.storage.manifest import (
 from studies.storage.run_table import (
     PATTERN,
     AllFailedError,
-    PartIndex,
     RunTable,
     checked_content,
     parse_part,
@@ -138,18 +137,14 @@ class Store:
         n = self._study.scenarios.left + self._study.scenarios.right
         designs = self.designs() if designs is None else designs
         runs = len(designs) * n * len(self._study.simulation.convention)
-        # a run that goes on fills its table; one that is read can be read again
-        stored = PartIndex() if not repair and runs > _MOST_IN_MEMORY else None
-        table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, stored=stored)
+        mapped = not repair and runs > _MOST_IN_MEMORY
+        table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, mapped=mapped)
         messages = []
         windows = self._study.simulation.window
         for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                results = list(parse_part(path, content.result(), windows, n, companions=stored is None))
-                for result in results:
+                for result in list(parse_part(path, content.result(), windows, n)):
                     table.put(result)
-                if stored is not None:
-                    stored.add(path, results)
             except StoreError as error:
                 if not repair:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
